@@ -1,0 +1,1 @@
+"""Targets: meshes, bundled shapes and their voxels."""

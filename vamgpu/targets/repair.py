@@ -1,0 +1,192 @@
+"""Make a triangle soup watertight, or say why it is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.errors import MeshError, NotWatertight
+from vamgpu.targets.solid import Solid, unmatched_edges
+
+Faces = npt.NDArray[np.int32]
+Vertices = npt.NDArray[np.float64]
+
+_CRACK = 1e-5
+"""Open borders closer than this part of the box diagonal are sewn together."""
+_HOLE = 0.2
+"""Holes whose rim is shorter than this part of the box diagonal are filled; so are those of three or four edges."""
+
+
+def repaired(solid: Solid, *, fix: bool = True) -> Solid:
+    """Return a watertight, outward-wound copy of solid (the same object when nothing is wrong).
+
+    Merges equal vertices, drops degenerate and repeated triangles, sews cracks up to 1e-5 of the box diagonal, makes
+    the winding consistent, fills small holes (three or four edges, or a rim below 0.2 of the box diagonal) with a fan,
+    and turns bodies outward; a body wound inward inside another one stays a cavity.
+
+    With fix=False nothing is changed and open edges are an error at once.
+
+    Raises NotWatertight with the number of open edges when that was not enough, MeshError when no volume is enclosed.
+    """
+    vertices, faces = solid.vertices, solid.faces
+    left = solid.open_edges
+    if left and fix:
+        vertices, faces, left = _closed(vertices, faces)
+    if left:
+        tried = " after merging vertices and filling small holes" if fix else ""
+        raise NotWatertight(
+            f"{solid.name}: {left} open edges{tried}; wanted a closed surface. Close the holes in the CAD program or a "
+            "mesh editor (make solid / close holes) and export again"
+        )
+    if fix:
+        faces = _turn_outward(vertices, faces)
+    result = solid
+    if vertices is not solid.vertices or faces is not solid.faces:
+        result = replace(solid, vertices=vertices, faces=faces)
+    low, high = result.bounds
+    if not abs(result.volume) > 1e-9 * float(np.prod(high - low)):
+        raise MeshError(f"{solid.name}: the surface encloses no volume; wanted a solid part, not a sheet: thicken it")
+    return result
+
+
+def _closed(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces, int]:
+    vertices, faces = _merge_equal(vertices, faces)
+    left = len(unmatched_edges(faces))
+    for step in (_drop_bad_faces, _sew_cracks, _fix_winding, _fill_holes):
+        if not left:
+            break
+        vertices, faces = step(vertices, faces)
+        left = len(unmatched_edges(faces))
+    return vertices, faces, left
+
+
+def _merge_equal(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+    merged, where = np.unique(vertices, axis=0, return_inverse=True)
+    return merged, where.reshape(-1)[faces].astype(np.int32)
+
+
+def _drop_bad_faces(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return vertices, faces[np.sort(first)]
+
+
+def _sew_cracks(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    border = np.unique(unmatched_edges(faces))
+    pairs = cKDTree(vertices[border]).query_pairs(_CRACK * _diagonal(vertices), output_type="ndarray")
+    ones = np.ones(len(pairs))
+    _, group = connected_components(coo_array((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(border), len(border))))
+    _, first = np.unique(group, return_index=True)
+    target = np.arange(len(vertices), dtype=np.int32)
+    target[border] = border[first[group]]
+    return _drop_bad_faces(vertices, target[faces])
+
+
+def _fix_winding(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+    """Wind neighbors alike; each body keeps the sense that most of its area had."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    trimesh.repair.fix_winding(mesh)
+    fixed = np.asarray(mesh.faces, dtype=np.int32)
+    before, after = _area_vectors(vertices, faces), _area_vectors(vertices, fixed)
+    body = _bodies(fixed, len(vertices))
+    agreement = np.bincount(body, weights=np.einsum("ij,ij->i", before, after) / np.maximum(_norm(after), 1e-300))
+    wrong = agreement[body] < 0.0
+    fixed[wrong] = fixed[wrong][:, ::-1]
+    return vertices, fixed
+
+
+def _fill_holes(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+    limit = _HOLE * _diagonal(vertices)
+    points, patches = [vertices], [faces]
+    count = len(vertices)
+    for loop in _loops(unmatched_edges(faces)):
+        rim = vertices[loop]
+        length = float(_norm(rim - np.roll(rim, 1, axis=0)).sum())
+        if len(loop) < 3 or (len(loop) > 4 and length > limit):
+            continue
+        if len(loop) == 3:
+            patches.append(np.array([loop[::-1]], dtype=np.int32))
+            continue
+        points.append(rim.mean(axis=0, keepdims=True))
+        patches.append(np.array([(b, a, count) for a, b in zip(loop, np.roll(loop, -1), strict=True)], dtype=np.int32))
+        count += 1
+    return np.concatenate(points), np.concatenate(patches)
+
+
+def _loops(edges: npt.NDArray[np.int64]) -> list[list[int]]:
+    """Chain directed edges into closed loops of vertices; chains that do not close are left out."""
+    follow: dict[int, list[int]] = {}
+    for start, end in edges.tolist():
+        follow.setdefault(start, []).append(end)
+    loops: list[list[int]] = []
+    for start in list(follow):
+        while follow[start]:
+            path, seen = [start], {start: 0}
+            while follow.get(path[-1]):
+                step = follow[path[-1]].pop()
+                if step in seen:  # cut off the loop just closed, so that rims touching in one vertex stay apart
+                    loops.append(path[seen[step] :])
+                    for vertex in path[seen[step] + 1 :]:
+                        del seen[vertex]
+                    del path[seen[step] + 1 :]
+                else:
+                    seen[step] = len(path)
+                    path.append(step)
+    return loops
+
+
+def _turn_outward(vertices: Vertices, faces: Faces) -> Faces:
+    """Flip everything if the total volume is negative, then every inward body that lies inside no outward one."""
+    if not len(faces):
+        return faces
+    body = _bodies(faces, len(vertices))
+    origin = vertices.mean(axis=0)
+    a, b, c = np.moveaxis((vertices - origin)[faces], 1, 0)
+    volume = np.bincount(body, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
+    flip = np.full(len(volume), volume.sum() < 0.0)
+    volume = np.abs(volume.sum()) / (volume.sum() or 1.0) * volume
+    low = np.full((len(volume), 3), np.inf)
+    high = np.full((len(volume), 3), -np.inf)
+    for corner in faces.T:
+        np.minimum.at(low, body, vertices[corner])
+        np.maximum.at(high, body, vertices[corner])
+    outward = volume > 0.0
+    for index in np.flatnonzero(volume < 0.0):
+        inside = outward & (low <= low[index]).all(axis=1) & (high >= high[index]).all(axis=1)
+        if not inside.any():
+            flip[index] = not flip[index]
+    wrong = flip[body]
+    return np.where(wrong[:, None], faces[:, ::-1], faces) if wrong.any() else faces
+
+
+def _bodies(faces: Faces, vertices: int) -> npt.NDArray[np.intp]:
+    """Number of the connected body of each face (bodies share no vertex)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    rows, columns = np.concatenate([faces[:, 0], faces[:, 1]]), np.concatenate([faces[:, 1], faces[:, 2]])
+    _, label = connected_components(coo_array((np.ones(len(rows), np.int8), (rows, columns)), (vertices, vertices)))
+    _, body = np.unique(label[faces[:, 0]], return_inverse=True)
+    return body.reshape(-1)
+
+
+def _area_vectors(vertices: Vertices, faces: Faces) -> Vertices:
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    return 0.5 * np.cross(b - a, c - a)
+
+
+def _norm(vectors: Vertices) -> Vertices:
+    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+
+
+def _diagonal(vertices: Vertices) -> float:
+    return float(np.linalg.norm(np.ptp(vertices, axis=0)))

@@ -1,0 +1,104 @@
+"""Periodic structures in the size of a vial: gyroid, cubic lattice, pentamode (paper 003, Fig. 5b-d)."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+from manifold3d import Manifold
+
+from vamgpu.targets.shapes.csg import Point, along, from_triangles, polygon, rod, to_solid, union
+from vamgpu.targets.solid import Solid
+
+
+def gyroid_sphere(radius: float = 6.0, cell: float = 4.0, wall: float = 0.5, pitch: float = 0.125) -> Solid:
+    """A sheet of nearly even thickness along the gyroid sin x cos y + sin y cos z + sin z cos x = 0, cut by a sphere.
+
+    radius of the sphere, length of a gyroid cell, thickness of the wall and pitch of the sampling grid in mm.
+    """
+    count = int(np.ceil(radius / pitch)) + 2
+    axis = (np.arange(-count, count + 1) + 0.5) * pitch
+    field = 0.5 * wall - np.abs(_gyroid_distance(axis, cell))
+    sheet = _level_surface(field, pitch) ^ Manifold.sphere(radius, 128)
+    # Crumbs of the sheet that the sphere cuts loose would float in the resin.
+    return to_solid(max(sheet.decompose(), key=lambda body: body.volume()), "gyroid_sphere")
+
+
+def cubic_lattice(cells: int = 5, cell: float = 1.8, strut: float = 0.5) -> Solid:
+    """A cube of cells x cells x cells open cells with round struts; cell length and strut diameter in mm."""
+    end = cells * cell
+    bars = []
+    for a, b in product(np.arange(cells + 1) * cell, repeat=2):
+        bars += [
+            rod((0.0, a, b), (end, a, b), 0.5 * strut, segments=24),
+            rod((a, 0.0, b), (a, end, b), 0.5 * strut, segments=24),
+            rod((a, b, 0.0), (a, b, end), 0.5 * strut, segments=24),
+        ]
+    corners = [Manifold.sphere(0.5 * strut, 24).translate((a, b, c)) for a, b, c in product((0.0, end), repeat=3)]
+    return to_solid(union(bars + corners), "cubic_lattice")
+
+
+def pentamode(cells: int = 3, cell: float = 3.2, touch: float = 0.13, middle: float = 0.6) -> Solid:
+    """A diamond lattice whose bonds are double cones, thick in the middle, that meet in touch points.
+
+    cell: edge of the cubic diamond cell; touch, middle: diameters of a bond at its ends and in its middle [mm].
+    """
+    atoms, bonds = _diamond(cells)
+    length = 0.25 * np.sqrt(3.0) * cell
+    half_outline = [(0.0, 0.0), (0.5 * touch, 0.0), (0.5 * middle, 0.5 * length), (0.5 * touch, length), (0.0, length)]
+    cone = Manifold.revolve(polygon(half_outline), 16)
+    points = [_point(atom * 0.25 * cell) for atom in atoms]
+    struts = [along(cone, points[a], points[b]) for a, b in bonds]
+    used = np.unique(bonds)
+    joints = [Manifold.sphere(0.5 * touch, 12).translate(points[a]) for a in used]
+    return to_solid(union(struts + joints), "pentamode")
+
+
+def _point(values: npt.NDArray[np.float64]) -> Point:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def _diamond(cells: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Atoms (n, 3) in quarters of a cell and bonds (k, 2); atoms on fewer than two bonds are dropped."""
+    face_centers = np.array([(0, 0, 0), (0, 2, 2), (2, 0, 2), (2, 2, 0)])
+    corners = 4 * np.array(list(product(range(cells + 1), repeat=3)))
+    even = (corners[:, None] + face_centers).reshape(-1, 3)
+    atoms = np.concatenate([even, even + 1])
+    atoms = atoms[(atoms <= 4 * cells).all(axis=1)]
+    index = {tuple(atom): number for number, atom in enumerate(atoms.tolist())}
+    steps = ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))
+    first = [atom for atom in index if (atom[0] % 2, atom[1] % 2, atom[2] % 2) == (0, 0, 0)]
+    pairs = [(atom, (atom[0] + x, atom[1] + y, atom[2] + z)) for atom in first for x, y, z in steps]
+    bonds = np.array([(index[a], index[b]) for a, b in pairs if b in index])
+    while True:
+        degree = np.bincount(bonds.ravel(), minlength=len(atoms))
+        keep = (degree[bonds] >= 2).all(axis=1)
+        if keep.all():
+            return atoms, bonds
+        bonds = bonds[keep]
+
+
+def _gyroid_distance(axis: npt.NDArray[np.float64], cell: float) -> npt.NDArray[np.float64]:
+    """First-order distance [mm] to the gyroid on the cube axis x axis x axis: value over length of the gradient."""
+    phase = 2.0 * np.pi / cell * axis
+    x, y, z = phase[:, None, None], phase[None, :, None], phase[None, None, :]
+    value = np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x)
+    gradient = (
+        (np.cos(x) * np.cos(y) - np.sin(z) * np.sin(x)) ** 2
+        + (np.cos(y) * np.cos(z) - np.sin(x) * np.sin(y)) ** 2
+        + (np.cos(z) * np.cos(x) - np.sin(y) * np.sin(z)) ** 2
+    )
+    # The gradient vanishes only far from the surface, where any large value will do.
+    return value / np.sqrt(np.maximum(gradient, 0.05)) * cell / (2.0 * np.pi)
+
+
+def _level_surface(field: npt.NDArray[np.float64], pitch: float) -> Manifold:
+    """The body field > 0 on a centered grid, closed at the grid's border."""
+    from skimage.measure import marching_cubes
+
+    closed = np.pad(field, 1, constant_values=-abs(pitch))
+    vertices, faces, _, _ = marching_cubes(closed, 0.0, gradient_direction="ascent")
+    center = 0.5 * (np.array(closed.shape) - 1.0)
+    body = from_triangles((vertices - center) * pitch, faces.astype(np.int64))
+    return body if body.volume() > 0.0 else from_triangles((vertices - center) * pitch, faces[:, ::-1].astype(np.int64))
