@@ -22,7 +22,8 @@ def gyroid_sphere(radius: float = 6.0, cell: float = 4.0, wall: float = 0.5, pit
     field = 0.5 * wall - np.abs(_gyroid_distance(axis, cell))
     sheet = _level_surface(field, pitch) ^ Manifold.sphere(radius, 128)
     # Crumbs of the sheet that the sphere cuts loose would float in the resin.
-    return to_solid(max(sheet.decompose(), key=lambda body: body.volume()), "gyroid_sphere")
+    largest = max(sheet.decompose(), key=lambda body: body.volume())
+    return to_solid(largest.simplify(0.02 * pitch), "gyroid_sphere")
 
 
 def cubic_lattice(cells: int = 5, cell: float = 1.8, strut: float = 0.5) -> Solid:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from manifold3d import CrossSection, Manifold
+from manifold3d import CrossSection, Manifold, OpType
 
 from vamgpu.targets.shapes.csg import Point, box, from_triangles, polygon, rod, stroke, to_solid, union
 from vamgpu.targets.solid import Solid
@@ -27,7 +27,7 @@ def boat(height: float = 11.5) -> Solid:
 
     It tests: a flared hull, an overhanging cabin roof, windows and a door, a chimney with a through hole into the
     cabin, hawse pipes through the bulwarks, a blind hole in the transom and one in the deck box, a flag-pole hole with
-    a 0.16 mm wall, raised text on both sides. At 11.5 mm it needs a printable radius of 6.8 mm.
+    a 0.16 mm wall, raised text on both sides. At 11.5 mm it needs a printable radius of 6.6 mm.
     """
     body = _hull() + _cabin() + _deck_box() + _flag_pole_holder() + _lettering("VAM")
     body = body - _chimney_hole() - _hawse_holes() - _blind_hole()
@@ -87,15 +87,15 @@ def _hull() -> Manifold:
     well = _loft(np.array([0.3, 0.6, 0.8, 1.0]), shrink=0.87, lift=2.0)
     well = well ^ box((-9.0, -9.0, _DECK), (3.3, 9.0, 20.0))
     foredeck = _loft(np.array([0.5, 0.8, 1.0]), shrink=0.87, lift=2.0)
-    foredeck = foredeck ^ box((3.0, -9.0, _DEPTH + 0.25), (9.0, 9.0, 20.0))
+    foredeck = foredeck ^ box((3.0, -9.0, _DEPTH - 0.2), (9.0, 9.0, 20.0))
     return _loft(levels) + strake - well - foredeck
 
 
 def _cabin() -> Manifold:
     aft, fore, half, eaves = -2.4, 2.3, 1.75, 8.0
     side = polygon([(aft, _DECK - 0.3), (fore + 0.5, _DECK - 0.3), (fore, eaves), (aft, eaves)])
-    room = polygon([(aft + 0.45, _DECK), (fore, _DECK), (fore - 0.45, eaves - 0.2), (aft + 0.45, eaves - 0.2)])
-    shell = _across(side, half) - _across(room, half - 0.45)
+    room = polygon([(aft + 0.45, _DECK), (fore, _DECK), (fore - 0.45, eaves + 0.15), (aft + 0.45, eaves + 0.15)])
+    shell = _across(side, half) + _roof(aft - 0.85, fore + 0.75, half + 0.6, eaves) - _across(room, half - 0.45)
     window = (CrossSection.square((1.25, 1.5), True) + CrossSection.circle(0.625, 48).translate((0.0, 0.75))).translate(
         (0.0, 6.0)
     )
@@ -103,7 +103,7 @@ def _cabin() -> Manifold:
     shell -= box((fore - 1.0, -1.15, 5.2), (fore + 2.0, 1.15, 7.3))
     door = polygon([(-0.7, _DECK), (0.7, _DECK), (0.7, 5.7), (0.35, 6.5), (-0.35, 6.5), (-0.7, 5.7)])
     shell -= door.extrude(2.0).rotate((90.0, 0.0, 90.0)).translate((aft - 1.0, 0.0, 0.0))
-    return shell + _roof(aft - 0.85, fore + 0.75, half + 0.6, eaves) + _chimney(eaves)
+    return shell + _chimney(eaves)
 
 
 def _roof(aft: float, fore: float, half: float, eaves: float) -> Manifold:
@@ -140,8 +140,8 @@ def _hawse_holes() -> Manifold:
     """Pipes that run from the foredeck outward and down through the bulwarks."""
     pipes: list[Manifold] = []
     for side in (-1.0, 1.0):
-        inside: Point = (3.9, 0.6 * side, 4.75)
-        outside: Point = (4.5, 3.6 * side, 3.6)
+        inside: Point = (3.9, 0.6 * side, 4.1)
+        outside: Point = (4.5, 3.6 * side, 3.3)
         pipes.append(rod(inside, outside, 0.26))
     return union(pipes)
 
@@ -158,10 +158,7 @@ def _lettering(text: str, size: float = 1.35, raised: float = 0.16) -> Manifold:
         width, lines = _GLYPHS[letter]
         glyphs += [stroke(np.array(line) * size, pen).translate((cursor, 0.0)) for line in lines]
         cursor += width * size + space
-    flat = CrossSection.batch_hull([]) if not glyphs else glyphs[0]
-    for glyph in glyphs[1:]:
-        flat += glyph
-    flat = flat.translate((0.5 * (space - cursor), 0.0))
+    flat = CrossSection.batch_boolean(glyphs, OpType.Add).translate((0.5 * (space - cursor), 0.0))
     starboard = flat.extrude(8.0).rotate((90.0, 0.0, 0.0)).translate((-0.4, 0.0, 1.2))
     port = starboard.rotate((0.0, 0.0, 180.0)).translate((-0.8, 0.0, 0.0))
     inner = box((-9.0, -2.0, -1.0), (9.0, 2.0, 9.0))

@@ -1,0 +1,144 @@
+"""How a kernel is declared: once, by the annotations of its NumPy definition.
+
+A `Field` is a three-dimensional float array whose last axis is z. On OpenCL and Warp devices it is stored as
+``[slab][major][minor][lane]``: z cut into slabs of ``lanes`` neighbours so that one vector load serves many z, padded
+with whatever the last slab leaves over. A `Table` is a small or odd-shaped array in plain C order. The device siblings
+of a definition receive the declared arguments in order, then one 32-bit integer ``n_<axis>`` for every named axis.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Field:
+    """A float32 array ``[major, minor, z]`` in the device's lane layout."""
+
+    axes: tuple[str, str, str]
+    writes: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """An array in plain C order; axes given as digits are fixed sizes."""
+
+    dtype: str
+    axes: tuple[str, ...]
+    writes: bool = False
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """A number passed by value."""
+
+    dtype: str
+
+
+Volume = Annotated[np.ndarray, Field(("x", "y", "z"))]
+VolumeOut = Annotated[np.ndarray, Field(("x", "y", "z"), writes=True)]
+Sinogram = Annotated[np.ndarray, Field(("angle", "r", "z"))]
+SinogramOut = Annotated[np.ndarray, Field(("angle", "r", "z"), writes=True)]
+Array = Annotated[np.ndarray, Field(("i", "j", "z"))]
+ArrayOut = Annotated[np.ndarray, Field(("i", "j", "z"), writes=True)]
+Real = Annotated[float, Scalar("float32")]
+Integer = Annotated[int, Scalar("int32")]
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """How much one work item computes: ``major`` × ``minor`` samples (0 = all of them) and, on GPUs, the work-group.
+
+    group counts work-items of a group along (minor × lanes, major).
+    """
+
+    major: int = 1
+    minor: int = 1
+    group: tuple[int, int] = (256, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """One declared kernel: its definition, arguments, and the field whose samples its work items share out."""
+
+    definition: Callable[..., None]
+    over: str
+    cpu: Tiling = Tiling()
+    gpu: Tiling = Tiling()
+    constants: dict[str, dict[str, int]] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        return self.definition.__name__
+
+    @property
+    def concept(self) -> str:
+        """Name of the file the kernel lives in, without its ending."""
+        return self.definition.__module__.rsplit(".", 1)[-1]
+
+    @property
+    def source(self) -> Path:
+        """The OpenCL sibling."""
+        return Path(inspect.getfile(self.definition)).with_suffix(".cl")
+
+    @cached_property
+    def arguments(self) -> dict[str, Field | Table | Scalar]:
+        """Declared arguments in order."""
+        hints = get_type_hints(self.definition, include_extras=True)
+        names = inspect.signature(self.definition).parameters
+        return {name: hints[name].__metadata__[0] for name in names}
+
+    @cached_property
+    def axes(self) -> tuple[str, ...]:
+        """Named axes in order of first appearance; their sizes follow the declared arguments on devices."""
+        seen: dict[str, None] = {}
+        for spec in self.arguments.values():
+            for axis in getattr(spec, "axes", ()):
+                if not axis.isdigit():
+                    seen[axis] = None
+        return tuple(seen)
+
+    def sizes(self, shapes: dict[str, tuple[int, ...]]) -> dict[str, int]:
+        """Axis sizes implied by argument shapes; raises `ShapeMismatch` where two arguments disagree."""
+        from vamgpu.errors import ShapeMismatch
+
+        sizes: dict[str, int] = {}
+        owner: dict[str, str] = {}
+        for name, shape in shapes.items():
+            axes = self.arguments[name].axes  # type: ignore[union-attr]
+            if len(axes) != len(shape):
+                raise ShapeMismatch(f"{self.name}: {name} has shape {shape}; wanted axes [{', '.join(axes)}]")
+            for axis, size in zip(axes, shape, strict=True):
+                wanted = int(axis) if axis.isdigit() else sizes.setdefault(axis, size)
+                owner.setdefault(axis, name)
+                if size != wanted:
+                    raise ShapeMismatch(
+                        f"{self.name}: axis {axis} of {name} is {size}; {owner[axis]} has {wanted}; make them equal"
+                    )
+        return sizes
+
+
+def kernel(
+    over: str, *, cpu: Tiling = Tiling(), gpu: Tiling = Tiling(), constants: dict[str, dict[str, int]] | None = None
+) -> Callable[[Callable[..., None]], Kernel]:
+    """Declare the decorated NumPy definition as a kernel whose items share out the field ``over``.
+
+    constants: per device kind ("cpu", "gpu"), names and values its OpenCL sibling is compiled with.
+    """
+
+    def declare(definition: Callable[..., None]) -> Kernel:
+        return Kernel(definition, over, cpu, gpu, constants or {})
+
+    return declare
+
+
+def table(dtype: str, *axes: str, writes: bool = False) -> Any:
+    """Annotation of a `Table` argument."""
+    return Annotated[np.ndarray, Table(dtype, axes, writes)]

@@ -1,0 +1,56 @@
+"""The reference device: NumPy in float64, plain layout, the kernels' definitions themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import DeviceError, OutOfMemory
+from vamgpu.kernels.signature import Kernel
+
+
+class NumpyDevice(Device):
+    """Runs the NumPy definitions; slow, exact, always there."""
+
+    def __init__(self) -> None:
+        super().__init__("numpy", "NumPy, float64 reference")
+
+    @property
+    def real(self) -> np.dtype:
+        return np.dtype(np.float64)
+
+    def lanes_for(self, nz: int) -> int:
+        return 0
+
+    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> np.ndarray:
+        try:
+            return np.empty(shape, dtype)
+        except MemoryError as error:
+            raise OutOfMemory(f"no memory for {shape} of {dtype}; use a coarser grid") from error
+
+    def _write(self, handle: np.ndarray, stored: np.ndarray) -> None:
+        handle[...] = stored
+
+    def _read(self, handle: np.ndarray, stored: np.ndarray) -> None:
+        stored[...] = handle
+
+    def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
+        kernel.definition(**bound)
+
+    def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
+        return 1
+
+    def synchronize(self) -> None:
+        pass
+
+    def capture(self, run: Callable[[], None]) -> Callable[[], None]:
+        return run
+
+    def adopt(self, foreign: Any) -> DeviceArray:
+        if not isinstance(foreign, np.ndarray):
+            raise DeviceError(f"numpy adopts NumPy arrays; got {type(foreign).__name__}; convert it to NumPy first")
+        return DeviceArray(self, foreign, foreign.shape, foreign.dtype, 0)

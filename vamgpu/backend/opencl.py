@@ -1,0 +1,136 @@
+"""OpenCL devices, CPUs and GPUs alike."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import DeviceError, KernelError, OutOfMemory
+from vamgpu.kernels.signature import Field, Kernel, Table, Tiling
+
+
+class OpenclDevice(Device):
+    """One OpenCL device with one in-order queue.
+
+    CPUs take a whole slab of 16 to 64 lanes per work item; GPUs give each item four lanes, and a slab to eight items.
+    """
+
+    def __init__(self, name: str, device: cl.Device) -> None:
+        super().__init__(name, f"{device.name.strip()} ({device.platform.name})")
+        self.is_gpu = bool(device.type & cl.device_type.GPU)
+        self.context = cl.Context([device])
+        self.queue = cl.CommandQueue(self.context)
+        self._device = device
+        self.compiled = lru_cache(maxsize=None)(self._compiled)
+
+    @property
+    def real(self) -> np.dtype:
+        return np.dtype(np.float32)
+
+    def lanes_for(self, nz: int) -> int:
+        if self.is_gpu:
+            return min(32, -(-nz // 4) * 4)
+        # the widest slab that pads z least
+        return min((64, 48, 32, 16), key=lambda lanes: (-(-nz // lanes) * lanes, -lanes))
+
+    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> cl.Buffer:
+        nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+        limit = self._device.max_mem_alloc_size
+        if nbytes > limit:
+            raise OutOfMemory(
+                f"{shape} of {dtype} needs {nbytes} bytes; {self.name} allocates at most {limit} at once: "
+                "use a coarser grid or fewer angles"
+            )
+        try:
+            return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(nbytes, 4))
+        except cl.Error as error:
+            raise OutOfMemory(f"{self.name} has no {nbytes} bytes left for {shape} of {dtype}: {error}") from error
+
+    def _write(self, handle: cl.Buffer, stored: np.ndarray) -> None:
+        if stored.nbytes:
+            cl.enqueue_copy(self.queue, handle, stored)
+
+    def _read(self, handle: cl.Buffer, stored: np.ndarray) -> None:
+        if stored.nbytes:
+            try:
+                cl.enqueue_copy(self.queue, stored, handle)
+            except cl.MemoryError as error:  # drivers may defer an allocation until it is first used
+                raise OutOfMemory(f"{self.name} ran out of memory: {error}") from error
+
+    def _compiled(self, kernel: Kernel, lanes: int) -> cl.Kernel:
+        """The compiled sibling of a kernel for a layout of ``lanes``."""
+        options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info", f"-DCOMPILE_{kernel.name}"]
+        options += [f"-D{key}={value}" for key, value in self._constants(kernel, lanes).items()]
+        try:
+            with warnings.catch_warnings():  # a compiler that merely talks is no news
+                warnings.simplefilter("ignore", cl.CompilerWarning)
+                return cl.Kernel(cl.Program(self.context, kernel.source.read_text()).build(options), kernel.name)
+        except (cl.Error, RuntimeError) as error:
+            raise KernelError(f"{kernel.source.name} does not build on {self.name}: {error}") from error
+
+    def _constants(self, kernel: Kernel, lanes: int) -> dict[str, int]:
+        width = 4 if self.is_gpu else 16
+        threads = lanes // width if self.is_gpu else 1
+        tiling = self._tiling(kernel)
+        shape = {"LANES": lanes, "WIDTH": width, "THREADS": threads, "VECTORS": lanes // width // threads}
+        tile = {"TILE_MAJOR": tiling.major, "TILE_MINOR": tiling.minor}
+        return (shape if lanes else {}) | tile | kernel.constants.get("gpu" if self.is_gpu else "cpu", {})
+
+    def _tiling(self, kernel: Kernel) -> Tiling:
+        return kernel.gpu if self.is_gpu else kernel.cpu
+
+    def _counts(self, kernel: Kernel, shape: tuple[int, int, int]) -> tuple[int, int, int]:
+        """Work items along (minor × threads, major, slab)."""
+        lanes, tiling = self.lanes_for(shape[2]), self._tiling(kernel)
+        threads = lanes // 4 if self.is_gpu else 1
+        minor = -(-shape[1] // tiling.minor) if tiling.minor else 1
+        major = -(-shape[0] // tiling.major) if tiling.major else 1
+        return (minor * threads, major, -(-shape[2] // lanes))
+
+    def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
+        return int(np.prod(self._counts(kernel, shape)))
+
+    def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
+        spec = kernel.arguments[kernel.over]
+        over = tuple(sizes[axis] if not axis.isdigit() else int(axis) for axis in getattr(spec, "axes", ()))
+        if isinstance(spec, Field):
+            counts: tuple[int, ...] = self._counts(kernel, over)  # type: ignore[arg-type]
+            group = (*self._tiling(kernel).group, 1) if self.is_gpu else (1, 1, 1)
+        elif isinstance(spec, Table):
+            counts, group = tuple(reversed(over)), None
+        else:
+            raise KernelError(f"{kernel.name} runs over {kernel.over}, which is a number")
+        if group:
+            counts = tuple(-(-n // g) * g for n, g in zip(counts, group, strict=True))
+        function = self.compiled(kernel, lanes)
+        extents = [np.int32(sizes[axis]) for axis in kernel.axes]
+        try:
+            function(self.queue, counts, group, *bound.values(), *extents)
+        except cl.MemoryError as error:
+            raise OutOfMemory(f"{kernel.name} ran out of memory on {self.name}: {error}") from error
+        except cl.Error as error:
+            raise KernelError(f"{kernel.name} failed on {self.name}: {error}") from error
+
+    def synchronize(self) -> None:
+        self.queue.finish()
+
+    def capture(self, run: Callable[[], None]) -> Callable[[], None]:
+        return run
+
+    def adopt(self, foreign: Any) -> DeviceArray:
+        data, context = getattr(foreign, "base_data", None), getattr(foreign, "context", None)
+        if data is None or context != self.context:
+            raise DeviceError(
+                f"{self.name} adopts pyopencl arrays of its own context (device.context); "
+                f"got {type(foreign).__name__}; upload a NumPy copy instead"
+            )
+        if foreign.offset or not foreign.flags.c_contiguous:
+            raise DeviceError("a pyopencl array must be C contiguous and start its buffer to be adopted; copy it first")
+        return DeviceArray(self, data, tuple(foreign.shape), np.dtype(foreign.dtype), 0)

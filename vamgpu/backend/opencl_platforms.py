@@ -1,0 +1,96 @@
+"""Finding OpenCL platforms, those that came as Python wheels included, with nothing set by the user."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import warnings
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SLUGS = {"Portable Computing Language": "pocl", "NVIDIA CUDA": "nvidia", "AMD Accelerated Parallel Processing": "amd"}
+PROBE = "__kernel void twice(__global float *a) { a[get_global_id(0)] = 2.0f * get_global_id(0); }"
+
+
+def _wheel_drivers() -> list[Path]:
+    """Libraries of the Intel wheel: its own .icd file names a placeholder path, so the loader never finds them."""
+    try:
+        files = metadata.files("intel-opencl-rt") or []
+    except metadata.PackageNotFoundError:
+        return []
+    found = (Path(str(f.locate())).resolve() for f in files if f.name in ("libintelocl.so", "intelocl64.dll"))
+    return [path for path in found if path.exists()]
+
+
+@lru_cache(maxsize=1)
+def platforms() -> tuple[Any, ...]:
+    """Every OpenCL platform, wheel drivers included; the environment is left as it was found."""
+    import pyopencl as cl
+
+    drivers = _wheel_drivers()
+    if "OCL_ICD_VENDORS" in os.environ or not drivers or os.name == "nt":
+        return _query(cl)
+    # The loader reads the vendors folder once, at the first query, so a folder that lives this long is enough;
+    # children must not inherit a variable that names a folder that is gone.
+    with tempfile.TemporaryDirectory(prefix="vamgpu-icd-") as folder:
+        for icd in Path("/etc/OpenCL/vendors").glob("*.icd"):
+            (Path(folder) / icd.name).write_bytes(icd.read_bytes())
+        for number, library in enumerate(drivers):
+            (Path(folder) / f"zz-wheel-{number}.icd").write_text(f"{library}\n")
+        os.environ["OCL_ICD_VENDORS"] = folder
+        try:
+            return _query(cl)
+        finally:
+            del os.environ["OCL_ICD_VENDORS"]
+
+
+def _query(cl: Any) -> tuple[Any, ...]:
+    try:
+        return tuple(cl.get_platforms())
+    except cl.Error:  # the loader raises where it finds no platform at all
+        return ()
+
+
+def slug(platform_name: str) -> str:
+    """Short name of a platform: pocl, intel, nvidia, …"""
+    return SLUGS.get(platform_name) or platform_name.split("(")[0].split()[0].lower()
+
+
+@lru_cache(maxsize=1)
+def all_devices() -> dict[str, Any]:
+    """Names ``opencl:<platform>:<index>`` of every device listed by a platform, working or not."""
+    found: dict[str, Any] = {}
+    for platform in platforms():
+        try:
+            listed = platform.get_devices()
+        except Exception:  # noqa: BLE001, S112 - a broken platform may raise anything; it offers no device
+            continue
+        for device in listed:
+            name = slug(platform.name)
+            index = sum(key.startswith(f"opencl:{name}:") for key in found)
+            found[f"opencl:{name}:{index}"] = device
+    return found
+
+
+def complaint(device: Any) -> str | None:
+    """Why a device cannot build and run a trivial kernel, or None if it can."""
+    import pyopencl as cl
+
+    try:
+        context = cl.Context([device])
+        queue = cl.CommandQueue(context)
+        buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, 64)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", cl.CompilerWarning)
+            program = cl.Program(context, PROBE).build()
+        program.twice(queue, (16,), None, buffer)
+        got = np.empty(16, np.float32)
+        cl.enqueue_copy(queue, got, buffer)
+    except (cl.Error, RuntimeError) as error:  # a driver too old for the processor raises a plain RuntimeError
+        return f"{type(error).__name__}: {str(error).strip().splitlines()[0][:160]}"
+    wanted = 2.0 * np.arange(16, dtype=np.float32)
+    return None if (got == wanted).all() else f"a trivial kernel returned {got[:4]}…, wanted {wanted[:4]}…"

@@ -1,0 +1,124 @@
+"""NVIDIA GPUs (and any CPU) through Warp."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import DeviceError, KernelError, OutOfMemory
+from vamgpu.kernels.signature import Field, Kernel
+
+LANES = 32
+STRIDE_LIMIT = 2**31
+"""Warp keeps strides and extents in 32 bits."""
+
+TYPES = {"float32": wp.float32, "int32": wp.int32, "uint8": wp.uint8, "uint32": wp.uint32}
+
+
+def quiet() -> None:
+    """Start Warp without its banner: libraries don't print."""
+    wp.config.log_level = wp.LOG_ERROR
+    wp.init()
+
+
+class WarpDevice(Device):
+    """One Warp device; fields are arrays ``[slab, major, minor, lanes / 4]`` of vec4."""
+
+    def __init__(self, name: str, device: str) -> None:
+        quiet()
+        try:
+            self._device = wp.get_device(device)
+        except (RuntimeError, ValueError) as error:
+            raise DeviceError(f"Warp has no device {device!r} here: {error}") from error
+        super().__init__(name, f"{self._device.name} (Warp {wp.config.version})")
+
+    @property
+    def real(self) -> np.dtype:
+        return np.dtype(np.float32)
+
+    def lanes_for(self, nz: int) -> int:
+        return min(LANES, -(-nz // 4) * 4)
+
+    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> wp.array:
+        kind: Any = TYPES.get(dtype.name)
+        if kind is None:
+            raise KernelError(f"{self.name} keeps {', '.join(TYPES)}; got {dtype}")
+        if lanes:
+            shape, kind = (*shape[:3], shape[3] // 4), wp.vec4
+        stride = int(np.prod(shape[1:], dtype=np.int64)) * dtype.itemsize * (4 if lanes else 1)
+        if max(shape, default=0) >= STRIDE_LIMIT or stride >= STRIDE_LIMIT:
+            raise OutOfMemory(f"{shape} of {dtype} has a stride of {stride} bytes; Warp addresses below 2 GiB a step")
+        try:
+            return wp.empty(shape, dtype=kind, device=self._device)
+        except RuntimeError as error:
+            raise OutOfMemory(f"{self.name} has no room for {shape} of {dtype}: {error}") from error
+
+    def _write(self, handle: wp.array, stored: np.ndarray) -> None:
+        wp.copy(handle, self._host_view(handle, stored))
+
+    def _read(self, handle: wp.array, stored: np.ndarray) -> None:
+        wp.copy(self._host_view(handle, stored), handle)
+        self.synchronize()
+
+    @staticmethod
+    def _host_view(handle: wp.array, stored: np.ndarray) -> wp.array:
+        if handle.dtype is wp.vec4:
+            stored = stored.reshape(*handle.shape, 4)
+        return wp.array(stored, dtype=handle.dtype, device="cpu", copy=False)
+
+    def _grid(self, kernel: Kernel, shape: tuple[int, int, int]) -> tuple[int, int, int, int]:
+        """Threads along (slab, major, minor, lane group)."""
+        lanes, tiling = self.lanes_for(shape[2]), kernel.gpu
+        minor = -(-shape[1] // tiling.minor) if tiling.minor else 1
+        major = -(-shape[0] // tiling.major) if tiling.major else 1
+        return (-(-shape[2] // lanes), major, minor, lanes // 4)
+
+    def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
+        return int(np.prod(self._grid(kernel, shape)))
+
+    def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
+        spec = kernel.arguments[kernel.over]
+        over = tuple(sizes[axis] if not axis.isdigit() else int(axis) for axis in getattr(spec, "axes", ()))
+        grid = self._grid(kernel, over) if isinstance(spec, Field) else over  # type: ignore[arg-type]
+        inputs = [*bound.values(), *(sizes[axis] for axis in kernel.axes)]
+        block = kernel.gpu.group[0] * kernel.gpu.group[1]
+        wp.launch(sibling(kernel), dim=grid, inputs=inputs, device=self._device, block_dim=block)
+
+    def synchronize(self) -> None:
+        wp.synchronize_device(self._device)
+
+    def capture(self, run: Callable[[], None]) -> Callable[[], None]:
+        if not self._device.is_cuda:
+            return run
+        run()  # modules must be loaded before a capture begins
+        with wp.ScopedCapture(self._device) as capture:
+            run()
+        return lambda: wp.capture_launch(capture.graph)
+
+    def adopt(self, foreign: Any) -> DeviceArray:
+        try:
+            if isinstance(foreign, wp.array):
+                array = foreign
+            elif hasattr(foreign, "__dlpack__"):
+                array = wp.from_dlpack(foreign)
+            elif hasattr(foreign, "__cuda_array_interface__"):
+                array = wp.array(foreign, device=self._device, copy=False)
+            else:
+                raise TypeError("no __dlpack__ and no __cuda_array_interface__")
+        except (TypeError, RuntimeError, ValueError, BufferError) as error:
+            raise DeviceError(f"{self.name} cannot adopt a {type(foreign).__name__}: {error}") from error
+        if array.device != self._device or not array.is_contiguous:
+            raise DeviceError(f"{self.name} adopts contiguous arrays of its own device; got one on {array.device}")
+        return DeviceArray(self, array, tuple(array.shape), np.dtype(wp.dtype_to_numpy(array.dtype)), 0)
+
+
+def sibling(kernel: Kernel) -> wp.Kernel:
+    """The Warp sibling of a declared kernel."""
+    module = importlib.import_module(f"vamgpu.kernels.{kernel.concept}_warp")
+    return getattr(module, kernel.name)

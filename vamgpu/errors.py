@@ -1,0 +1,67 @@
+"""Every error this library raises on purpose; each message says what was got, what was wanted and what to do."""
+
+from __future__ import annotations
+
+
+class VamError(Exception):
+    """Root of all errors raised on purpose by vamgpu."""
+
+
+class BadInput(VamError, ValueError):
+    """A value the caller gave cannot be used."""
+
+
+class ShapeMismatch(BadInput):
+    """An array does not live in the space an operator or kernel works on."""
+
+
+class MeshError(BadInput):
+    """A mesh cannot be used as a print target."""
+
+
+class EmptyMesh(MeshError):
+    """A mesh file holds no triangles."""
+
+
+class NotWatertight(MeshError):
+    """A mesh has holes that could not be closed, so inside and outside are undefined."""
+
+
+class TargetTooLarge(BadInput):
+    """A target reaches beyond what light can print."""
+
+
+class DeviceError(VamError, RuntimeError):
+    """A device is missing, broken, or was asked for something it cannot do."""
+
+
+class OutOfMemory(DeviceError):
+    """A device has too little memory for an array."""
+
+
+class TransferForbidden(DeviceError):
+    """An array was about to cross the bus inside ``no_transfers()``."""
+
+
+class KernelError(DeviceError):
+    """A kernel was bound to arguments that do not fit its declaration, or did not compile."""
+
+
+class JobError(BadInput):
+    """A job file holds a wrong value."""
+
+
+class StorageError(VamError, OSError):
+    """A job folder or export could not be written or read."""
+
+
+class Cancelled(VamError):
+    """A run was stopped by its caller before it reached a result."""
+
+
+class OpticsWarning(UserWarning):
+    """Light reaches part of the target so weakly that the print will suffer there."""
+
+
+class MemoryNotice(UserWarning):
+    """A method shrank its working memory to fit the device."""

@@ -1,0 +1,159 @@
+"""The nouns a print is described with: grids, beams, motions and the protocol a vessel answers to.
+
+Axes are ``[x, y, z]`` for volumes and ``[angle, r, z]`` for sinograms; the axis of rotation is x = y = 0 and every
+grid and beam is centered on it. With θ the pose, ``r = y·cosθ − x·sinθ`` and light travels towards −(cosθ, sinθ).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+
+
+def positive(name: str, value: float, *, zero: bool = False) -> float:
+    """``value`` as a float if it is finite and positive (or zero, where allowed), else `BadInput`."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{name} is {value!r}; a number is wanted") from error
+    if not isfinite(number) or number < 0 or (number == 0 and not zero):
+        raise BadInput(f"{name} is {value!r}; wanted a finite number {'≥' if zero else '>'} 0")
+    return number
+
+
+def counts(name: str, values: object, length: int) -> tuple[int, ...]:
+    """``values`` as a tuple of ``length`` positive integers, else `BadInput`."""
+    try:
+        numbers = tuple(int(v) for v in values)  # type: ignore[attr-defined]
+        exact = all(int(v) == v for v in values)  # type: ignore[attr-defined]
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{name} is {values!r}; wanted {length} positive integers") from error
+    if len(numbers) != length or not exact or min(numbers) < 1:
+        raise BadInput(f"{name} is {values!r}; wanted {length} positive integers")
+    return numbers
+
+
+def centers(n: int, pitch: float) -> np.ndarray:
+    """Positions [mm] of ``n`` samples ``pitch`` apart, centered on zero; shape (n,)."""
+    return (np.arange(n) - 0.5 * (n - 1)) * pitch
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A box of cubic voxels centered on the axis of rotation.
+
+    shape: voxels along x, y, z.  pitch: voxel edge [mm].  Raises `BadInput`.
+    """
+
+    shape: tuple[int, int, int]
+    pitch: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", counts("Grid shape", self.shape, 3))
+        object.__setattr__(self, "pitch", positive("Grid pitch [mm]", self.pitch))
+
+    @property
+    def voxel_volume(self) -> float:
+        """Volume of one voxel [mm³]."""
+        return self.pitch**3
+
+    @property
+    def inscribed_radius(self) -> float:
+        """Radius [mm] of the largest cylinder about the axis whose voxel centers all lie in the box."""
+        return 0.5 * (min(self.shape[:2]) - 1) * self.pitch
+
+    def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Voxel centers [mm] along x, y and z."""
+        nx, ny, nz = (centers(n, self.pitch) for n in self.shape)
+        return nx, ny, nz
+
+    def cylinder(self) -> np.ndarray:
+        """Boolean (nx, ny): voxel centers inside the inscribed cylinder."""
+        x, y, _ = self.axes()
+        return x[:, None] ** 2 + y[None, :] ** 2 <= self.inscribed_radius**2 * (1 + 1e-12)
+
+
+@dataclass(frozen=True)
+class Beam:
+    """A collimated beam of light pixels, centered on the axis of rotation.
+
+    pixels: columns along r, rows along z.  pitch: pixel edge [mm], measured in air.  Raises `BadInput`.
+    """
+
+    pixels: tuple[int, int]
+    pitch: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pixels", counts("Beam pixels", self.pixels, 2))
+        object.__setattr__(self, "pitch", positive("Beam pitch [mm]", self.pitch))
+
+    @property
+    def pixel_area(self) -> float:
+        """Area of one pixel [mm²]."""
+        return self.pitch**2
+
+    def columns(self) -> np.ndarray:
+        """Offsets r [mm] of the columns from the axis."""
+        return centers(self.pixels[0], self.pitch)
+
+
+@dataclass(frozen=True)
+class Turntable:
+    """A resin container turning about z: ``angles`` equal poses over a full turn, from θ = 0.  Raises `BadInput`."""
+
+    angles: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "angles", counts("Turntable angles", (self.angles,), 1)[0])
+
+    @property
+    def poses(self) -> np.ndarray:
+        """Pose angles θ [rad]; shape (angles,)."""
+        return 2.0 * np.pi * np.arange(self.angles) / self.angles
+
+
+@dataclass(frozen=True)
+class Chords:
+    """The straight piece of every ray inside the resin, for light entering at offset u [mm] from the axis.
+
+    p: signed distance [mm] of the chord from the axis.  angle: its turn d [rad] against the light's direction.
+    spread: d′(u) [rad/mm].  transmittance: power that reached the resin.  length: path [mm] in the resin.
+    All arrays have the shape of u; a ray that misses the resin has transmittance 0.
+    """
+
+    p: np.ndarray
+    angle: np.ndarray
+    spread: np.ndarray
+    transmittance: np.ndarray
+    length: np.ndarray
+
+
+@runtime_checkable
+class Vessel(Protocol):
+    """What a projector asks of the container the resin stands in, at one pose.
+
+    Laboratory coordinates at pose θ: ``X = y·cosθ − x·sinθ`` across the light and ``Y = −(x·cosθ + y·sinθ)`` along it.
+    """
+
+    absorption: float
+
+    @property
+    def printable_radius(self) -> float:
+        """Radius [mm] about the axis inside which every point is lit by exactly one ray at every pose."""
+        ...
+
+    def chords(self, u: np.ndarray) -> Chords:
+        """Chords in the resin of rays entering at offsets u [mm]."""
+        ...
+
+    def illuminate(self, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The ray through each point: its entry offset u [mm] and its weight there.
+
+        The weight is transmittance × ray density × (absorption·exp(−absorption·path) if the vessel absorbs, else 1).
+        """
+        ...

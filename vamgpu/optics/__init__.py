@@ -1,0 +1,1 @@
+"""Analytic optics of the vessels that hold the resin, in NumPy float64."""

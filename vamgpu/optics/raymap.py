@@ -1,0 +1,86 @@
+"""The inverse ray map: which column of the beam lights a point of the resin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vamgpu.optics.chords import Floats
+from vamgpu.optics.faces import Face, turn
+
+NODES = 64          # of the scan that brackets the first root
+CHUNK = 8192        # points at once, so that the scan stays in the cache
+STEP_DONE = 1e-8    # Newton doubles the digits: a step of this size leaves an error near rounding
+MOST_STEPS = 100
+
+
+def first_columns(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Column of the ray through each point, on the branch that is continuous from the axis.
+
+    The ray of column u passes through (X, Y) where f(u) = X cos d(u) + Y sin d(u) - ratio u vanishes. f(0) = X, and
+    mirroring X mirrors u, so the first change of sign over 0 < u < aperture, for abs(X), is the ray wanted.
+    Newton's method runs in the angle psi with u = aperture sin(psi), in which d is smooth up to the last ray.
+
+    Args:
+        faces: from the outside in.
+        aperture: largest column that reaches the resin [mm].
+        ratio: distance from the axis in the resin over column offset.
+        x: laboratory X [mm], shape (points,).
+        y: laboratory Y [mm], shape (points,).
+
+    Returns:
+        Columns u [mm], and the chord's spacing dX_perpendicular/du there; zero spacing where no ray comes, and there u
+        is the last column of that side.
+    """
+    u = np.empty_like(x)
+    spacing = np.empty_like(x)
+    for start in range(0, x.size, CHUNK):
+        part = slice(start, start + CHUNK)
+        u[part], spacing[part] = _chunk(faces, aperture, ratio, np.abs(x[part]), y[part])
+    return np.copysign(u, x), spacing
+
+
+def _chunk(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    psi = np.linspace(0.0, 0.5 * np.pi, NODES + 1)
+    columns = aperture * np.sin(psi)
+    cos_d, sin_d, _ = turn(faces, columns)
+    values = np.stack([x, y, -np.ones_like(x)], axis=1) @ np.stack([cos_d, sin_d, ratio * columns])
+    crossed = values[:, 1:] <= 0.0
+    node = np.argmax(crossed, axis=1)
+    lit = np.flatnonzero(crossed[np.arange(x.size), node])
+    node = node[lit]
+    before, after = values[lit, node], values[lit, node + 1]
+    fraction = before / np.maximum(before - after, np.finfo(np.float64).tiny)
+    start = psi[node] + (psi[1] - psi[0]) * fraction
+    root = _newton(faces, aperture, ratio, x[lit], y[lit], psi[node], psi[node + 1], start)
+    u, spacing = np.full_like(x, aperture), np.zeros_like(x)
+    u[lit] = aperture * np.sin(root)
+    cos_d, sin_d, slope = turn(faces, u[lit])
+    spacing[lit] = ratio - (y[lit] * cos_d - x[lit] * sin_d) * slope
+    return u, spacing
+
+
+def _newton(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats,
+            low: Floats, high: Floats, psi: Floats) -> Floats:
+    """Root of f in psi between low (f >= 0) and high (f <= 0), by Newton's method with bisection as the safeguard."""
+    root = psi.copy()
+    live = np.arange(x.size)
+    for _ in range(MOST_STEPS):
+        u = aperture * np.sin(psi)
+        cos_d, sin_d, slope = turn(faces, u)
+        value = x * cos_d + y * sin_d - ratio * u
+        low, high = np.where(value >= 0.0, psi, low), np.where(value >= 0.0, high, psi)
+        gradient = ((y * cos_d - x * sin_d) * slope - ratio) * (aperture * np.cos(psi))
+        gradient = np.where(gradient == 0.0, np.finfo(np.float64).tiny, gradient)
+        with np.errstate(over="ignore"):
+            following = psi - value / gradient
+        outside = (following < low) | (following > high) | ~np.isfinite(following)
+        following = np.where(outside, 0.5 * (low + high), following)
+        moving = np.abs(following - psi) > STEP_DONE
+        root[live] = following
+        if not moving.any():
+            break
+        live, x, y, psi = live[moving], x[moving], y[moving], following[moving]
+        low, high = low[moving], high[moving]
+    return root

@@ -1,0 +1,142 @@
+"""A vat with flat windows whose liquid matches the resin: straight rays."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
+from vamgpu.optics.chords import Chords, Floats, absorbed_share, as_offsets, require
+from vamgpu.optics.interface import transmittance
+
+LOW_TRANSMITTANCE = 0.8
+
+
+@dataclass(frozen=True)
+class Vat:
+    """A square or rectangular vat, lit at right angles through a flat window, that stands still while the part turns.
+
+    The resin fills the vat or, where a radius is given, a round vessel in the middle of a clear liquid of the same
+    index. Rays run straight along +Y of the laboratory frame (see Vial): the chord of column u is X = u.
+
+    Args:
+        width: inside of the vat across the beam [mm].
+        depth: inside of the vat along the beam [mm]; None for a square vat.
+        radius: of the round volume of resin [mm]; None where the resin fills the vat.
+        absorption: of the resin, natural logarithm [1/mm].
+        resin_index: refractive index of the resin and of the liquid that matches it.
+        wall_index: refractive index of the window.
+        bath_index: refractive index in front of the window. The indices set the loss at the two faces of the window
+            and nothing else; all equal, the default, means no loss.
+
+    Raises:
+        BadInput: a value is not finite, negative, an index is below 1, or the round volume exceeds the vat.
+    """
+
+    width: float
+    depth: float | None = None
+    radius: float | None = None
+    absorption: float = 0.0
+    resin_index: float = 1.0
+    wall_index: float = 1.0
+    bath_index: float = 1.0
+
+    def __post_init__(self) -> None:
+        require("width", self.width, unit="mm")
+        require("absorption", self.absorption, zero=True, unit="1/mm")
+        if self.depth is not None:
+            require("depth", self.depth, unit="mm")
+        for name in ("resin_index", "wall_index", "bath_index"):
+            require(name, getattr(self, name))
+            if getattr(self, name) < 1.0:
+                raise BadInput(f"{name} is {getattr(self, name):g}; wanted a refractive index of at least 1; "
+                               f"give {name} relative to vacuum")
+        if self.radius is not None:
+            require("radius", self.radius, unit="mm")
+            if self.radius > self._inscribed:
+                raise BadInput(f"radius is {self.radius:g} mm in a vat of {self.width:g} x {self._depth:g} mm; wanted "
+                               f"at most {self._inscribed:g} mm; correct the radius, the width or the depth")
+
+    @property
+    def _depth(self) -> float:
+        return self.width if self.depth is None else self.depth
+
+    @property
+    def _inscribed(self) -> float:
+        return 0.5 * min(self.width, self._depth)
+
+    @property
+    def aperture(self) -> float:
+        """Largest column offset whose ray reaches the resin [mm]."""
+        return 0.5 * self.width if self.radius is None else self.radius
+
+    @property
+    def printable_radius(self) -> float:
+        """Radius of the round volume of resin, or of the circle that turns freely inside the vat [mm]."""
+        return self._inscribed if self.radius is None else self.radius
+
+    @property
+    def window_transmittance(self) -> float:
+        """Share of the power that crosses both faces of the window."""
+        one = np.ones(())
+        return float(transmittance(one, one, self.bath_index, self.wall_index)
+                     * transmittance(one, one, self.wall_index, self.resin_index))
+
+    def _half_path(self, x: Floats) -> Floats:
+        if self.radius is None:
+            return np.full(x.shape, 0.5 * self._depth)
+        return np.sqrt(np.maximum((self.radius - x) * (self.radius + x), 0.0))
+
+    def chords(self, u: ArrayLike) -> Chords:
+        """Chords in the resin of the columns at the offsets u [mm], any shape; raises BadInput for u not finite.
+
+        A column that misses the resin has transmittance and length zero.
+        """
+        offsets = as_offsets("u", u)
+        reaches = np.abs(offsets) < self.aperture
+        return Chords(p=offsets.copy(), angle=np.zeros(offsets.shape), spread=np.zeros(offsets.shape),
+                      transmittance=np.where(reaches, self.window_transmittance, 0.0),
+                      length=np.where(reaches, 2.0 * self._half_path(offsets), 0.0))
+
+    def illuminate(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+        """Column that lights each laboratory point, which is its X, and its weight.
+
+        The weight is transmittance * absorption * exp(-absorption * path) [1/mm], or the transmittance alone for a
+        resin that does not absorb; 0 outside the resin.
+
+        Args:
+            x: laboratory X [mm], any shape.
+            y: laboratory Y [mm], any shape that broadcasts with x.
+
+        Raises:
+            BadInput: a coordinate is not finite.
+        """
+        points_x, points_y = np.broadcast_arrays(as_offsets("x", x), as_offsets("y", y))
+        half = self._half_path(points_x)
+        inside = (np.abs(points_x) < self.aperture) & (np.abs(points_y) < half)
+        path = np.where(inside, points_y + half, 0.0)
+        weight = np.where(inside, self.window_transmittance * absorbed_share(self.absorption, path), 0.0)
+        return points_x.copy(), weight
+
+    def check_fits(self, radius: float) -> None:
+        """Check that a target of this radius about the axis can be printed.
+
+        Raises:
+            BadInput: the radius is not a finite number above 0.
+            TargetTooLarge: the radius exceeds the printable radius.
+
+        Warns:
+            OpticsWarning: the window transmits less than 0.8.
+        """
+        require("the target's radius", radius, unit="mm")
+        if radius > self.printable_radius:
+            raise TargetTooLarge(f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this "
+                                 f"vat is {self.printable_radius:.4g} mm; scale or center the target, or take a "
+                                 "larger vat")
+        if self.window_transmittance < LOW_TRANSMITTANCE:
+            warnings.warn(f"the window transmits {self.window_transmittance:.3g} of the light at every radius up to "
+                          f"the target's {radius:.4g} mm, less than {LOW_TRANSMITTANCE:g}; allow a longer exposure or "
+                          "coat the window", OpticsWarning, stacklevel=2)

@@ -1,0 +1,185 @@
+"""A cylindrical vial that turns in air or in a bath."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
+from vamgpu.optics.chords import Chords, Floats, absorbed_share, as_offsets, require
+from vamgpu.optics.faces import Face, transmit, turn
+from vamgpu.optics.interface import impact_after
+from vamgpu.optics.raymap import first_columns
+
+LOW_TRANSMITTANCE = 0.8
+# Between caustics outside the printable radius the density has no bound; a point there is at most this much denser.
+LARGEST_DENSITY = 100.0
+
+
+@dataclass(frozen=True)
+class Vial:
+    """A round vial of resin with a clear wall; light refracts at the outer and at the inner face of the wall.
+
+    Laboratory frame: a voxel at (x, y) seen at the pose theta lies at X = y cos(theta) - x sin(theta), the direction
+    in which the beam's columns are counted, and Y = -(x cos(theta) + y sin(theta)), along which light travels.
+    A column at offset u in the bath becomes the chord X cos(d) + Y sin(d) = u bath_index / resin_index. The deviation
+    d(u) has the sign of u, rays converge, where the resin is denser than the bath: the chord's direction
+    (-sin(d), cos(d)) leans towards the axis.
+
+    Layers by Snell's invariant index * distance from the axis, unpolarized Fresnel loss at each face, Beer-Lambert
+    absorption in the resin from the inner face on.
+
+    Args:
+        radius: outer radius [mm].
+        wall: thickness of the wall [mm]; 0 for no wall, then wall_index has no effect.
+        resin_index: refractive index of the resin.
+        wall_index: refractive index of the wall.
+        bath_index: refractive index around the vial, in which the columns of the beam are counted.
+        absorption: of the resin, natural logarithm [1/mm].
+
+    Raises:
+        BadInput: a value is not finite, negative, an index is below 1, or the wall leaves no room for resin.
+    """
+
+    radius: float
+    wall: float
+    resin_index: float
+    wall_index: float
+    bath_index: float = 1.0
+    absorption: float = 0.0
+
+    def __post_init__(self) -> None:
+        require("radius", self.radius, unit="mm")
+        require("wall", self.wall, zero=True, unit="mm")
+        require("absorption", self.absorption, zero=True, unit="1/mm")
+        for name in ("resin_index", "wall_index", "bath_index"):
+            require(name, getattr(self, name))
+            if getattr(self, name) < 1.0:
+                raise BadInput(f"{name} is {getattr(self, name):g}; wanted a refractive index of at least 1; "
+                               f"give {name} relative to vacuum")
+        if self.wall >= self.radius:
+            raise BadInput(f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; wanted a wall "
+                           "thinner than the radius; radius and wall are both in mm, and radius is half the diameter")
+
+    @property
+    def inner_radius(self) -> float:
+        """Radius of the resin [mm]."""
+        return self.radius - self.wall
+
+    @property
+    def faces(self) -> tuple[Face, ...]:
+        """The refracting faces, from the outside in."""
+        if self.wall == 0:
+            return (Face(self.radius, self.bath_index, self.resin_index, self.bath_index),)
+        return (Face(self.radius, self.bath_index, self.wall_index, self.bath_index),
+                Face(self.inner_radius, self.wall_index, self.resin_index, self.bath_index))
+
+    @property
+    def aperture(self) -> float:
+        """Largest column offset whose ray reaches the resin [mm]."""
+        return min(self.radius, *(face.aperture for face in self.faces))
+
+    @property
+    def printable_radius(self) -> float:
+        """min(inner radius, outer radius * bath_index / resin_index) [mm]."""
+        return min(self.inner_radius, self.radius * self.bath_index / self.resin_index)
+
+    @property
+    def lit_radius(self) -> float:
+        """Radius that light reaches at every pose [mm]: less than printable_radius where the wall reflects totally."""
+        return min(self.printable_radius, float(impact_after(np.float64(self.aperture), self.bath_index,
+                                                              self.resin_index)))
+
+    def chords(self, u: ArrayLike) -> Chords:
+        """Chords in the resin of the columns at the offsets u [mm], any shape; raises BadInput for u not finite.
+
+        A column that misses the resin has the p, angle and spread of the last one that reaches it, transmittance and
+        length zero.
+        """
+        offsets = as_offsets("u", u)
+        reaches = np.abs(offsets) < self.aperture
+        kept = np.clip(offsets, -self.aperture, self.aperture)
+        cos_d, sin_d, spread = turn(self.faces, kept)
+        p = impact_after(kept, self.bath_index, self.resin_index)
+        half = np.sqrt(np.maximum((self.inner_radius - p) * (self.inner_radius + p), 0.0))
+        return Chords(p=p, angle=np.arctan2(sin_d, cos_d), spread=spread,
+                      transmittance=np.where(reaches, transmit(self.faces, kept), 0.0),
+                      length=np.where(reaches, 2.0 * half, 0.0))
+
+    def illuminate(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+        """Column that lights each laboratory point, and its weight: the inverse of the ray map.
+
+        The weight is transmittance * density * absorption * exp(-absorption * path) [1/mm], without the last two
+        factors for a resin that does not absorb. The density, columns per mm across the chord, is
+        1 / abs(p'(u) - t d'(u)) at the signed length t along the chord: rays that converge grow denser downstream.
+        Inside the printable radius one ray comes to each point. Outside it two or three may meet: the one
+        of smallest abs(u) is returned, on the point's side of the axis.
+
+        Args:
+            x: laboratory X [mm], any shape.
+            y: laboratory Y [mm], any shape that broadcasts with x.
+
+        Returns:
+            Columns u [mm] and weights, both finite everywhere; the weight is 0 outside the resin and where no ray
+            comes.
+
+        Raises:
+            BadInput: a coordinate is not finite.
+        """
+        points_x, points_y = np.broadcast_arrays(as_offsets("x", x), as_offsets("y", y))
+        inside = points_x**2 + points_y**2 < self.inner_radius**2
+        u = np.copysign(np.full(inside.shape, self.aperture), points_x)
+        weight = np.zeros(inside.shape)
+        u[inside], weight[inside] = self._illuminate_inside(points_x[inside], points_y[inside])
+        return u, weight
+
+    def _illuminate_inside(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        ratio = self.bath_index / self.resin_index
+        u, spacing = first_columns(self.faces, self.aperture, ratio, x, y)
+        p = u * ratio
+        half = np.sqrt(np.maximum((self.inner_radius - p) * (self.inner_radius + p), 0.0))
+        # Light points travel along t; a point and its chord share the distance from the axis.
+        t = np.sqrt(np.maximum(x**2 + y**2 - p**2, 0.0))
+        cos_d, sin_d, _ = turn(self.faces, u)
+        path = half + np.copysign(t, y * cos_d - x * sin_d)
+        density = 1.0 / np.maximum(np.abs(spacing), ratio / LARGEST_DENSITY)
+        share = transmit(self.faces, u) * density * absorbed_share(self.absorption, path)
+        return u, np.where(spacing != 0.0, share, 0.0)
+
+    def check_fits(self, radius: float) -> None:
+        """Check that a target of this radius about the axis can be printed.
+
+        Raises:
+            BadInput: the radius is not a finite number above 0.
+            TargetTooLarge: the radius exceeds what light reaches at every pose.
+
+        Warns:
+            OpticsWarning: within the radius the faces transmit less than 0.8.
+        """
+        require("the target's radius", radius, unit="mm")
+        if radius > self.printable_radius:
+            raise TargetTooLarge(
+                f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this vial is "
+                f"{self.printable_radius:.4g} mm, the smaller of its inner radius {self.inner_radius:.4g} mm and "
+                f"{self.radius:.4g} mm * {self.bath_index:g} / {self.resin_index:g}; "
+                "scale or center the target, take a wider vial, or bring the bath's index closer to the resin's")
+        if radius > self.lit_radius:
+            raise TargetTooLarge(
+                f"the target reaches {radius:.4g} mm from the axis, but beyond {self.lit_radius:.4g} mm the wall of "
+                f"index {self.wall_index:g} keeps the light out of the resin of index {self.resin_index:g} by total "
+                "reflection; scale or center the target, or take a wall of higher index")
+        dim = self._radius_of_low_transmittance(radius)
+        if dim is not None:
+            warnings.warn(f"beyond {dim:.3g} mm from the axis the faces of the vial transmit less than "
+                          f"{LOW_TRANSMITTANCE:g} of the light, and the target reaches {radius:.4g} mm; "
+                          "expect dimmer edges, or bring the bath's index closer to the resin's",
+                          OpticsWarning, stacklevel=2)
+
+    def _radius_of_low_transmittance(self, radius: float) -> float | None:
+        p = np.linspace(0.0, radius, 2049)
+        share = self.chords(impact_after(p, self.resin_index, self.bath_index)).transmittance
+        low = np.flatnonzero(share < LOW_TRANSMITTANCE)
+        return float(p[low[0]]) if low.size else None

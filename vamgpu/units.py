@@ -1,0 +1,38 @@
+"""Units as plain factors: the library computes in mm, s and mJ (so mW, mW/mm², mJ/mm³), numbers near one in float32.
+
+``67 * um`` is a length in mm; ``x / um`` reads one back in micrometres.
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+mm = 1.0
+um = 1e-3
+cm = 10.0
+m = 1e3
+s = 1.0
+ms = 1e-3
+minute = 60.0
+mJ = 1.0
+J = 1e3
+mW = 1.0
+W = 1e3
+rad = 1.0
+deg = pi / 180.0
+mW_cm2 = mW / cm**2
+mJ_cm3 = mJ / cm**3
+mJ_cm2 = mJ / cm**2
+rpm = 2.0 * pi / minute
+
+NAMES = {
+    "mm": mm, "um": um, "µm": um, "cm": cm, "m": m,
+    "s": s, "ms": ms, "min": minute,
+    "mJ": mJ, "J": J, "mW": mW, "W": W,
+    "rad": rad, "deg": deg, "°": deg,
+    "mW/cm2": mW_cm2, "mW/cm²": mW_cm2, "mJ/cm3": mJ_cm3, "mJ/cm³": mJ_cm3, "mJ/cm2": mJ_cm2, "mJ/cm²": mJ_cm2,
+    "mW/mm2": mW / mm**2, "mW/mm²": mW / mm**2, "mJ/mm3": mJ / mm**3, "mJ/mm³": mJ / mm**3,
+    "1/mm": 1.0 / mm, "/mm": 1.0 / mm, "1/cm": 1.0 / cm, "/cm": 1.0 / cm,
+    "rpm": rpm, "deg/s": deg / s, "mm/s": mm / s, "mm/min": mm / minute,
+}  # fmt: skip
+"""Spelling used in job files → factor."""
