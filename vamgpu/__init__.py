@@ -1,0 +1,34 @@
+"""vamgpu: tomographic volumetric 3D printing, from the optics of a vial to the frames of a projector.
+
+``import vamgpu`` loads NumPy and nothing heavy; everything else loads when first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_PUBLIC = {
+    "devices": "vamgpu.backend",
+    "open_device": "vamgpu.backend",
+    "Grid": "vamgpu.geometry",
+    "Beam": "vamgpu.geometry",
+    "Turntable": "vamgpu.geometry",
+    "Projection": "vamgpu.operators.projection",
+    "Vial": "vamgpu.optics.vial",
+    "Vat": "vamgpu.optics.vat",
+}
+"""Public name → module that defines it."""
+
+__version__ = "0.1.0"
+__all__ = [*_PUBLIC, "__version__"]  # noqa: PLE0604 - the names are strings
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"vamgpu has no {name!r}; it has {', '.join(_PUBLIC)}")
+    return getattr(import_module(_PUBLIC[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_PUBLIC])

@@ -138,7 +138,7 @@ class Device(ABC):
     @final
     def _bind(self, kernel: Kernel, name: str, spec: Field | Table | Scalar, value: Any) -> Any:
         if isinstance(spec, Scalar):
-            return np.dtype(spec.dtype).type(value)
+            return self.kept(spec.dtype).type(value)
         if not isinstance(value, DeviceArray):
             raise KernelError(f"{kernel.name}: {name} is a {type(value).__name__}; upload it to {self.name} first")
         self.check_mine(value)

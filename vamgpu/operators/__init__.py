@@ -1,0 +1,1 @@
+"""Linear operators between spaces on devices; they know geometry and ray tables, no physics."""

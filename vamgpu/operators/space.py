@@ -1,0 +1,52 @@
+"""The spaces operators map between: a volume's and a sinogram's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import ShapeMismatch
+from vamgpu.geometry import Beam, Grid, Turntable
+
+
+@dataclass(frozen=True)
+class VolumeSpace:
+    """Values on the voxels of a grid, axes ``[x, y, z]``."""
+
+    grid: Grid
+    axes = ("x", "y", "z")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return self.grid.shape
+
+
+@dataclass(frozen=True)
+class SinogramSpace:
+    """Values on the pixels of a beam at every pose of a turntable, axes ``[angle, r, z]``."""
+
+    beam: Beam
+    motion: Turntable
+    axes = ("angle", "r", "z")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return (self.motion.angles, *self.beam.pixels)
+
+    @property
+    def angles(self) -> np.ndarray:
+        """Pose angles [rad]."""
+        return self.motion.poses
+
+
+Space = VolumeSpace | SinogramSpace
+
+
+def require(space: Space, value: Any, name: str) -> None:
+    """Raise `ShapeMismatch` unless ``value`` has the shape of ``space``."""
+    shape = tuple(getattr(value, "shape", ()))
+    if shape != space.shape:
+        axes = ", ".join(space.axes)
+        raise ShapeMismatch(f"{name} has shape {shape}; wanted {space.shape} = [{axes}]: build it on the same geometry")
