@@ -73,7 +73,8 @@ def _read(file: Path) -> trimesh.Trimesh:
     try:
         scene = trimesh.load_scene(str(file))
         mesh = scene.to_mesh()
-        mesh.units = scene.units
+        if scene.units is not None:
+            mesh.units = scene.units
     except Exception as error:  # the readers raise whatever they stumble over
         raise MeshError(
             f"cannot read {file.name} as {file.suffix[1:].upper()} ({type(error).__name__}: {error}); "

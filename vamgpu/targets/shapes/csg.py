@@ -24,7 +24,8 @@ def to_solid(body: Manifold, name: str) -> Solid:
 
 def from_triangles(vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.integer]) -> Manifold:
     """Make a body of a closed triangle surface: vertices (n, 3) [mm], faces (m, 3) wound outward."""
-    return Manifold(Mesh64(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.uint64)))
+    # Copies: manifold3d refuses read-only arrays.
+    return Manifold(Mesh64(np.array(vertices, np.float64, order="C"), np.array(faces, np.uint64, order="C")))
 
 
 def union(bodies: Iterable[Manifold]) -> Manifold:

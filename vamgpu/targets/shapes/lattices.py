@@ -11,6 +11,8 @@ from manifold3d import Manifold
 from vamgpu.targets.shapes.csg import Point, along, from_triangles, polygon, rod, to_solid, union
 from vamgpu.targets.solid import Solid
 
+Array = npt.NDArray[np.float64]
+
 
 def gyroid_sphere(radius: float = 6.0, cell: float = 4.0, wall: float = 0.5, pitch: float = 0.125) -> Solid:
     """A sheet of nearly even thickness along the gyroid sin x cos y + sin y cos z + sin z cos x = 0, cut by a sphere.
@@ -19,7 +21,7 @@ def gyroid_sphere(radius: float = 6.0, cell: float = 4.0, wall: float = 0.5, pit
     """
     count = int(np.ceil(radius / pitch)) + 2
     axis = (np.arange(-count, count + 1) + 0.5) * pitch
-    field = 0.5 * wall - np.abs(_gyroid_distance(axis, cell))
+    field = 0.5 * wall - np.abs(_gyroid_distance(axis, cell, wall))
     sheet = _level_surface(field, pitch) ^ Manifold.sphere(radius, 128)
     # Crumbs of the sheet that the sphere cuts loose would float in the resin.
     largest = max(sheet.decompose(), key=lambda body: body.volume())
@@ -56,7 +58,7 @@ def pentamode(cells: int = 3, cell: float = 3.2, touch: float = 0.13, middle: fl
     return to_solid(union(struts + joints), "pentamode")
 
 
-def _point(values: npt.NDArray[np.float64]) -> Point:
+def _point(values: Array) -> Point:
     return float(values[0]), float(values[1]), float(values[2])
 
 
@@ -80,21 +82,31 @@ def _diamond(cells: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         bonds = bonds[keep]
 
 
-def _gyroid_distance(axis: npt.NDArray[np.float64], cell: float) -> npt.NDArray[np.float64]:
-    """First-order distance [mm] to the gyroid on the cube axis x axis x axis: value over length of the gradient."""
-    phase = 2.0 * np.pi / cell * axis
-    x, y, z = phase[:, None, None], phase[None, :, None], phase[None, None, :]
-    value = np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x)
-    gradient = (
-        (np.cos(x) * np.cos(y) - np.sin(z) * np.sin(x)) ** 2
-        + (np.cos(y) * np.cos(z) - np.sin(x) * np.sin(y)) ** 2
-        + (np.cos(z) * np.cos(x) - np.sin(y) * np.sin(z)) ** 2
-    )
+def _gyroid_distance(axis: Array, cell: float, reach: float) -> Array:
+    """Distance [mm] to the gyroid on the cube axis x axis x axis, good below reach: one Newton step and its rest."""
+    scale = 2.0 * np.pi / cell
+    phase = scale * axis
+    value, gradient = _gyroid(phase[:, None, None], phase[None, :, None], phase[None, None, :])
     # The gradient vanishes only far from the surface, where any large value will do.
-    return value / np.sqrt(np.maximum(gradient, 0.05)) * cell / (2.0 * np.pi)
+    distance = value / np.sqrt(np.maximum(sum(part * part for part in gradient), 0.05))
+    near = np.nonzero(np.abs(distance) < 1.5 * reach * scale)
+    at = [phase[index] for index in near]
+    value, gradient = _gyroid(*at)
+    step = value / np.maximum(sum(part * part for part in gradient), 0.05)
+    foot = [place - step * part for place, part in zip(at, gradient, strict=True)]
+    rest, slope = _gyroid(*foot)
+    rest = rest / np.sqrt(np.maximum(sum(part * part for part in slope), 0.05))
+    distance[near] = step * np.sqrt(sum(part * part for part in gradient)) + rest
+    return distance / scale
 
 
-def _level_surface(field: npt.NDArray[np.float64], pitch: float) -> Manifold:
+def _gyroid(x: Array, y: Array, z: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+    """The gyroid's function and its gradient."""
+    (sx, sy, sz), (cx, cy, cz) = (np.sin(x), np.sin(y), np.sin(z)), (np.cos(x), np.cos(y), np.cos(z))
+    return sx * cy + sy * cz + sz * cx, (cx * cy - sz * sx, cy * cz - sx * sy, cz * cx - sy * sz)
+
+
+def _level_surface(field: Array, pitch: float) -> Manifold:
     """The body field > 0 on a centered grid, closed at the grid's border."""
     from skimage.measure import marching_cubes
 

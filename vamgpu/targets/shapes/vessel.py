@@ -15,6 +15,7 @@ _DECK = 1.9
 _STATIONS, _LEVELS = 64, 24
 _HEIGHT = 11.5
 """The boat is drawn at this height [mm]; all other numbers here are in the same measure."""
+_FLAG, _FLAG_TOP = (-5.75, 0.0), _DEPTH + 0.75
 _GLYPHS: dict[str, tuple[float, list[list[tuple[float, float]]]]] = {
     "V": (0.9, [[(0.0, 1.0), (0.45, 0.0), (0.9, 1.0)]]),
     "A": (0.9, [[(0.0, 0.0), (0.45, 1.0), (0.9, 0.0)], [(0.2, 0.35), (0.7, 0.35)]]),
@@ -30,7 +31,7 @@ def boat(height: float = 11.5) -> Solid:
     a 0.16 mm wall, raised text on both sides. At 11.5 mm it needs a printable radius of 6.6 mm.
     """
     body = _hull() + _cabin() + _deck_box() + _flag_pole_holder() + _lettering("VAM")
-    body = body - _chimney_hole() - _hawse_holes() - _blind_hole()
+    body = body - _chimney_hole() - _hawse_holes() - _blind_hole() - _flag_pole_hole()
     return to_solid(body.scale((height / _HEIGHT,) * 3), "boat")
 
 
@@ -132,8 +133,11 @@ def _deck_box() -> Manifold:
 
 
 def _flag_pole_holder() -> Manifold:
-    x, top = -5.75, _DEPTH + 0.75
-    return rod((x, 0.0, 2.4), (x, 0.0, top), 0.36) - rod((x, 0.0, top - 1.4), (x, 0.0, top + 1.0), 0.20)
+    return rod((*_FLAG, 2.4), (*_FLAG, _FLAG_TOP), 0.36)
+
+
+def _flag_pole_hole() -> Manifold:
+    return rod((*_FLAG, _FLAG_TOP - 1.4), (*_FLAG, _FLAG_TOP + 1.0), 0.20)
 
 
 def _hawse_holes() -> Manifold:

@@ -1,0 +1,240 @@
+"""Meshes: reading, repair, placement, and the errors for what cannot be used."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from vamgpu.errors import BadInput, EmptyMesh, MeshError, NotWatertight
+from vamgpu.targets.circle import smallest_enclosing_circle
+from vamgpu.targets.mesh import FORMATS, from_trimesh, load_mesh
+from vamgpu.targets.repair import repaired
+from vamgpu.targets.solid import Solid
+
+QUARTER_TURN_ABOUT_X = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def block(size: tuple[float, float, float] = (2.0, 3.0, 4.0)) -> Solid:
+    mesh = trimesh.creation.box(size)
+    return Solid(np.asarray(mesh.vertices), np.asarray(mesh.faces), "block")
+
+
+def ball(subdivisions: int = 3, radius: float = 2.0) -> Solid:
+    mesh = trimesh.creation.icosphere(subdivisions, radius)
+    return Solid(np.asarray(mesh.vertices), np.asarray(mesh.faces), "ball")
+
+
+def soup(solid: Solid) -> Solid:
+    """Every triangle with three vertices of its own."""
+    return Solid(solid.vertices[solid.faces].reshape(-1, 3), np.arange(3 * len(solid.faces)).reshape(-1, 3), solid.name)
+
+
+def joined(first: Solid, second: Solid) -> Solid:
+    faces = np.concatenate([first.faces, second.faces + len(first.vertices)])
+    return Solid(np.concatenate([first.vertices, second.vertices]), faces)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_every_format_gives_the_same_part_back(tmp_path: Path, suffix: str) -> None:
+    file = block().save(tmp_path / f"part{suffix}")
+    part = load_mesh(file)
+    assert part.name == "part"
+    assert part.open_edges == 0
+    assert part.volume == pytest.approx(24.0, rel=1e-6)
+    np.testing.assert_allclose(part.bounds, [[-1.0, -1.5, -2.0], [1.0, 1.5, 2.0]], atol=1e-6)
+    assert [item.name for item in tmp_path.iterdir()] == [file.name]
+
+
+def test_units_of_the_mesh_are_converted() -> None:
+    mesh = trimesh.creation.box((1.0, 1.0, 1.0))
+    mesh.units = "inches"
+    assert from_trimesh(mesh).volume == pytest.approx(25.4**3, rel=1e-9)
+
+
+def test_save_refuses_other_formats(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="stl"):
+        block().save(tmp_path / "part.docx")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "error"),
+    [
+        ("nothing.stl", b"", EmptyMesh),
+        ("empty.stl", b"solid x\nendsolid x\n", MeshError),
+        ("empty.ply", b"ply\nformat ascii 1.0\nelement vertex 0\nelement face 0\nend_header\n", MeshError),
+        ("noise.stl", bytes(range(256)) * 3, MeshError),
+        ("noise.3mf", b"not a zip archive", MeshError),
+        ("points.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", EmptyMesh),
+    ],
+)
+def test_unusable_files_are_typed_errors(tmp_path: Path, name: str, content: bytes, error: type[MeshError]) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(error):
+        load_mesh(tmp_path / name)
+
+
+def test_missing_files_and_unknown_formats(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="check the path"):
+        load_mesh(tmp_path / "absent.stl")
+    with pytest.raises(BadInput, match=r"\.3mf"):
+        load_mesh(tmp_path / "part.step")
+
+
+def test_solid_refuses_broken_arrays() -> None:
+    good = block()
+    with pytest.raises(EmptyMesh):
+        Solid(good.vertices, np.zeros((0, 3), int))
+    with pytest.raises(MeshError, match="NaN"):
+        Solid(np.where(good.vertices > 0.0, np.nan, good.vertices), good.faces)
+    with pytest.raises(MeshError, match="faces point at"):
+        Solid(good.vertices[:-1], good.faces)
+    with pytest.raises(MeshError, match="wanted"):
+        Solid(good.vertices, good.faces[:, :2])
+    with pytest.raises(ValueError, match="read-only"):
+        good.vertices[0, 0] = 1.0
+
+
+def test_a_sound_mesh_is_left_alone() -> None:
+    part = block()
+    assert repaired(part) is part
+
+
+def test_loose_triangles_with_a_missing_one_are_closed() -> None:
+    whole = soup(ball())
+    part = Solid(whole.vertices, whole.faces[1:], "holed")
+    mended = repaired(part)
+    assert mended.open_edges == 0
+    assert mended.volume == pytest.approx(ball().volume, rel=1e-12)
+
+
+def test_a_small_round_hole_is_filled() -> None:
+    part = ball(4)
+    pole = int(np.argmax(part.vertices[:, 2]))
+    mended = repaired(Solid(part.vertices, part.faces[(part.faces != pole).all(axis=1)]))
+    assert mended.open_edges == 0
+    assert mended.volume == pytest.approx(part.volume, rel=2e-3)
+
+
+def test_cracks_below_the_tolerance_are_sewn() -> None:
+    part = soup(ball())
+    shaken = part.vertices + np.random.default_rng(1).uniform(-1e-6, 1e-6, part.vertices.shape)
+    mended = repaired(Solid(shaken, part.faces))
+    assert mended.open_edges == 0
+    assert mended.volume == pytest.approx(part.volume, rel=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.9, 1.0])
+def test_winding_is_made_outward(share: float) -> None:
+    part = ball()
+    flipped = np.random.default_rng(2).random(len(part.faces)) < share
+    faces = np.where(flipped[:, None], part.faces[:, ::-1], part.faces)
+    mended = repaired(Solid(part.vertices, faces))
+    assert mended.open_edges == 0
+    assert mended.volume == pytest.approx(part.volume, rel=1e-12)
+
+
+def test_a_cavity_stays_a_cavity_and_a_neighbor_turned_inside_out_is_turned_back() -> None:
+    outer, inner = ball(radius=2.0), ball(radius=1.0)
+    hollow = joined(outer, Solid(inner.vertices, inner.faces[:, ::-1]))
+    expected = outer.volume - inner.volume
+    assert repaired(hollow).volume == pytest.approx(expected, rel=1e-12)
+    assert repaired(Solid(hollow.vertices, hollow.faces[:, ::-1])).volume == pytest.approx(expected, rel=1e-12)
+    aside = inner.translated((5.0, 0.0, 0.0))
+    both = joined(outer, Solid(aside.vertices, aside.faces[:, ::-1]))
+    assert repaired(both).volume == pytest.approx(outer.volume + inner.volume, rel=1e-12)
+
+
+def test_a_large_hole_is_refused_with_the_number_of_open_edges() -> None:
+    part = ball()
+    cut = part.faces[part.vertices[part.faces][:, :, 2].mean(axis=1) < 0.3]
+    opened = Solid(part.vertices, cut, "bowl")
+    assert opened.open_edges > 10
+    with pytest.raises(NotWatertight, match=rf"bowl: {opened.open_edges} open edges.*[Cc]lose the holes"):
+        repaired(opened)
+
+
+def test_without_repair_any_open_edge_is_an_error() -> None:
+    part = block()
+    with pytest.raises(NotWatertight, match="3 open edges"):
+        from_trimesh(trimesh.Trimesh(part.vertices, part.faces[1:], process=False), repair=False)
+
+
+def test_a_folded_sheet_is_refused() -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    with pytest.raises(MeshError, match="no volume"):
+        repaired(Solid(corners, np.array([[0, 1, 2], [0, 2, 1]])))
+
+
+def test_placing_rotates_then_scales_then_centers() -> None:
+    part = block().translated((7.0, -3.0, 11.0)).placed(rotation=QUARTER_TURN_ABOUT_X, height=6.0)
+    # The y edge of 3 mm now stands upright and is stretched to 6 mm.
+    np.testing.assert_allclose(part.bounds, [[-2.0, -4.0, -3.0], [2.0, 4.0, 3.0]], atol=1e-12)
+    assert part.volume == pytest.approx(24.0 * 8.0, rel=1e-12)
+    assert part.height == pytest.approx(6.0)
+    assert part.radius == pytest.approx(np.hypot(2.0, 4.0))
+    assert block().placed(factor=0.5).volume == pytest.approx(3.0)
+
+
+def test_a_moved_mesh_is_placed_the_same(tmp_path: Path) -> None:
+    here = load_mesh(ball().save(tmp_path / "here.ply"), height=5.0)
+    there = load_mesh(ball().translated((10.0, 10.0, 10.0)).save(tmp_path / "there.ply"), height=5.0)
+    np.testing.assert_allclose(there.vertices[there.faces], here.vertices[here.faces], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "wish",
+    [
+        {"height": 0.0},
+        {"height": float("nan")},
+        {"factor": -1.0},
+        {"factor": float("inf")},
+        {"height": 1.0, "factor": 1.0},
+        {"rotation": np.eye(2)},
+        {"rotation": 2.0 * np.eye(3)},
+        {"rotation": np.diag([1.0, 1.0, -1.0])},
+        {"rotation": np.full((3, 3), np.nan)},
+    ],
+)
+def test_wrong_placements_are_refused(wish: dict[str, object]) -> None:
+    with pytest.raises(BadInput):
+        block().placed(**wish)  # pyright: ignore[reportArgumentType]
+
+
+def test_centering_uses_the_smallest_circle_not_the_box() -> None:
+    # A right triangle: the circle stands on the hypotenuse, the box center does too, but an acute one differs.
+    prism = trimesh.creation.extrude_triangulation(np.array([[0.0, 0.0], [6.0, 0.0], [3.0, 4.0]]), [[0, 1, 2]], 2.0)
+    part = from_trimesh(prism).centered()
+    corners = np.unique(np.round(np.hypot(part.vertices[:, 0], part.vertices[:, 1]), 9))
+    np.testing.assert_allclose(corners, 3.125, atol=1e-9)
+    assert part.bounds[:, 2].sum() == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_smallest_circle_equals_brute_force(seed: int) -> None:
+    points = np.random.default_rng(seed).normal(size=(9, 2)) * (3.0, 1.0) + 100.0
+    x, y, radius = smallest_enclosing_circle(points)
+    assert (np.hypot(points[:, 0] - x, points[:, 1] - y) <= radius * (1.0 + 1e-9)).all()
+    best = np.inf
+    for number in (2, 3):
+        for chosen in combinations(points, number):
+            # The center equidistant from the chosen points that lies in their plane hull.
+            delta = np.array(chosen[1:]) - chosen[0]
+            shift = np.linalg.lstsq(2.0 * delta, (delta**2).sum(axis=1), rcond=None)[0]
+            reach = np.hypot(*shift)
+            if (np.hypot(*(points - chosen[0] - shift).T) <= reach * (1.0 + 1e-9)).all():
+                best = min(best, float(reach))
+    assert radius == pytest.approx(best, rel=1e-9)
+
+
+def test_smallest_circle_of_degenerate_points() -> None:
+    assert smallest_enclosing_circle([(2.0, 3.0)]) == (2.0, 3.0, 0.0)
+    assert smallest_enclosing_circle([(0.0, 0.0), (4.0, 0.0)]) == pytest.approx((2.0, 0.0, 2.0))
+    line = [(t, 2.0 * t) for t in np.linspace(-1.0, 3.0, 9)]
+    assert smallest_enclosing_circle(line) == pytest.approx((1.0, 2.0, 2.0 * np.sqrt(5.0)))
+    assert smallest_enclosing_circle([(1.0, 1.0)] * 6) == pytest.approx((1.0, 1.0, 0.0))
+    with pytest.raises(BadInput, match="wanted"):
+        smallest_enclosing_circle(np.zeros((0, 2)))
