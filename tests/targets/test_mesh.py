@@ -30,7 +30,11 @@ def ball(subdivisions: int = 3, radius: float = 2.0) -> Solid:
 
 def soup(solid: Solid) -> Solid:
     """Every triangle with three vertices of its own."""
-    return Solid(solid.vertices[solid.faces].reshape(-1, 3), np.arange(3 * len(solid.faces)).reshape(-1, 3), solid.name)
+    return Solid(
+        solid.vertices[solid.faces].reshape(-1, 3),
+        np.arange(3 * len(solid.faces), dtype=np.int32).reshape(-1, 3),
+        solid.name,
+    )
 
 
 def joined(first: Solid, second: Solid) -> Solid:

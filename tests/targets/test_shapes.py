@@ -56,6 +56,8 @@ def test_unknown_names_and_dimensions_are_named() -> None:
         shapes.build("teapot")
     with pytest.raises(BadInput, match="wingspan"):
         shapes.build("boat", wingspan=3.0)
+    with pytest.raises(BadInput, match="height"):
+        shapes.build("boat", height=-1.0)
 
 
 def test_boat_has_its_height_and_scales_with_it() -> None:

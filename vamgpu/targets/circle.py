@@ -20,7 +20,7 @@ def smallest_enclosing_circle(points: npt.ArrayLike) -> Circle:
     """Return (x, y, radius) of the smallest circle that holds all points.
 
     points: shape (n, 2), any length unit; the result has the same unit. Only the convex hull is looked at, then
-    circles are grown point by point in a fixed shuffled order (Welzl's algorithm, iterative form: expected linear time).
+    circles are grown point by point in a fixed shuffled order (Welzl's algorithm, iterative, expected linear time).
 
     Raises BadInput when there is no point, or a coordinate is not finite.
     """

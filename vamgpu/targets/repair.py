@@ -77,10 +77,10 @@ def _drop_bad_faces(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
 def _sew_cracks(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     border = np.unique(unmatched_edges(faces))
-    pairs = cKDTree(vertices[border]).query_pairs(_CRACK * _diagonal(vertices), output_type="ndarray")
+    pairs = KDTree(vertices[border]).query_pairs(_CRACK * _diagonal(vertices), output_type="ndarray")
     ones = np.ones(len(pairs))
     _, group = connected_components(coo_array((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(border), len(border))))
     _, first = np.unique(group, return_index=True)

@@ -155,7 +155,7 @@ class Solid:
         data = mesh.export(file_type=file.suffix.lower()[1:])
         part = file.with_name(file.name + ".part")
         try:
-            part.write_bytes(data.encode() if isinstance(data, str) else data)
+            part.write_bytes(data.encode() if isinstance(data, str) else bytes(data))
             part.replace(file)  # a full disk leaves no half-written mesh behind
         except OSError as error:
             part.unlink(missing_ok=True)

@@ -28,7 +28,9 @@ def exposure_disk(
     All lengths in mm. Gaps are concentric with the disk, so that each has one width; spokes bridge the widest gap.
     A perfect print keeps the seven spoked half disks and none of the others: FOM = 7 (paper 003, eq. 2).
     """
-    return to_solid(exposure_outline(diameter, pixel, half_disk_radius, spoke_spacing).extrude(thickness), "exposure_disk")
+    return to_solid(
+        exposure_outline(diameter, pixel, half_disk_radius, spoke_spacing).extrude(thickness), "exposure_disk"
+    )
 
 
 def exposure_outline(

@@ -40,7 +40,13 @@ def screw(length: float = 6.35, clearance: float = 0.0) -> Solid:
     tip = head + length
     # The thread starts inside the head; a 45 degree chamfer leads it in.
     minor = 0.5 * (MAJOR - 1.0825 * PITCH) - clearance
-    envelope = [(0.0, head - 1.0), (MAJOR, head - 1.0), (MAJOR, tip - MAJOR + minor - 0.2), (minor - 0.2, tip), (0, tip)]
+    envelope = [
+        (0.0, head - 1.0),
+        (MAJOR, head - 1.0),
+        (MAJOR, tip - MAJOR + minor - 0.2),
+        (minor - 0.2, tip),
+        (0, tip),
+    ]
     thread = threaded_rod(head - 1.0, tip, -clearance) ^ Manifold.revolve(polygon(envelope), 96)
     return to_solid(body + thread, "screw")
 
@@ -51,7 +57,14 @@ def nut(clearance: float = 0.1) -> Solid:
     corner = flats / np.sqrt(3.0)
     chamfer = corner - 0.5 * flats
     rise = chamfer * np.tan(np.radians(30.0))
-    turned = [(0.0, 0.0), (0.5 * flats, 0.0), (corner, rise), (corner, height - rise), (0.5 * flats, height), (0, height)]
+    turned = [
+        (0.0, 0.0),
+        (0.5 * flats, 0.0),
+        (corner, rise),
+        (corner, height - rise),
+        (0.5 * flats, height),
+        (0, height),
+    ]
     body = hexagon(flats).extrude(height) ^ Manifold.revolve(polygon(turned), 96)
     hole = threaded_rod(-0.1, height + 0.1, clearance)
     lead = 0.5 * MAJOR + clearance + 0.2
@@ -79,7 +92,9 @@ def threaded_rod(low: float, high: float, clearance: float = 0.0) -> Manifold:
     side = np.stack([spread * np.cos(angle)[:, None], spread * np.sin(angle)[:, None], height], axis=-1)
     ends = np.array([[0.0, 0.0, height[0, 0] + 0.5 * PITCH], [0.0, 0.0, height[0, -1] + 0.5 * PITCH]])
     vertices = np.concatenate([side.reshape(-1, 3), ends])
-    return from_triangles(vertices, _helix_faces(len(rows))).trim_by_plane((0, 0, 1), low).trim_by_plane((0, 0, -1), -high)
+    return (
+        from_triangles(vertices, _helix_faces(len(rows))).trim_by_plane((0, 0, 1), low).trim_by_plane((0, 0, -1), -high)
+    )
 
 
 def _helix_faces(rows: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from manifold3d import CrossSection
 
 from vamgpu.targets.shapes.csg import polygon, rod, to_solid
@@ -35,7 +36,9 @@ def gears(gap: float = 0.1, thickness: float = 3.0, apart: float = 0.4) -> Solid
 def gear_base(thickness: float = 1.5, pin_height: float = 4.5) -> Solid:
     """A plate with two pins of 3 mm diameter at the gears' center distance; lengths in mm."""
     x = 0.5 * CENTER_DISTANCE
-    plate = (rod((-x, 0, 0), (-x, 0, thickness), 2.5, segments=96) + rod((x, 0, 0), (x, 0, thickness), 2.5, segments=96)).hull()
+    plate = (
+        rod((-x, 0, 0), (-x, 0, thickness), 2.5, segments=96) + rod((x, 0, 0), (x, 0, thickness), 2.5, segments=96)
+    ).hull()
     for side in (-x, x):
         plate += rod((side, 0.0, 0.0), (side, 0.0, thickness + pin_height), 0.5 * PIN_DIAMETER, segments=96)
     return to_solid(plate, "gear_base")
@@ -60,5 +63,5 @@ def gear_outline(backlash: float = 0.0) -> CrossSection:
     return polygon(polar[:, :1] * np.stack([np.cos(polar[:, 1]), np.sin(polar[:, 1])], axis=1))
 
 
-def _involute(angle: np.ndarray | float) -> np.ndarray | float:
-    return np.tan(angle) - angle
+def _involute(angle: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    return np.tan(angle) - np.asarray(angle)

@@ -20,7 +20,7 @@ def gyroid_sphere(radius: float = 6.0, cell: float = 4.0, wall: float = 0.5, pit
     radius of the sphere, length of a gyroid cell, thickness of the wall and pitch of the sampling grid in mm.
     """
     count = int(np.ceil(radius / pitch)) + 2
-    axis = (np.arange(-count, count + 1) + 0.5) * pitch
+    axis = (np.arange(-count, count + 1, dtype=np.float64) + 0.5) * pitch
     field = 0.5 * wall - np.abs(_gyroid_distance(axis, cell, wall))
     sheet = _level_surface(field, pitch) ^ Manifold.sphere(radius, 128)
     # Crumbs of the sheet that the sphere cuts loose would float in the resin.

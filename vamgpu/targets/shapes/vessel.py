@@ -32,7 +32,7 @@ def boat(height: float = 11.5) -> Solid:
     """
     body = _hull() + _cabin() + _deck_box() + _flag_pole_holder() + _lettering("VAM")
     body = body - _chimney_hole() - _hawse_holes() - _blind_hole() - _flag_pole_hole()
-    return to_solid(body.scale((height / _HEIGHT,) * 3), "boat")
+    return to_solid(body, "boat").placed(height=height)
 
 
 def _half_breadth(s: npt.NDArray[np.float64], t: float) -> npt.NDArray[np.float64]:
@@ -78,7 +78,10 @@ def _ring_faces(levels: int) -> npt.NDArray[np.int64]:
     top = (levels - 1) * ring
     # At the stem both sides share a vertex, so the last strip is a triangle.
     faces += [np.stack([right, left, right + 1], axis=1), np.stack([left, left - 1, right + 1], axis=1)[:-1]]
-    faces += [np.stack([right, right + 1, left], axis=1) + top, np.stack([left, right + 1, left - 1], axis=1)[:-1] + top]
+    faces += [
+        np.stack([right, right + 1, left], axis=1) + top,
+        np.stack([left, right + 1, left - 1], axis=1)[:-1] + top,
+    ]
     return np.concatenate(faces)
 
 
