@@ -1,0 +1,43 @@
+// Partial results of a work item that owns TILE_MAJOR rows (0 = all) and TILE_MINOR samples of each (0 = all).
+#include "common.h"
+#ifdef LANES
+
+#define LANE_IDS_16 (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
+#define LANE_IDS_4 (0, 1, 2, 3)
+typedef PASTE(int, WIDTH) Lanes;
+#define LANE_IDS ((Lanes)PASTE(LANE_IDS_, WIDTH))
+
+// All ones where lane k of vector v is a slice of the field, zero where it is padding.
+#define REAL_LANES ((ITEM_SLAB * LANES + ITEM_LANE + v * WIDTH + LANE_IDS) < (Lanes)(n_z))
+#define ZERO ((Vector)(0.0f))
+#define MASKED(condition, value) select(ZERO, (value), (condition))
+
+#define I_BEGIN (TILE_MAJOR ? ITEM_MAJOR * TILE_MAJOR : 0)
+#define I_END (TILE_MAJOR ? min(I_BEGIN + TILE_MAJOR, n_i) : n_i)
+#define J_BEGIN (TILE_MINOR ? ITEM_MINOR * TILE_MINOR : 0)
+#define J_END (TILE_MINOR ? min(J_BEGIN + TILE_MINOR, n_j) : n_j)
+#define EACH_SAMPLE for (int i = I_BEGIN; i < I_END; i++) for (int j = J_BEGIN; j < J_END; j++)
+
+// Where this item's partial result goes; -1 for items that only fill up a work-group.
+static inline int part_index(int n_i, int n_j, int n_z) {
+    const int minor = TILE_MINOR ? (n_j + TILE_MINOR - 1) / max(TILE_MINOR, 1) : 1;
+    const int major = TILE_MAJOR ? (n_i + TILE_MAJOR - 1) / max(TILE_MAJOR, 1) : 1;
+    const int inside = ITEM_MINOR < minor && ITEM_MAJOR < major;
+    return inside ? (ITEM_SLAB * major + ITEM_MAJOR) * minor * THREADS + (int)get_global_id(0) : -1;
+}
+
+static inline float across_lanes(Vector value, int kind) {
+    float lane[WIDTH];
+    PASTE(vstore, WIDTH)(value, 0, lane);
+    float result = lane[0];
+    for (int k = 1; k < WIDTH; k++)
+        result = kind == 0 ? result + lane[k] : kind == 1 ? fmin(result, lane[k]) : fmax(result, lane[k]);
+    return result;
+}
+
+static inline float disc_distance(int i, int j, int n_i, int n_j) {
+    const float a = i - 0.5f * (n_i - 1), b = j - 0.5f * (n_j - 1);
+    return a * a + b * b;
+}
+
+#endif
