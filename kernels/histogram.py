@@ -1,0 +1,72 @@
+"""Histograms and extremes of a field, split in two classes by a second field, for the whole or slice by slice.
+
+Every work item counts its own rows and slices into a table of its own, so nothing is counted by two at once; a fold
+adds the tables up. Class 1 ("in") holds the samples where ``target`` reaches ``level``, class 0 ("out") all others; only
+columns within ``radius`` samples of the axis through the middle are counted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vamgpu.kernels.project import middle
+from vamgpu.kernels.signature import Array, Real, Tiling, kernel, table
+
+Ranges = table("float32", "slice", "2", "3")  # low, high, bins per unit of each class; one slice serves all
+Partial = table("uint32", "strip", "z", "2", "bin")
+PartialOut = table("uint32", "strip", "z", "2", "bin", writes=True)
+CountsOut = table("uint32", "slice", "2", "bin", writes=True)
+Parts = table("float32", "strip", "z", "2", "3")  # least, greatest, sum
+PartsOut = table("float32", "strip", "z", "2", "3", writes=True)
+StatisticsOut = table("float32", "slice", "2", "3", writes=True)
+
+ROWS = Tiling(major=16, minor=0, group=(8, 8))
+GPU_ROWS = 8
+GPU = Tiling(major=GPU_ROWS, minor=0, group=(8, 8))
+
+
+def _members(target: np.ndarray, level: float, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Boolean [i, j, z] of the two classes."""
+    i, j = (np.arange(n) - middle(n) for n in target.shape[:2])
+    counted = (i[:, None] ** 2 + j[None, :] ** 2 <= radius**2)[..., None]
+    return counted & ~(target >= level), counted & (target >= level)
+
+
+@kernel(over="dose", cpu=ROWS, gpu=GPU)
+def tally(dose: Array, target: Array, ranges: Ranges, level: Real, radius: Real, partial: PartialOut) -> None:
+    """partial[·, z, class, bin] counts dose: bin 0 is below low, the last at or above high, the others even between."""
+    partial[...] = 0
+    bins = partial.shape[3]
+    for which, member in enumerate(_members(target, level, radius)):
+        low, high, scale = (ranges[:, which, k] for k in range(3))
+        index = 1 + np.clip(((dose - low) * scale).astype(int), 0, max(bins - 3, 0))
+        index = np.where(dose < low, 0, np.where(dose >= high, bins - 1, index))
+        for z in range(dose.shape[2]):
+            partial[0, z, which] = np.bincount(index[:, :, z][member[:, :, z]], minlength=bins)
+
+
+@kernel(over="counts")
+def fold_counts(partial: Partial, counts: CountsOut) -> None:
+    """counts[slice] = Σ partial over strips, and over all z where there is but one slice."""
+    each = partial.sum(axis=0)
+    counts[...] = each if counts.shape[0] == each.shape[0] else each.sum(axis=0)
+
+
+@kernel(over="dose", cpu=ROWS, gpu=GPU)
+def survey(dose: Array, target: Array, level: Real, radius: Real, parts: PartsOut) -> None:
+    """parts[·, z, class] = least, greatest and sum of dose; +∞, −∞, 0 where a class is empty."""
+    parts[...] = np.array([np.inf, -np.inf, 0.0])
+    for which, member in enumerate(_members(target, level, radius)):
+        for z in range(dose.shape[2]):
+            values = dose[:, :, z][member[:, :, z]]
+            if values.size:
+                parts[0, z, which] = values.min(), values.max(), values.sum()
+
+
+@kernel(over="statistics")
+def fold_survey(parts: Parts, statistics: StatisticsOut) -> None:
+    """statistics[slice, class] = least, greatest and sum over strips, and over all z where there is but one slice."""
+    axes = (0,) if statistics.shape[0] == parts.shape[1] else (0, 1)
+    statistics[..., 0] = parts[..., 0].min(axis=axes)
+    statistics[..., 1] = parts[..., 1].max(axis=axes)
+    statistics[..., 2] = parts[..., 2].sum(axis=axes)
