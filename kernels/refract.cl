@@ -16,9 +16,6 @@ static inline float2 look_up(__global const float2 *restrict light, int n_across
 // Half-integers below 2048 square exactly in float32, so both directions agree on every voxel.
 static inline bool within(float x, float y, float radius) { return x * x + y * y <= radius * radius; }
 
-// Slack [voxels] for reading the map between its samples.
-#define MARGIN 0.1f
-
 static inline float tent(float distance, float inverse_width) {
     return fmax(0.0f, 1.0f - fabs(distance) * inverse_width) * inverse_width;
 }
@@ -93,7 +90,7 @@ __kernel void forward_refracted(__global const float *restrict volume, __global 
                 EACH_VECTOR sum[v] = strip ? LOAD(out) : (Vector)(0.0f);
                 for (int plane = strip; plane < min(strip + min(STRIP, longest), planes); plane++) {
                     const float a = from.x + plane * from.y, b = to.x + plane * to.y;
-                    const int begin = max((int)ceil(fmin(a, b) - MARGIN), 0), end = min((int)floor(fmax(a, b) + MARGIN), cells - 1);
+                    const int begin = max((int)ceil(fmin(a, b) - low.w), 0), end = min((int)floor(fmax(a, b) + low.w), cells - 1);
                     for (int cell = begin; cell <= end; cell++) {
                         const float x = (along_y ? cell : plane) - x0, y = (along_y ? plane : cell) - y0;
                         if (!within(x, y, radius)) continue;

@@ -14,7 +14,7 @@ from vamgpu.kernels.project import Directions, middle
 from vamgpu.kernels.signature import Real, Sinogram, SinogramOut, Tiling, Volume, VolumeOut, kernel, table
 
 Map = table("float32", "across", "along", "2")  # column index and weight, samples one voxel apart around the axis
-Edges = table("float32", "r", "8")  # p, cos d, sin d, 0 of the two chords between which a column's tent lies
+Edges = table("float32", "r", "8")  # p, cos d, sin d, slack of the two chords a column's tent lies between
 
 
 def _lit(

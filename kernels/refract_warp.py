@@ -6,8 +6,6 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-MARGIN = wp.constant(0.1)  # slack [voxels] for reading the map between its samples
-
 
 @wp.func
 def look_up(light: wp.array3d(dtype=float), n_across: int, n_along: int, c: float, s: float, x: float, y: float):
@@ -112,8 +110,8 @@ def forward_refracted(
     for plane in range(planes):
         a = low[0] + float(plane) * low[1]
         b = high[0] + float(plane) * high[1]
-        begin = wp.max(int(wp.ceil(wp.min(a, b) - MARGIN)), 0)
-        end = wp.min(int(wp.floor(wp.max(a, b) + MARGIN)), cells - 1)
+        begin = wp.max(int(wp.ceil(wp.min(a, b) - edges[r, 3])), 0)
+        end = wp.min(int(wp.floor(wp.max(a, b) + edges[r, 3])), cells - 1)
         for cell in range(begin, end + 1):
             i = plane
             j = cell

@@ -11,6 +11,10 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Chords, Grid, Vessel
 
 FINE = 65_536
+SAFETY = 1.5
+"""On the strays measured midway between samples of the map."""
+ROUNDING = 0.01
+"""Voxels that float32 may be off by."""
 EQUAL = 1.05
 """Voxels up to this much wider than a column's light count as equally wide: the ripple stays below five percent."""
 
@@ -57,7 +61,9 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel) -> Light:
     column = u / beam.pitch + 0.5 * (columns - 1)
     strength = weight * grid.pitch**2 / beam.pitch  # so that a row of the operator sums to the length of its ray
     width = _tent_width(grid, beam, vessel)
-    return Light(np.stack([column, strength], axis=-1), _edges(grid, beam, vessel, width), width, radius)
+    rays = _Rays(grid, beam, vessel, width)
+    table = np.stack([column, strength], axis=-1)
+    return Light(table, rays.edges(_slack(column, radius, rays)), width, radius)
 
 
 def _tent_width(grid: Grid, beam: Beam, vessel: Vessel) -> float:
@@ -68,15 +74,51 @@ def _tent_width(grid: Grid, beam: Beam, vessel: Vessel) -> float:
     return 1.0 if ratio <= EQUAL else ratio
 
 
-def _edges(grid: Grid, beam: Beam, vessel: Vessel, width: float) -> np.ndarray:
-    """Chords ``width`` columns to either side of each column, kept to rays that enter the resin."""
-    u = beam.columns()
-    fine = np.linspace(u[0] - width * beam.pitch, u[-1] + width * beam.pitch, FINE)
-    entering = fine[vessel.chords(fine).transmittance > 0]
-    if not entering.size:
-        raise BadInput("no column of the beam reaches the resin; widen the beam or check the vessel's radius")
-    sides = []
-    for side in (-width, width):
-        chord = vessel.chords(np.clip(u + side * beam.pitch, entering[0], entering[-1]))
-        sides += [chord.p / grid.pitch, np.cos(chord.angle), np.sin(chord.angle), np.zeros_like(u)]
-    return np.stack(sides, axis=-1)
+class _Rays:
+    """Chords in voxels by column index, kept to rays that enter the resin."""
+
+    def __init__(self, grid: Grid, beam: Beam, vessel: Vessel, width: float) -> None:
+        self.columns, self.width = beam.pixels[0], width
+        self._fine = np.linspace(-width, self.columns - 1 + width, FINE)
+        chords = vessel.chords((self._fine - 0.5 * (self.columns - 1)) * beam.pitch)
+        entering = chords.transmittance > 0
+        if not entering.any():
+            raise BadInput("no column of the beam reaches the resin; widen the beam or check the vessel's radius")
+        self._fine = self._fine[entering]
+        self._p, self._angle = chords.p[entering] / grid.pitch, chords.angle[entering]
+
+    def at(self, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance p [voxels] and angle d of the chords of fractional columns; the outermost ray beyond the last."""
+        return np.interp(column, self._fine, self._p), np.interp(column, self._fine, self._angle)
+
+    def edges(self, slack: np.ndarray) -> np.ndarray:
+        """(columns, 8): p, cos d, sin d, slack of the chords on either side of each column's tent."""
+        sides = []
+        for side in (-self.width, self.width):
+            p, angle = self.at(np.arange(self.columns) + side)
+            sides += [p, np.cos(angle), np.sin(angle), slack]
+        return np.stack(sides, axis=-1)
+
+
+def _slack(column: np.ndarray, radius: float, rays: _Rays) -> np.ndarray:
+    """How far [voxels] the interpolated map strays from each column's true chords; (columns,).
+
+    A device that gathers along a chord must look this much further to find every voxel that the map sends to it.
+    The map bends most midway between its samples, so that is where it is asked.
+    """
+    position = np.arange(column.shape[0]) - 0.5 * (column.shape[0] - 1)
+    slack = np.zeros(rays.columns + 2)
+    for a, b in ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5)):
+        near = (1 - b) * column[:-1, :-1] + b * column[:-1, 1:]
+        far = (1 - b) * column[1:, :-1] + b * column[1:, 1:]
+        u = (1 - a) * near + a * far
+        x, y = position[:-1, None] + a, position[None, :-1] + b
+        p, angle = rays.at(u)
+        stray = np.abs(x * np.cos(angle) + y * np.sin(angle) - p)
+        lit = (x**2 + y**2 <= (radius + 1.0) ** 2) & (u > -1 - rays.width) & (u < rays.columns + rays.width)
+        index = np.clip(np.floor(u[lit]).astype(int) + 1, 0, rays.columns + 1)
+        np.maximum.at(slack, index, stray[lit])
+    reach = int(np.ceil(rays.width)) + 1
+    padded = np.pad(slack, reach)
+    spread = np.max([padded[k : k + slack.size] for k in range(2 * reach + 1)], axis=0)
+    return SAFETY * np.sqrt(2.0) * spread[1:-1] + ROUNDING
