@@ -109,6 +109,19 @@ def test_boat_roof_overhangs_the_cabin_and_the_letters_stand_out() -> None:
     assert section(part, bottom + 1.9).num_vert() > section(part, bottom + 0.6).num_vert() + 50
 
 
+def test_boat_has_three_letters_a_side_outside_the_hull_only() -> None:
+    from vamgpu.targets.shapes.vessel import _hull, _lettering
+
+    letters = (_lettering("VAM") - _hull()).decompose()
+    letters = [letter for letter in letters if letter.volume() > 1e-3]
+    assert len(letters) == 6
+    assert sum(letter.bounding_box()[1] > 1.9 for letter in letters) == 3
+    # Raised by 0.16 mm sideways: volume over the area in side view.
+    for letter in letters:
+        seen = letter.rotate((90.0, 0.0, 0.0)).project().area()
+        assert letter.volume() / seen == pytest.approx(0.16, rel=0.1)
+
+
 def test_exposure_disk_has_the_spokes_and_gaps_of_the_paper() -> None:
     pixel, outline = 0.067, section(made("exposure_disk"), 0.0)
     assert made("exposure_disk").height == pytest.approx(2.0)

@@ -168,7 +168,8 @@ def _lettering(text: str, size: float = 1.35, raised: float = 0.16) -> Manifold:
     flat = CrossSection.batch_boolean(glyphs, OpType.Add).translate((0.5 * (space - cursor), 0.0))
     starboard = flat.extrude(8.0).rotate((90.0, 0.0, 0.0)).translate((-0.4, 0.0, 1.2))
     port = starboard.rotate((0.0, 0.0, 180.0)).translate((-0.8, 0.0, 0.0))
-    inner = box((-9.0, -2.0, -1.0), (9.0, 2.0, 9.0))
+    # The letters reach into the wall, not through it into the well.
+    inner = _loft(np.linspace(0.0, 1.0, _LEVELS), shrink=0.94, lift=1.0)
     return ((starboard + port) ^ _loft(np.linspace(0.05, 0.9, _LEVELS), swell=raised)) - inner
 
 
