@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vamgpu.errors import BadInput
-from vamgpu.optics.chords import Chords, Floats, Vessel, as_offsets, require
+from vamgpu.geometry import Chords, Vessel, counts, positive
+from vamgpu.optics.inputs import Floats, as_offsets
 
 
 def deposit(vessel: Vessel, u: ArrayLike, power: ArrayLike, angles: ArrayLike, shape: tuple[int, int], pitch: float,
@@ -35,19 +36,17 @@ def deposit(vessel: Vessel, u: ArrayLike, power: ArrayLike, angles: ArrayLike, s
         BadInput: shapes that do not match, values that are not finite, a pitch or a step not above 0.
     """
     columns, powers, poses = as_offsets("u", u), as_offsets("power", power), as_offsets("angles", angles)
-    require("pitch", pitch, unit="mm")
-    require("step", step, unit="pitches")
+    pitch, step = positive("pitch [mm]", pitch), positive("step [pitches]", step)
     if columns.ndim != 1 or poses.ndim != 1 or powers.shape != (poses.size, columns.size):
         raise BadInput(f"u, angles and power have the shapes {columns.shape}, {poses.shape} and {powers.shape}; "
                        "wanted (columns,), (poses,) and (poses, columns)")
-    if len(shape) != 2 or min(shape) < 1:
-        raise BadInput(f"shape is {shape!r}; wanted two positive numbers of voxels, along x and y")
+    nx, ny = counts("shape", shape, 2)
     lab_x, lab_y, absorbed = _segments(vessel.chords(columns), vessel.absorption, step * pitch)
-    energy = np.zeros(shape)
+    energy = np.zeros((nx, ny))
     for theta, row in zip(poses, powers, strict=True):
         cos_t, sin_t = np.cos(theta), np.sin(theta)
         x, y = -lab_x * sin_t - lab_y * cos_t, lab_x * cos_t - lab_y * sin_t
-        energy += _scatter(x / pitch, y / pitch, absorbed * row[:, None], shape)
+        energy += _scatter(x / pitch, y / pitch, absorbed * row[:, None], (nx, ny))
     return energy / pitch**3
 
 
@@ -56,10 +55,7 @@ def _segments(chords: Chords, absorption: float, longest: float) -> tuple[Floats
     count = max(1, int(np.ceil(np.max(chords.length, initial=0.0) / longest)))
     edges = chords.length[:, None] * np.linspace(0.0, 1.0, count + 1)
     size = np.diff(edges, axis=1)
-    if absorption > 0:
-        share = np.exp(-absorption * edges[:, :-1]) * -np.expm1(-absorption * size)
-    else:
-        share = size
+    share = np.exp(-absorption * edges[:, :-1]) * -np.expm1(-absorption * size) if absorption > 0 else size
     t = 0.5 * (edges[:, 1:] + edges[:, :-1]) - 0.5 * chords.length[:, None]
     cos_d, sin_d = np.cos(chords.angle)[:, None], np.sin(chords.angle)[:, None]
     p = chords.p[:, None]

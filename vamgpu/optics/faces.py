@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vamgpu.optics.chords import Floats
+from vamgpu.optics.inputs import Floats
 from vamgpu.optics.interface import transmittance
 
 # Keeps the slope of the deviation finite at grazing incidence; far below what rounding leaves of a cosine there.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.optics.chords import Floats
+from vamgpu.optics.inputs import Floats
 
 
 def impact_after(impact: Floats, index_before: float, index_after: float) -> Floats:

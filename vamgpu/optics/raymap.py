@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vamgpu.optics.chords import Floats
 from vamgpu.optics.faces import Face, turn
+from vamgpu.optics.inputs import Floats
 
 NODES = 64          # of the scan that brackets the first root
 CHUNK = 8192        # points at once, so that the scan stays in the cache

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
-from vamgpu.optics.chords import Chords, Floats, absorbed_share, as_offsets, require
+from vamgpu.geometry import Chords, positive
+from vamgpu.optics.inputs import Floats, absorbed_share, as_offsets, index
 from vamgpu.optics.interface import transmittance
 
 LOW_TRANSMITTANCE = 0.8
@@ -45,17 +46,14 @@ class Vat:
     bath_index: float = 1.0
 
     def __post_init__(self) -> None:
-        require("width", self.width, unit="mm")
-        require("absorption", self.absorption, zero=True, unit="1/mm")
-        if self.depth is not None:
-            require("depth", self.depth, unit="mm")
+        object.__setattr__(self, "width", positive("Vat width [mm]", self.width))
+        object.__setattr__(self, "absorption", positive("Vat absorption [1/mm]", self.absorption, zero=True))
         for name in ("resin_index", "wall_index", "bath_index"):
-            require(name, getattr(self, name))
-            if getattr(self, name) < 1.0:
-                raise BadInput(f"{name} is {getattr(self, name):g}; wanted a refractive index of at least 1; "
-                               f"give {name} relative to vacuum")
+            object.__setattr__(self, name, index(f"Vat {name}", getattr(self, name)))
+        if self.depth is not None:
+            object.__setattr__(self, "depth", positive("Vat depth [mm]", self.depth))
         if self.radius is not None:
-            require("radius", self.radius, unit="mm")
+            object.__setattr__(self, "radius", positive("Vat radius [mm]", self.radius))
             if self.radius > self._inscribed:
                 raise BadInput(f"radius is {self.radius:g} mm in a vat of {self.width:g} x {self._depth:g} mm; wanted "
                                f"at most {self._inscribed:g} mm; correct the radius, the width or the depth")
@@ -101,20 +99,20 @@ class Vat:
                       transmittance=np.where(reaches, self.window_transmittance, 0.0),
                       length=np.where(reaches, 2.0 * self._half_path(offsets), 0.0))
 
-    def illuminate(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+    def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
         """Column that lights each laboratory point, which is its X, and its weight.
 
         The weight is transmittance * absorption * exp(-absorption * path) [1/mm], or the transmittance alone for a
         resin that does not absorb; 0 outside the resin.
 
         Args:
-            x: laboratory X [mm], any shape.
-            y: laboratory Y [mm], any shape that broadcasts with x.
+            across: laboratory X [mm], any shape.
+            along: laboratory Y [mm], any shape that broadcasts with across.
 
         Raises:
             BadInput: a coordinate is not finite.
         """
-        points_x, points_y = np.broadcast_arrays(as_offsets("x", x), as_offsets("y", y))
+        points_x, points_y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
         half = self._half_path(points_x)
         inside = (np.abs(points_x) < self.aperture) & (np.abs(points_y) < half)
         path = np.where(inside, points_y + half, 0.0)
@@ -131,7 +129,7 @@ class Vat:
         Warns:
             OpticsWarning: the window transmits less than 0.8.
         """
-        require("the target's radius", radius, unit="mm")
+        radius = positive("target radius [mm]", radius)
         if radius > self.printable_radius:
             raise TargetTooLarge(f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this "
                                  f"vat is {self.printable_radius:.4g} mm; scale or center the target, or take a "

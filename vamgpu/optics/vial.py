@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
-from vamgpu.optics.chords import Chords, Floats, absorbed_share, as_offsets, require
+from vamgpu.geometry import Chords, positive
 from vamgpu.optics.faces import Face, transmit, turn
+from vamgpu.optics.inputs import Floats, absorbed_share, as_offsets, index
 from vamgpu.optics.interface import impact_after
 from vamgpu.optics.raymap import first_columns
 
@@ -52,14 +53,11 @@ class Vial:
     absorption: float = 0.0
 
     def __post_init__(self) -> None:
-        require("radius", self.radius, unit="mm")
-        require("wall", self.wall, zero=True, unit="mm")
-        require("absorption", self.absorption, zero=True, unit="1/mm")
+        object.__setattr__(self, "radius", positive("Vial radius [mm]", self.radius))
+        object.__setattr__(self, "wall", positive("Vial wall [mm]", self.wall, zero=True))
+        object.__setattr__(self, "absorption", positive("Vial absorption [1/mm]", self.absorption, zero=True))
         for name in ("resin_index", "wall_index", "bath_index"):
-            require(name, getattr(self, name))
-            if getattr(self, name) < 1.0:
-                raise BadInput(f"{name} is {getattr(self, name):g}; wanted a refractive index of at least 1; "
-                               f"give {name} relative to vacuum")
+            object.__setattr__(self, name, index(f"Vial {name}", getattr(self, name)))
         if self.wall >= self.radius:
             raise BadInput(f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; wanted a wall "
                            "thinner than the radius; radius and wall are both in mm, and radius is half the diameter")
@@ -90,8 +88,7 @@ class Vial:
     @property
     def lit_radius(self) -> float:
         """Radius that light reaches at every pose [mm]: less than printable_radius where the wall reflects totally."""
-        return min(self.printable_radius, float(impact_after(np.float64(self.aperture), self.bath_index,
-                                                              self.resin_index)))
+        return min(self.printable_radius, self.aperture * self.bath_index / self.resin_index)
 
     def chords(self, u: ArrayLike) -> Chords:
         """Chords in the resin of the columns at the offsets u [mm], any shape; raises BadInput for u not finite.
@@ -109,7 +106,7 @@ class Vial:
                       transmittance=np.where(reaches, transmit(self.faces, kept), 0.0),
                       length=np.where(reaches, 2.0 * half, 0.0))
 
-    def illuminate(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+    def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
         """Column that lights each laboratory point, and its weight: the inverse of the ray map.
 
         The weight is transmittance * density * absorption * exp(-absorption * path) [1/mm], without the last two
@@ -119,8 +116,8 @@ class Vial:
         of smallest abs(u) is returned, on the point's side of the axis.
 
         Args:
-            x: laboratory X [mm], any shape.
-            y: laboratory Y [mm], any shape that broadcasts with x.
+            across: laboratory X [mm], any shape.
+            along: laboratory Y [mm], any shape that broadcasts with across.
 
         Returns:
             Columns u [mm] and weights, both finite everywhere; the weight is 0 outside the resin and where no ray
@@ -129,7 +126,7 @@ class Vial:
         Raises:
             BadInput: a coordinate is not finite.
         """
-        points_x, points_y = np.broadcast_arrays(as_offsets("x", x), as_offsets("y", y))
+        points_x, points_y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
         inside = points_x**2 + points_y**2 < self.inner_radius**2
         u = np.copysign(np.full(inside.shape, self.aperture), points_x)
         weight = np.zeros(inside.shape)
@@ -159,7 +156,7 @@ class Vial:
         Warns:
             OpticsWarning: within the radius the faces transmit less than 0.8.
         """
-        require("the target's radius", radius, unit="mm")
+        radius = positive("target radius [mm]", radius)
         if radius > self.printable_radius:
             raise TargetTooLarge(
                 f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this vial is "

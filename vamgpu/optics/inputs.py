@@ -1,0 +1,38 @@
+"""Checks and small formulas that the vessels share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+
+Floats = NDArray[np.float64]
+
+
+def as_offsets(name: str, value: ArrayLike) -> Floats:
+    """Return the value as float64; raises BadInput where it is not finite."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{name} is {value!r}; wanted an array of numbers") from error
+    bad = array.size - np.count_nonzero(np.isfinite(array))
+    if bad:
+        raise BadInput(f"{name} holds {bad} values that are not finite; wanted finite numbers throughout")
+    return array
+
+
+def index(name: str, value: float) -> float:
+    """Return a refractive index relative to vacuum; raises BadInput unless it is finite and at least 1."""
+    number = positive(name, value)
+    if number < 1.0:
+        raise BadInput(f"{name} is {number:g}; wanted a refractive index of at least 1; give it relative to vacuum")
+    return number
+
+
+def absorbed_share(absorption: float, path: Floats) -> Floats:
+    """Power absorbed per mm after the given path in resin [1/mm], or 1 where the resin absorbs nothing."""
+    if absorption > 0:
+        return absorption * np.exp(-absorption * path)
+    return np.ones_like(path)
