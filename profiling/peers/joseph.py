@@ -26,8 +26,8 @@ def _one_angle(n: int, bins: int, t: float) -> sp.csr_matrix:
     half = 0.5 * (n - 1)
     r = (np.arange(bins) - 0.5 * (bins - 1))[:, None]
     plane = np.arange(n)[None, :] - half
-    along_y = abs(s) > abs(c)  # the ray runs mostly along x when |cos t| is the larger
-    # Light runs along (cos t, sin t): where |sin t| wins, planes of constant y are crossed and x is interpolated.
+    # Rays run along (cos t, sin t): where |sin t| wins they step through y and x is interpolated, else the reverse.
+    along_y = abs(s) > abs(c)
     across = ((plane * c - r) / s if along_y else (r + plane * s) / c) + half
     lower = np.floor(across)
     weight = across - lower

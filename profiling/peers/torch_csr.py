@@ -65,7 +65,7 @@ def _tensor(matrix):
     import torch
 
     indices = [torch.from_numpy(part.astype(np.int32)) for part in (matrix.indptr, matrix.indices)]
-    return torch.sparse_csr_tensor(indices[0], indices[1], torch.from_numpy(matrix.data), size=matrix.shape)
+    return torch.sparse_csr_tensor(*indices, torch.from_numpy(matrix.data), size=matrix.shape, check_invariants=False)
 
 
 def _adjoint_error(forward, back, volume, sinogram) -> float:
