@@ -16,7 +16,7 @@ from vamgpu.optics.interface import impact_after
 from vamgpu.optics.raymap import first_columns
 
 LOW_TRANSMITTANCE = 0.8
-# Between caustics outside the printable radius the density has no bound; a point there is at most this much denser.
+# On the caustics outside the printable radius the density has no bound; a point there is at most this much denser.
 LARGEST_DENSITY = 100.0
 
 
@@ -138,10 +138,8 @@ class Vial:
         u, spacing = first_columns(self.faces, self.aperture, ratio, x, y)
         p = u * ratio
         half = np.sqrt(np.maximum((self.inner_radius - p) * (self.inner_radius + p), 0.0))
-        # Light points travel along t; a point and its chord share the distance from the axis.
-        t = np.sqrt(np.maximum(x**2 + y**2 - p**2, 0.0))
         cos_d, sin_d, _ = turn(self.faces, u)
-        path = half + np.copysign(t, y * cos_d - x * sin_d)
+        path = half + y * cos_d - x * sin_d
         density = 1.0 / np.maximum(np.abs(spacing), ratio / LARGEST_DENSITY)
         share = transmit(self.faces, u) * density * absorbed_share(self.absorption, path)
         return u, np.where(spacing != 0.0, share, 0.0)
