@@ -189,11 +189,12 @@ def test_scatter_agrees_with_the_inverse_map_inside_the_printable_radius() -> No
 def test_light_comes_from_plus_x_at_pose_zero_and_turns_with_it() -> None:
     columns = (np.arange(800) - 399.5) * 0.025
     power = np.where(columns > 0, 1.0, 0.0)[None]
-    for theta, bright, dark, lit_side in ((0.0, (70, 58), (10, 58), (40, 20)), (np.pi / 2, (20, 70), (20, 10), (58, 40))):
+    places = ((0.0, (70, 58), (10, 58), (40, 20)), (np.pi / 2, (20, 70), (20, 10), (58, 40)))
+    for theta, near, far, unlit in places:
         dose = deposit(MATCHED, columns, power, [theta], (81, 81), 0.25)
         # r = y cos - x sin: positive columns light +y at pose 0 and -x at a quarter turn.
-        assert dose[bright] > 1.5 * dose[dark] > 0
-        assert dose[lit_side] == 0
+        assert dose[near] > 1.5 * dose[far] > 0
+        assert dose[unlit] == 0
 
 
 def test_targets_that_do_not_fit_are_named() -> None:
