@@ -3,7 +3,8 @@
 Our own code for the published algorithm (object-space model optimization, doi 10.1016/j.addma.2021.102367): one
 starting pair, then a void half step and a part half step per iteration, each a forward and a back projection, with the
 thresholds and the Hamming start of VAMToolbox's 3-D example. It is not VAMToolbox and must not be reported as it: its
-start filter and precision differ, so its dose says nothing about theirs. One core, whole process timed by the caller. Prints one JSON line.
+start filter and precision differ, so its dose says nothing about theirs.
+One core, whole process timed by the caller. Prints one JSON line.
 """
 
 from __future__ import annotations
