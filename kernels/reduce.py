@@ -39,9 +39,7 @@ def partial_dot(a: Array, b: Array, parts: Parts) -> None:
 
 
 @kernel(over="a", cpu=CPU, gpu=GPU)
-def partial_extent(
-    a: Array, mask: Array, lower: Real, upper: Real, reach: Real, lows: Parts, highs: Parts
-) -> None:
+def partial_extent(a: Array, mask: Array, lower: Real, upper: Real, reach: Real, lows: Parts, highs: Parts) -> None:
     """min lows and max highs = extremes of a where lower ≤ mask < upper, at most ``reach`` samples from the z axis.
 
     Items that meet no such sample leave ±infinity.

@@ -7,7 +7,6 @@ from math import inf
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
 from vamgpu.kernels.reduce import HIGH, LOW, SUM, fold, partial_dot, partial_extent, partial_sum
 from vamgpu.kernels.signature import Kernel
 

@@ -1,0 +1,73 @@
+"""Warp siblings of `filter`."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from vamgpu.kernels.partial_warp import ROWS, part_index, real_lanes
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+
+@wp.func
+def convolve(
+    rows: wp.array4d(dtype=wp.vec4), taps: wp.array(dtype=float), stride: int, slab: int, i: int, r: int, lane: int
+):
+    """The taps convolved with row i at sample r."""
+    n_r = rows.shape[2]
+    total = taps[0] * rows[slab, i, r, lane]
+    last = taps.shape[0] - 1
+    for s in range(1, wp.min(r, last) + 1, stride):
+        total += taps[s] * rows[slab, i, r - s, lane]
+    for s in range(1, wp.min(n_r - 1 - r, last) + 1, stride):
+        total += taps[s] * rows[slab, i, r + s, lane]
+    return total
+
+
+@wp.kernel
+def filter_rows(
+    sinogram: wp.array4d(dtype=wp.vec4),
+    taps: wp.array(dtype=float),
+    stride: int,
+    floor: float,
+    filtered: wp.array4d(dtype=wp.vec4),
+    n_angle: int,
+    n_r: int,
+    n_z: int,
+    n_tap: int,
+):
+    slab, tile, j, lane = wp.tid()
+    lowest = wp.vec4(floor, floor, floor, floor)
+    for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_angle)):
+        filtered[slab, i, j, lane] = wp.max(lowest, convolve(sinogram, taps, stride, slab, i, j, lane))
+
+
+@wp.kernel
+def filtered_step(
+    gradient: wp.array4d(dtype=wp.vec4),
+    taps: wp.array(dtype=float),
+    stride: int,
+    step: float,
+    momentum: float,
+    light: wp.array4d(dtype=wp.vec4),
+    ahead: wp.array4d(dtype=wp.vec4),
+    parts: wp.array(dtype=float),
+    n_angle: int,
+    n_r: int,
+    n_z: int,
+    n_tap: int,
+    n_part: int,
+):
+    slab, tile, j, lane = wp.tid()
+    count = real_lanes(slab, lane, light.shape[3], n_z)
+    dark = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    uphill = float(0.0)
+    for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_angle)):
+        before = light[slab, i, j, lane]
+        start = ahead[slab, i, j, lane]
+        new = wp.max(dark, start - step * convolve(gradient, taps, stride, slab, i, j, lane))
+        for k in range(count):
+            uphill += (start[k] - new[k]) * (new[k] - before[k])
+        ahead[slab, i, j, lane] = new + momentum * (new - before)
+        light[slab, i, j, lane] = new
+    parts[part_index(slab, tile, j, lane, n_angle, n_r, light.shape[3])] = uphill

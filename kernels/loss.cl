@@ -1,0 +1,68 @@
+#include "partial.h"
+
+// One vector of doses against its bands: returns the losses, and the derivatives through dose.
+static inline Vector band(Vector *dose, Vector f, Vector weight, __global const float *restrict response, int n_sample,
+                          float start, float density, float low, float high, float slack_low, float slack_high,
+                          float power) {
+    const Vector position = (*dose - start) * density;
+    Vector value, slope;
+    if (n_sample == 2) {  // a straight line needs no looking up
+        slope = response[1] - response[0];
+        value = response[0] + slope * position;
+    } else {
+        float at[WIDTH], first[WIDTH], rise[WIDTH];
+        PASTE(vstore, WIDTH)(position, 0, at);
+        for (int k = 0; k < WIDTH; k++) {
+            const int cell = clamp((int)floor(fmin(at[k], 1e9f)), 0, n_sample - 2);
+            rise[k] = response[cell + 1] - response[cell];
+            first[k] = response[cell] - rise[k] * cell;
+        }
+        slope = PASTE(vload, WIDTH)(0, rise);
+        value = PASTE(vload, WIDTH)(0, first) + slope * position;
+    }
+    const Vector difference = value - (low + (high - low) * f);
+    const Vector excess = fabs(difference) - (slack_low + (slack_high - slack_low) * f);
+    const Lanes wrong = excess > ZERO;
+    if (!any(wrong)) {
+        *dose = ZERO;
+        return ZERO;
+    }
+    const Vector amount = fmax(excess, 1e-30f);
+    const Vector root = power == 2.0f ? amount : power == 1.0f ? (Vector)(1.0f) : pow(amount, (Vector)(power - 1.0f));
+    const Vector gain = MASKED(wrong, weight);
+    *dose = copysign(gain * power * root, difference) * slope * density;
+    return gain * root * amount;
+}
+
+__kernel void band_loss(__global float *dose, __global const float *target, __global const float *weight, int weighted,
+                        __global const float *restrict response, float start, float density, float low, float high,
+                        float slack_low, float slack_high, float gain_low, float gain_high, float power, int binary,
+                        float reach, __global float *restrict parts, int n_i, int n_j, int n_z, int n_sample,
+                        int n_part) {
+    const int part = part_index(n_i, n_j, n_z);
+    if (part < 0 || part >= n_part) return;
+    const size_t slab = slab_offset(n_i, n_j);
+    Vector sum[VECTORS];
+    EACH_VECTOR sum[v] = ZERO;
+    EACH_SAMPLE {
+        const size_t at = slab + SAMPLE(i, j, n_j);
+        const int outside = disc_distance(i, j, n_i, n_j) > reach * reach;
+        EACH_VECTOR {
+            if (outside) {
+                STORE(dose + at, ZERO);
+                continue;
+            }
+            const Vector fraction = LOAD(target + at);
+            const Vector f = binary ? select(ZERO, (Vector)(1.0f), fraction >= 0.5f) : fraction;
+            Vector gain = gain_low + (gain_high - gain_low) * f, value = LOAD(dose + at);
+            if (weighted) gain *= LOAD(weight + at);
+            const Vector loss = band(&value, f, gain, response, n_sample, start, density, low, high, slack_low,
+                                     slack_high, power);
+            STORE(dose + at, value);
+            sum[v] += MASKED(REAL_LANES, loss);
+        }
+    }
+    float result = 0.0f;
+    EACH_VECTOR result += across_lanes(sum[v], 0);
+    parts[part] = result;
+}

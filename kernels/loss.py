@@ -1,0 +1,55 @@
+"""How far a dose is from what a target asks, and which way is better: a band of doses each voxel should lie in.
+
+Source: the band constraint Lp norm, C. M. Li et al., Additive Manufacturing 82 (2024) 104043; with wide bands and the
+identity as response it is the two-threshold loss.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vamgpu.kernels.reduce import CPU, GPU, Parts, disc
+from vamgpu.kernels.signature import Array, ArrayOut, Integer, Real, kernel, table
+
+Response = table("float32", "sample")
+
+
+@kernel(over="dose", cpu=CPU, gpu=GPU)
+def band_loss(
+    dose: ArrayOut,
+    target: Array,
+    weight: Array,
+    weighted: Integer,
+    response: Response,
+    start: Real,
+    density: Real,
+    low: Real,
+    high: Real,
+    slack_low: Real,
+    slack_high: Real,
+    gain_low: Real,
+    gain_high: Real,
+    power: Real,
+    binary: Integer,
+    reach: Real,
+    parts: Parts,
+) -> None:
+    """Σ parts = Σ w·e^p with e = max(0, |M − c| − ε), and dose becomes the derivative of that by dose.
+
+    M = response(dose), sampled from ``start`` on with ``density`` samples per unit and straight beyond its ends.
+    c = low + (high − low)·f; ε and the gain in w go from their low to their high value likewise. f is the target, or
+    with ``binary`` whether it is at least one half. w = gain · weight (where ``weighted``), and 0 farther than
+    ``reach`` samples from the axis.
+    """
+    f = np.where(target >= 0.5, 1.0, 0.0) if binary else target
+    position = (dose - start) * density
+    cell = np.clip(np.floor(position).astype(int), 0, len(response) - 2)
+    slope = response[cell + 1] - response[cell]
+    difference = response[cell] + slope * (position - cell) - (low + (high - low) * f)
+    excess = np.abs(difference) - (slack_low + (slack_high - slack_low) * f)
+    gain = (gain_low + (gain_high - gain_low) * f) * disc(*dose.shape[:2], reach)[:, :, None]
+    gain = np.where(excess > 0, gain * weight if weighted else gain, 0.0)
+    excess = np.maximum(excess, 1e-30)
+    parts[...] = 0.0
+    parts[0] = np.sum(gain * excess**power)
+    dose[...] = gain * power * excess ** (power - 1) * np.sign(difference) * slope * density

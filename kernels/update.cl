@@ -1,0 +1,55 @@
+#include "partial.h"
+
+#define ARRAY __global const float *
+#define SIZES int n_i, int n_j, int n_z
+#define EACH_VECTOR_AT                                                                                                 \
+    if (part_index(n_i, n_j, n_z) < 0) return;                                                                         \
+    const size_t slab = slab_offset(n_i, n_j);                                                                         \
+    EACH_SAMPLE for (size_t at = slab + SAMPLE(i, j, n_j), end = at + 1; at < end; at++) EACH_VECTOR
+
+#ifdef COMPILE_linear
+__kernel void linear(float a, ARRAY x, float b, ARRAY y, float floor, __global float *out, SIZES) {
+    EACH_VECTOR_AT STORE(out + at, fmax((Vector)(floor), a * LOAD(x + at) + b * LOAD(y + at)));
+}
+#endif
+
+#ifdef COMPILE_free_gradient
+__kernel void free_gradient(ARRAY light, float slope, __global float *gradient, SIZES) {
+    EACH_VECTOR_AT {
+        const Vector value = LOAD(gradient + at) + slope;
+        STORE(gradient + at, select(value, fmin(value, ZERO), LOAD(light + at) <= ZERO));
+    }
+}
+#endif
+
+#ifdef COMPILE_paint
+__kernel void paint(ARRAY target, float low, float high, float reach, __global float *model, SIZES) {
+    EACH_VECTOR_AT {
+        const int near = disc_distance(i, j, n_i, n_j) <= reach * reach;
+        STORE(model + at, near ? low + (high - low) * LOAD(target + at) : ZERO);
+    }
+}
+#endif
+
+#ifdef COMPILE_correct_by_ratio
+__kernel void correct_by_ratio(ARRAY dose, float scale, ARRAY target, float low, float high, float most,
+                               __global float *model, SIZES) {
+    EACH_VECTOR_AT {
+        const Vector wanted = low + (high - low) * LOAD(target + at);
+        const Vector got = fmax(fmax(LOAD(dose + at) * scale, wanted / most), 1e-30f);
+        STORE(model + at, LOAD(model + at) * fmin(wanted / got, (Vector)(most)));
+    }
+}
+#endif
+
+#ifdef COMPILE_correct_by_difference
+__kernel void correct_by_difference(ARRAY dose, float scale, ARRAY target, float low, float high, float gain_outside,
+                                    float gain_inside, float reach, __global float *model, SIZES) {
+    EACH_VECTOR_AT {
+        if (disc_distance(i, j, n_i, n_j) > reach * reach) continue;
+        const Vector got = LOAD(dose + at) * scale;
+        const Vector raise = gain_inside * fmax(ZERO, high - got), lower = gain_outside * fmax(ZERO, got - low);
+        STORE(model + at, LOAD(model + at) + select(-lower, raise, LOAD(target + at) >= 0.5f));
+    }
+}
+#endif

@@ -1,0 +1,61 @@
+"""Elementwise steps of optimizers, in place where the name of an argument says so."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vamgpu.kernels.reduce import CPU, disc
+from vamgpu.kernels.signature import Array, ArrayOut, Real, Tiling, kernel
+
+GPU = Tiling(major=1, minor=1)
+
+
+@kernel(over="out", cpu=CPU, gpu=GPU)
+def linear(a: Real, x: Array, b: Real, y: Array, floor: Real, out: ArrayOut) -> None:
+    """out = max(floor, a·x + b·y); out may be x or y."""
+    out[...] = np.maximum(floor, a * x + b * y)
+
+
+@kernel(over="gradient", cpu=CPU, gpu=GPU)
+def free_gradient(light: Array, slope: Real, gradient: ArrayOut) -> None:
+    """gradient += slope where light may follow it downhill; 0 where light is dark and would have to become negative."""
+    gradient += slope
+    gradient[(light <= 0) & (gradient > 0)] = 0.0
+
+
+@kernel(over="model", cpu=CPU, gpu=GPU)
+def paint(target: Array, low: Real, high: Real, reach: Real, model: ArrayOut) -> None:
+    """model = low + (high − low)·target within ``reach`` samples of the axis, 0 beyond."""
+    model[...] = (low + (high - low) * target) * disc(*model.shape[:2], reach)[:, :, None]
+
+
+@kernel(over="model", cpu=CPU, gpu=GPU)
+def correct_by_ratio(
+    dose: Array, scale: Real, target: Array, low: Real, high: Real, most: Real, model: ArrayOut
+) -> None:
+    """model ·= wanted / dose, the ratio within 1/most … most; wanted = low + (high − low)·target, dose times scale."""
+    wanted = low + (high - low) * target
+    floor = wanted / most
+    model *= np.minimum(most, wanted / np.maximum(np.maximum(dose * scale, floor), 1e-30))
+
+
+@kernel(over="model", cpu=CPU, gpu=GPU)
+def correct_by_difference(
+    dose: Array,
+    scale: Real,
+    target: Array,
+    low: Real,
+    high: Real,
+    gain_outside: Real,
+    gain_inside: Real,
+    reach: Real,
+    model: ArrayOut,
+) -> None:
+    """Lower the model where a void has more than ``low``, raise it where the part has less than ``high``.
+
+    Inside is a target of at least one half; dose is times scale, the differences times their gain.
+    """
+    inside = target >= 0.5
+    near = disc(*model.shape[:2], reach)[:, :, None]
+    model += np.where(inside, gain_inside * np.maximum(0.0, high - dose * scale), 0.0) * near
+    model -= np.where(inside, 0.0, gain_outside * np.maximum(0.0, dose * scale - low)) * near

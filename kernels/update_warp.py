@@ -1,0 +1,91 @@
+"""Warp siblings of `update`; a thread owns four lanes of z of one sample."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from vamgpu.kernels.partial_warp import disc_distance
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+Vectors = wp.array4d(dtype=wp.vec4)
+
+
+@wp.kernel
+def linear(a: float, x: Vectors, b: float, y: Vectors, floor: float, out: Vectors, n_i: int, n_j: int, n_z: int):
+    slab, i, j, lane = wp.tid()
+    lowest = wp.vec4(floor, floor, floor, floor)
+    out[slab, i, j, lane] = wp.max(lowest, a * x[slab, i, j, lane] + b * y[slab, i, j, lane])
+
+
+@wp.kernel
+def free_gradient(light: Vectors, slope: float, gradient: Vectors, n_i: int, n_j: int, n_z: int):
+    slab, i, j, lane = wp.tid()
+    value = gradient[slab, i, j, lane]
+    lit = light[slab, i, j, lane]
+    for k in range(4):
+        value[k] = value[k] + slope
+        if lit[k] <= 0.0:
+            value[k] = wp.min(value[k], 0.0)
+    gradient[slab, i, j, lane] = value
+
+
+@wp.kernel
+def paint(target: Vectors, low: float, high: float, reach: float, model: Vectors, n_i: int, n_j: int, n_z: int):
+    slab, i, j, lane = wp.tid()
+    value = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if disc_distance(i, j, n_i, n_j) <= reach * reach:
+        value = wp.vec4(low, low, low, low) + (high - low) * target[slab, i, j, lane]
+    model[slab, i, j, lane] = value
+
+
+@wp.kernel
+def correct_by_ratio(
+    dose: Vectors,
+    scale: float,
+    target: Vectors,
+    low: float,
+    high: float,
+    most: float,
+    model: Vectors,
+    n_i: int,
+    n_j: int,
+    n_z: int,
+):
+    slab, i, j, lane = wp.tid()
+    value = model[slab, i, j, lane]
+    doses = dose[slab, i, j, lane]
+    fractions = target[slab, i, j, lane]
+    for k in range(4):
+        wanted = low + (high - low) * fractions[k]
+        got = wp.max(wp.max(doses[k] * scale, wanted / most), 1.0e-30)
+        value[k] = value[k] * wp.min(wanted / got, most)
+    model[slab, i, j, lane] = value
+
+
+@wp.kernel
+def correct_by_difference(
+    dose: Vectors,
+    scale: float,
+    target: Vectors,
+    low: float,
+    high: float,
+    gain_outside: float,
+    gain_inside: float,
+    reach: float,
+    model: Vectors,
+    n_i: int,
+    n_j: int,
+    n_z: int,
+):
+    slab, i, j, lane = wp.tid()
+    if disc_distance(i, j, n_i, n_j) <= reach * reach:
+        value = model[slab, i, j, lane]
+        doses = dose[slab, i, j, lane]
+        fractions = target[slab, i, j, lane]
+        for k in range(4):
+            if fractions[k] >= 0.5:
+                value[k] = value[k] + gain_inside * wp.max(0.0, high - doses[k] * scale)
+            else:
+                value[k] = value[k] - gain_outside * wp.max(0.0, doses[k] * scale - low)
+        model[slab, i, j, lane] = value
