@@ -1,0 +1,45 @@
+"""A field and the two classes its samples fall into."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput, ShapeMismatch
+
+OUT, IN = 0, 1
+"""Classes: out of the part, in the part."""
+
+EVERYWHERE = 1e18
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """A dose judged by a target: a voxel is in the part where the target's fraction reaches ``level``, else out of it.
+
+    dose, target: fields [x, y, z] on one device.  level: fraction from which a voxel counts as in.  reach: voxels
+    farther [voxels] from the axis are not counted; None stands for the inscribed cylinder, the default everywhere.
+    Raises `ShapeMismatch`, `DeviceError`, `BadInput`.
+    """
+
+    dose: DeviceArray
+    target: DeviceArray
+    level: float = 0.5
+    reach: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.dose.shape != self.target.shape or len(self.dose.shape) != 3:
+            raise ShapeMismatch(
+                f"the dose has shape {self.dose.shape}, the target {self.target.shape}; "
+                "wanted the same [x, y, z]: build both on one grid"
+            )
+        self.dose.device.check_mine(self.target)
+        if self.reach is None:
+            object.__setattr__(self, "reach", 0.5 * (min(self.dose.shape[:2]) - 1))
+        elif not self.reach >= 0:
+            raise BadInput(f"reach is {self.reach!r} voxels; wanted a number ≥ 0, or None for the inscribed cylinder")
+
+    @classmethod
+    def whole(cls, field: DeviceArray) -> Parts:
+        """Every sample of a field in class `IN`, e.g. of a sinogram."""
+        return cls(field, field, level=-EVERYWHERE, reach=EVERYWHERE)

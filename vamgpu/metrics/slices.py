@@ -1,0 +1,61 @@
+"""The same numbers slice by slice, on the scale and at the threshold of the whole volume."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.metrics.histogram import above, extremes, order_statistic
+from vamgpu.metrics.parts import IN, OUT, Parts
+from vamgpu.metrics.scores import Scores
+
+
+@dataclass(frozen=True, eq=False)
+class SliceScores:
+    """Scores of every slice, arrays (nz,), all over ONE peak and at ONE threshold: those of the volume.
+
+    window: least dose in the part − greatest out of it; trimmed: its 1 % and 99 % quantiles; dose_range: IPDR. NaN
+    where a slice holds nothing of the part.  iou: 1 where neither part nor print has a voxel.  error_rate: VER.
+    in_voxels, out_voxels, missing, excess: voxels.
+    """
+
+    window: np.ndarray
+    trimmed: np.ndarray
+    dose_range: np.ndarray
+    iou: np.ndarray
+    error_rate: np.ndarray
+    in_voxels: np.ndarray
+    out_voxels: np.ndarray
+    missing: np.ndarray
+    excess: np.ndarray
+
+
+def score_slices(
+    dose: DeviceArray, target: DeviceArray, whole: Scores, *, level: float = 0.5, reach: float | None = None
+) -> SliceScores:
+    """Judge every slice of a dose by the threshold and the peak of ``whole``; arguments as for `score`."""
+    parts = Parts(dose, target, level, reach)
+    ends = extremes(parts, per_slice=True)
+    counts = above(parts, whole.threshold, per_slice=True)
+    voxels = counts.sum(axis=2)
+    out_voxels, in_voxels = voxels[:, OUT], voxels[:, IN]
+    rank = np.stack([np.ceil(0.99 * (out_voxels - 1) - 1e-9), np.floor(0.01 * (in_voxels - 1) + 1e-9)], axis=1)
+    quantile = order_statistic(parts, np.maximum(rank, 0), per_slice=True)
+    missing, excess, printed = counts[:, IN, 0], counts[:, OUT, 1], counts[:, IN, 1]
+    union = in_voxels + excess
+    peak, some = whole.peak or 1.0, in_voxels > 0
+    least = np.where(some, ends.least[:, IN], np.nan)
+    greatest_out = np.maximum(ends.greatest[:, OUT], 0.0)
+    return SliceScores(
+        window=(least - greatest_out) / peak,
+        trimmed=(quantile[:, IN] - np.nan_to_num(quantile[:, OUT])) / peak,
+        dose_range=(ends.greatest[:, IN] - least) / peak,
+        iou=np.where(union > 0, printed / np.maximum(union, 1), 1.0),
+        error_rate=(missing + excess) / np.maximum(voxels.sum(axis=1), 1),
+        in_voxels=in_voxels,
+        out_voxels=out_voxels,
+        missing=missing,
+        excess=excess,
+    )
