@@ -1,0 +1,146 @@
+"""From light to frames and back: counting values, choosing gray levels, folding bits, and what the mirrors then show.
+
+A frame is a picture ``[row, column]`` of one pose: row 0 shows the largest z and column 0 the smallest r, before flips.
+A frame may lie off by ``shift`` whole pixels plus a ``part`` of one: frame pixel (r, z) shows what is wanted at
+(r − shift, z − shift), averaged over the beam pixels it covers, and nothing comes back in on the other side.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, Tiling, kernel, table
+
+BINS = 1024
+NEVER = 1e30
+START_R, START_Z = 0.7548776662466927, 0.5698402909980532
+"""Powers of the inverse plastic number: their multiples fill the unit square evenly (M. Roberts' R2 sequence)."""
+
+Images = table("uint8", "angle", "z", "r")
+ImagesOut = table("uint8", "angle", "z", "r", writes=True)
+Bytes = table("uint8", "angle", "z", "byte")
+BytesOut = table("uint8", "angle", "z", "byte", writes=True)
+Flat = table("float32", "flat_row", "flat_column")  # one by one where the field is flat
+Curve = table("float32", "level")
+Bounds = table("float32", "256")
+Counts = table("int32", "1024", writes=True)
+
+
+def tap(light: np.ndarray, across: int, up: int) -> np.ndarray:
+    """out[a, r, z] = light[a, r + across, z + up], zero beyond the edges."""
+    out = np.zeros_like(light)
+    _, n_r, n_z = light.shape
+    r, z = slice(max(0, -across), min(n_r, n_r - across)), slice(max(0, -up), min(n_z, n_z - up))
+    if r.start < r.stop and z.start < z.stop:
+        out[:, r, z] = light[:, r.start + across : r.stop + across, z.start + up : z.stop + up]
+    return out
+
+
+def moved(light: np.ndarray, across: tuple[int, float], up: tuple[int, float], side: int) -> np.ndarray:
+    """``light`` moved by (shift, part) along r and z, towards larger (side −1) or smaller (side +1) indices."""
+    (shift_r, part_r), (shift_z, part_z) = across, up
+    total = np.zeros(light.shape)
+    for more_r, weight_r in ((0, 1.0 - part_r), (1, part_r)):
+        for more_z, weight_z in ((0, 1.0 - part_z), (1, part_z)):
+            if weight_r * weight_z > 0:
+                total += weight_r * weight_z * tap(light, side * (shift_r + more_r), side * (shift_z + more_z))
+    return total
+
+
+def pictures(light: np.ndarray, flip_r: int, flip_z: int) -> np.ndarray:
+    """Light [angle, r, z] as pictures [angle, row, column]."""
+    return light.transpose(0, 2, 1)[:, :: 1 if flip_z else -1, :: -1 if flip_r else 1]
+
+
+def upright(frames: np.ndarray, flip_r: int, flip_z: int) -> np.ndarray:
+    """Pictures [angle, row, column] as light [angle, r, z]."""
+    return frames[:, :: 1 if flip_z else -1, :: -1 if flip_r else 1].transpose(0, 2, 1)
+
+
+@kernel(over="sinogram", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=0, minor=1))
+def count_light(
+    sinogram: Sinogram,
+    flat: Flat,
+    shift_r: Integer,
+    shift_z: Integer,
+    part_r: Real,
+    part_z: Real,
+    flip_r: Integer,
+    flip_z: Integer,
+    drop: Integer,
+    prefix: Integer,
+    counts: Counts,
+) -> None:
+    """counts[b] += frame pixels whose wanted light, as the bits of a float32, starts with prefix and then b.
+
+    drop: bits right of b's ten. Positive floats sort like their bits, so three rounds find a quantile to its last bit;
+    dark pixels are left out, and what is not finite lands in bins 1020 to 1023 of the first round.
+    """
+    wanted = pictures(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) / flat
+    bits = np.abs(wanted[~(wanted <= 0)]).astype(np.float32).view(np.uint32)
+    bits = bits[bits >> (drop + 10) == prefix]
+    counts += np.bincount((bits >> drop) & (BINS - 1), minlength=BINS).astype(counts.dtype)
+
+
+@kernel(over="sinogram", cpu=Tiling(major=0, minor=16), gpu=Tiling(major=0, minor=1))
+def quantize(
+    sinogram: Sinogram,
+    flat: Flat,
+    curve: Curve,
+    bounds: Bounds,
+    gain: Real,
+    shift_r: Integer,
+    shift_z: Integer,
+    part_r: Real,
+    part_z: Real,
+    flip_r: Integer,
+    flip_z: Integer,
+    carry: Real,
+    images: ImagesOut,
+) -> None:
+    """images = the level whose light ``curve[level]`` is nearest to gain · wanted / flat.
+
+    bounds: what light must exceed to leave each level for the next, midway between the two; `NEVER` after the last.
+    carry: 0 rounds. Otherwise what a pixel shows too much or too little at one angle it makes up for at the next, and
+    carry is the largest step between levels. Dose is a sum over angles, so errors at one pixel cancel there, and pixels
+    need not wait for each other. Neighbours start with different errors so that they do not flash in step. Light below
+    black or above full-on is out of reach and never made up for.
+    """
+    wanted = pictures(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) * gain / flat
+    wanted = np.clip(wanted, curve[0], curve[-1])
+    rows, columns = np.meshgrid(*(np.arange(n) for n in images.shape[1:]), indexing="ij")
+    error = carry * ((rows * START_Z + columns * START_R) % 1.0 - 0.5)
+    for picture, light in zip(images, wanted, strict=True):
+        picture[...] = np.searchsorted(bounds, light + error, side="left")
+        if carry > 0:
+            error = light + error - curve[picture]
+
+
+@kernel(over="folded")
+def fold_bits(images: Images, folded: BytesOut) -> None:
+    """Eight columns of 0 and 1 a byte, the leftmost in the highest bit; columns beyond the last are 0."""
+    folded[...] = np.packbits(images, axis=-1)
+
+
+@kernel(over="light", cpu=Tiling(major=1, minor=0))
+def unpack(
+    images: Bytes,
+    flat: Flat,
+    curve: Curve,
+    bits: Integer,
+    scale: Real,
+    shift_r: Integer,
+    shift_z: Integer,
+    part_r: Real,
+    part_z: Real,
+    flip_r: Integer,
+    flip_z: Integer,
+    light: SinogramOut,
+) -> None:
+    """light = scale · flat · curve[level], put back where the frame's flips and shift make it land.
+
+    bits: 8 where a byte is a level, 1 where it holds eight columns.
+    """
+    levels = images if bits == 8 else np.unpackbits(images, axis=-1, count=light.shape[1])
+    shown = upright(scale * flat * curve[levels], flip_r, flip_z)
+    light[...] = moved(shown, (shift_r, part_r), (shift_z, part_z), 1)

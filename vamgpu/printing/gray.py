@@ -1,0 +1,133 @@
+"""What a projector's gray levels are worth in light."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.geometry import positive
+
+TOP = 255
+
+
+@dataclass(frozen=True)
+class GrayCurve:
+    """Measured light of a projector over its gray levels, straight between the measured ones.
+
+    levels: measured gray levels, rising from 0 to 255.  intensity: light at each, in any unit, never falling; kept
+    relative to that of level 255. Light at level 0 is the black level and may exceed zero: mirrors never close wholly.
+    Raises `BadInput`.
+    """
+
+    levels: tuple[int, ...]
+    intensity: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        levels, light = _numbers("levels", self.levels), _numbers("intensity", self.intensity)
+        if len(levels) != len(light) or len(levels) < 2:
+            raise BadInput(
+                f"a gray curve has {len(levels)} levels and {len(light)} intensities; "
+                "wanted one intensity a level, two of them at least"
+            )
+        if (levels != np.round(levels)).any() or (np.diff(levels) <= 0).any() or (levels[0], levels[-1]) != (0, TOP):
+            raise BadInput(
+                f"gray levels are {_short(levels)}; wanted whole numbers rising from 0 to {TOP}: measure both ends too"
+            )
+        fall = np.flatnonzero(np.diff(light) < 0)
+        if fall.size:
+            at = int(fall[0])
+            raise BadInput(
+                f"intensity falls from {light[at]:g} at level {levels[at]:g} to {light[at + 1]:g} at level "
+                f"{levels[at + 1]:g}; wanted one that never falls: average more readings"
+            )
+        if light[0] < 0 or light[-1] <= light[0]:
+            raise BadInput(
+                f"intensity goes from {light[0]:g} to {light[-1]:g}; wanted 0 ≤ black < full-on: subtract the dark reading"
+            )
+        object.__setattr__(self, "levels", tuple(int(level) for level in levels))
+        object.__setattr__(self, "intensity", tuple(float(value) for value in light / light[-1]))
+
+    @classmethod
+    def linear(cls, black: float = 0.0) -> GrayCurve:
+        """Light in proportion to the level, above a black level relative to full-on. Raises `BadInput`."""
+        return cls((0, TOP), (positive("black level", black, zero=True), 1.0))
+
+    @classmethod
+    def gamma(cls, exponent: float, black: float = 0.0) -> GrayCurve:
+        """black + (1 − black)·(level / 255)^exponent, at every level. Raises `BadInput`."""
+        power = positive("gamma exponent", exponent)
+        dark = positive("black level", black, zero=True)
+        levels = np.arange(TOP + 1)
+        return cls(tuple(levels.tolist()), tuple((dark + (1.0 - dark) * (levels / TOP) ** power).tolist()))
+
+    @classmethod
+    def load(cls, path: str | Path) -> GrayCurve:
+        """Read the table ``[gray]`` of a projector's TOML file: arrays ``levels`` and ``intensity``.
+
+        Raises `StorageError` where the file cannot be read, `BadInput` where it holds no valid curve.
+        """
+        file = Path(path)
+        try:
+            data = tomllib.loads(file.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError) as error:
+            raise StorageError(f"cannot read the projector file {str(path)!r}: {error}; check the path") from error
+        except tomllib.TOMLDecodeError as error:
+            raise BadInput(f"{file.name} is no valid TOML: {error}") from error
+        table = data.get("gray")
+        if not isinstance(table, dict):
+            raise BadInput(f"{file.name} has no table [gray]; wanted [gray] with levels = [...] and intensity = [...]")
+        try:
+            return cls.parse(table)
+        except BadInput as error:
+            raise BadInput(f"{file.name}, [gray]: {error}") from error
+
+    @classmethod
+    def parse(cls, table: dict[str, Any]) -> GrayCurve:
+        """A curve from the keys ``levels`` and ``intensity``, as `describe` gives them. Raises `BadInput`."""
+        if set(table) != {"levels", "intensity"}:
+            raise BadInput(f"got the keys {', '.join(map(str, table)) or 'none'}; wanted exactly levels and intensity")
+        return cls(table["levels"], table["intensity"])
+
+    def describe(self) -> dict[str, Any]:
+        """The curve as plain lists, for files; `parse` reads it back."""
+        return {"levels": list(self.levels), "intensity": list(self.intensity)}
+
+    @property
+    def black(self) -> float:
+        """Light of level 0 relative to that of level 255."""
+        return self.intensity[0]
+
+    def __call__(self, level: Any) -> np.ndarray:
+        """Relative light of gray levels 0 to 255 (whole or not); same shape."""
+        return np.interp(level, self.levels, self.intensity)
+
+    def inverse(self, light: Any) -> np.ndarray:
+        """The whole level whose light is nearest to each relative ``light``, the lower of two; uint8, same shape."""
+        curve = self.table(8)
+        return np.searchsorted(0.5 * (curve[1:] + curve[:-1]), np.clip(light, 0.0, 1.0), side="left").astype(np.uint8)
+
+    def table(self, bits: int) -> np.ndarray:
+        """Relative light of every value a pixel of ``bits`` (1: off or on, 8: a gray level) can take; float64."""
+        if bits not in (1, 8):
+            raise BadInput(f"bits is {bits!r}; wanted 1 or 8")
+        return self(np.array([0, TOP]) if bits == 1 else np.arange(TOP + 1))
+
+
+def _numbers(name: str, values: Any) -> np.ndarray:
+    """A row of finite float64 numbers, else `BadInput`."""
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{name} is {values!r}; wanted a list of numbers") from error
+    if array.ndim != 1 or not np.isfinite(array).all():
+        raise BadInput(f"{name} is {_short(array)}; wanted a plain list of finite numbers")
+    return array
+
+
+def _short(values: np.ndarray) -> str:
+    return np.array2string(values, threshold=8, edgeitems=3, separator=", ").replace("\n", "")

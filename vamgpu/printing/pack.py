@@ -1,0 +1,115 @@
+"""Turn a plan's light into frames, on the device the plan is on."""
+
+from __future__ import annotations
+
+from math import ceil
+from typing import Any, Protocol
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+from vamgpu.kernels.pack import BINS, NEVER, count_light, fold_bits, quantize
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.space import require
+from vamgpu.printing.frames import Frames, flat_table, flattened
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.printing.placement import Placement
+
+ROUNDS = (21, 11, 1)
+"""Bits dropped in each round of the search for a quantile: ten a round, from the sign of a float32 down."""
+
+
+class Light(Protocol):
+    """What can be packed: a plan, or anything with its light and the operator that makes dose of it."""
+
+    @property
+    def sinogram(self) -> DeviceArray: ...
+
+    @property
+    def operator(self) -> LinearOperator: ...
+
+
+def pack(
+    plan: Light,
+    bits: int = 8,
+    gray: GrayCurve | None = None,
+    flat_field: Any = None,
+    flip_r: bool = False,
+    flip_z: bool = False,
+    shift: tuple[float, float] = (0.0, 0.0),
+    quantile: float = 0.9999,
+    dither: str = "round",
+    scale: float | None = None,
+) -> Frames:
+    """Frames of 8 or 1 bits that show ``plan.sinogram`` as nearly as the projector can.
+
+    gray: light of its levels, by default in proportion with no black level.  flat_field: relative brightness
+    [row, column] of its full-on mirrors, made up for up to full-on.  flip_r, flip_z, shift: see `Placement`; what is
+    shifted over an edge is lost.  quantile: a full-on pixel shows this quantile of the lit pixels, and brighter ones
+    are cut to it, at least one of the plan's, so that a hot pixel does not dim the print; 1 cuts none.  dither: "round"
+    to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle.  scale: irradiance
+    of a full-on pixel, in place of the quantile.
+
+    Everything runs on the plan's device. Raises `BadInput`, `ShapeMismatch`.
+    """
+    if bits not in (1, 8):
+        raise BadInput(f"bits is {bits!r}; wanted 1 or 8")
+    light = _light(plan)
+    settings = Placement(flip_r, flip_z, shift, None if scale is not None else quantile, dither)
+    curve = GrayCurve.linear() if gray is None else gray
+    angles, columns, rows = light.shape
+    flat = None if flat_field is None else flattened(flat_field, (rows, columns))
+    device = light.device
+    shared = {"sinogram": light, "flat": flat_table(device, flat), **settings.arguments()}
+    full = _quantile(shared, quantile) if scale is None else positive("scale", scale)
+    steps = curve.table(bits)
+    bounds = np.append(0.5 * (steps[1:] + steps[:-1]), np.full(257 - steps.size, NEVER))
+    images = device.empty((angles, rows, columns), np.uint8, table=True)
+    carry = float(np.diff(steps).max()) if dither == "error-diffusion" else 0.0
+    tables = {"curve": device.table(steps), "bounds": device.table(bounds)}
+    device.launch(quantize, **tables, gain=1.0 / full, carry=carry, images=images, **shared)
+    if bits == 1:
+        folded = device.empty((angles, rows, -(-columns // 8)), np.uint8, table=True)
+        device.launch(fold_bits, images=images, folded=folded)
+        images = folded
+    return Frames(images, bits, curve, full, columns, settings, flat)
+
+
+def _light(plan: Light) -> DeviceArray:
+    light = getattr(plan, "sinogram", None)
+    if not isinstance(light, DeviceArray) or len(light.shape) != 3:
+        raise BadInput(f"the plan's sinogram is a {type(light).__name__}; wanted a field [angle, r, z] on a device")
+    operator = getattr(plan, "operator", None)
+    if operator is not None:
+        require(operator.range, light, "the plan's sinogram")
+    return light
+
+
+def _quantile(shared: dict[str, Any], quantile: float) -> float:
+    """The lit pixel that a share of them stays at or below, to the last bit but one of a float32."""
+    device, prefix, rank = shared["sinogram"].device, 0, 0
+    for drop in ROUNDS:
+        counter = device.table(np.zeros(BINS), "int32")
+        device.launch(count_light, drop=drop, prefix=prefix, counts=counter, **shared)
+        counts = counter.numpy().astype(np.int64)
+        if drop == ROUNDS[0]:
+            rank = _rank(counts, quantile, shared)
+        below = np.cumsum(counts)
+        chosen = int(np.searchsorted(below, rank, side="left"))
+        rank -= int(below[chosen] - counts[chosen])
+        prefix = prefix << 10 | chosen
+    return float(np.array([prefix << 1 | 1], np.uint32).view(np.float32)[0])
+
+
+def _rank(counts: np.ndarray, quantile: float, shared: dict[str, Any]) -> int:
+    """Which lit pixel to take, counted from the dimmest as 1; ``counts`` are those of the first round."""
+    if counts[1020:].any():
+        raise BadInput(f"the plan's sinogram holds {counts[1020:].sum()} pixels that are not finite; solve it again")
+    lit = int(counts.sum())
+    if not lit:
+        raise BadInput("the plan's sinogram is dark everywhere; there is nothing to print: check target and method")
+    hot = (1 + (shared["part_r"] > 0)) * (1 + (shared["part_z"] > 0))  # frame pixels that one of the plan's lies on
+    spared = max(ceil((1.0 - quantile) * lit), hot) if quantile < 1 else 0
+    return max(1, lit - spared)

@@ -1,0 +1,70 @@
+"""How frames lie against the beam, and how they were made from light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import floor, isfinite
+from typing import Any
+
+from vamgpu.errors import BadInput
+
+DITHERS = ("round", "error-diffusion")
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Settings of a packing.
+
+    flip_r, flip_z: mirror the pictures left-right, top-bottom, for optics that mirror them back.  shift: (dr, dz) in
+    pixels, whole or not, by which light is moved towards larger r and z before flips, for a projector whose picture
+    lies that much short of the axis.  quantile: of the lit pixels, the share a full-on pixel reaches; None where the
+    scale was given.  dither: "round" or "error-diffusion".  Raises `BadInput`.
+    """
+
+    flip_r: bool = False
+    flip_z: bool = False
+    shift: tuple[float, float] = (0.0, 0.0)
+    quantile: float | None = None
+    dither: str = "round"
+
+    def __post_init__(self) -> None:
+        for name in ("flip_r", "flip_z"):
+            if not isinstance(getattr(self, name), bool):
+                raise BadInput(f"{name} is {getattr(self, name)!r}; wanted True or False")
+        object.__setattr__(self, "shift", _pair(self.shift))
+        if self.quantile is not None:
+            object.__setattr__(self, "quantile", _share(self.quantile))
+        if self.dither not in DITHERS:
+            raise BadInput(f"dither is {self.dither!r}; wanted {' or '.join(map(repr, DITHERS))}")
+
+    def arguments(self) -> dict[str, Any]:
+        """Kernel arguments: whole pixels, parts of one, and mirrored or not."""
+        dr, dz = self.shift
+        return {
+            "shift_r": floor(dr),
+            "shift_z": floor(dz),
+            "part_r": dr - floor(dr),
+            "part_z": dz - floor(dz),
+            "flip_r": int(self.flip_r),
+            "flip_z": int(self.flip_z),
+        }
+
+
+def _pair(shift: Any) -> tuple[float, float]:
+    try:
+        dr, dz = (float(d) for d in shift)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"shift is {shift!r}; wanted (dr, dz), two numbers of pixels") from error
+    if not (isfinite(dr) and isfinite(dz) and max(abs(dr), abs(dz)) < 1e6):
+        raise BadInput(f"shift is {shift!r}; wanted two finite numbers of pixels")
+    return dr, dz
+
+
+def _share(quantile: Any) -> float:
+    try:
+        share = float(quantile)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"quantile is {quantile!r}; wanted a number") from error
+    if not 0 < share <= 1:
+        raise BadInput(f"quantile is {quantile!r}; wanted 0 < quantile ≤ 1, where 1 scales to the brightest pixel")
+    return share
