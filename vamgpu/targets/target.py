@@ -1,0 +1,191 @@
+"""What is to be printed, as the fraction of every voxel that the part fills."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import ceil, prod
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.backend import open_device
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, EmptyMesh, OutOfMemory, TargetTooLarge
+from vamgpu.geometry import Grid, counts, positive
+
+if TYPE_CHECKING:
+    from vamgpu.targets.solid import Solid
+
+MARGIN = 2
+"""Voxels between the part and the rim of the inscribed cylinder, unless told otherwise."""
+_MULTIPLE = 4
+"""Grids that are chosen here have multiples of this many voxels along every axis."""
+_SLACK = 1e-6
+"""Voxels by which a part may stick out: rounding errors of a length must not cost a row of voxels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """The part to print on a voxel grid centered on the axis of rotation.
+
+    fraction: filled part of each voxel, 0..1, [x, y, z]: a field on a device, or a NumPy array.
+    radius: largest distance from the axis [mm].  volume: filled volume [mm³], the sum of the fractions.
+    height: extent along z [mm].
+    """
+
+    grid: Grid
+    name: str
+    fraction: DeviceArray | npt.NDArray[np.floating]
+    radius: float
+    volume: float
+    height: float
+    _copies: dict[str, DeviceArray] = field(default_factory=dict, init=False, repr=False)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        source: str | Path | Solid,
+        height: float | None = None,
+        factor: float | None = None,
+        *,
+        pitch: float,
+        orientation: npt.ArrayLike | None = None,
+        margin: int = MARGIN,
+        shape: tuple[int, int, int] | None = None,
+        device: str | Device | None = None,
+        name: str | None = None,
+    ) -> Target:
+        """Voxelize a mesh file (STL, PLY, OBJ, 3MF) or a Solid on a device.
+
+        The part is turned by ``orientation`` (3 × 3 rotation matrix), scaled to ``height`` [mm] along z or by
+        ``factor`` (exactly one of them), and centered: its smallest enclosing circle on the axis, its middle at z = 0.
+        ``pitch``: voxel edge [mm].  ``margin``: voxels left free between the part and the inscribed cylinder.
+        ``shape``: voxels of the grid; by default the smallest multiples of 4 that hold the part and the margin.
+
+        Raises BadInput (pitch, height, factor, orientation, shape), TargetTooLarge (the part does not fit ``shape``),
+        EmptyMesh (nothing is filled), OutOfMemory, and what reading a mesh raises.
+        """
+        pitch = positive("pitch [mm]", pitch)
+        _one_scale(height, factor)
+        solid = _solid(source).placed(rotation=orientation, height=height, factor=factor)
+        grid = _grid(solid, pitch, _margin(margin), shape)
+        place = open_device(device)
+        _check_memory(grid, place)
+        from vamgpu.targets.voxelize import voxelize
+
+        fraction, volume = voxelize(solid, grid, place)
+        if volume <= 0.0:
+            raise EmptyMesh(
+                f"{solid.name}: no voxel of {pitch:g} mm is filled ({solid.volume:.3g} mm³ in the mesh); wanted a "
+                "closed part, wound outward, not much thinner than a voxel: use a smaller pitch or a larger part"
+            )
+        return cls(grid, name or solid.name, fraction, solid.radius, volume, solid.height)
+
+    @classmethod
+    def from_array(cls, values: npt.ArrayLike, pitch: float, name: str = "array") -> Target:
+        """A target from fractions [x, y, z] in 0..1 (booleans too), voxels of ``pitch`` [mm], centered on the axis.
+
+        The radius is that of the outermost voxel center that is not empty. Raises BadInput, EmptyMesh.
+        """
+        fraction = _fractions(values)
+        grid = Grid(fraction.shape, pitch)  # type: ignore[arg-type]
+        footprint, slices = fraction.any(axis=2), np.flatnonzero(fraction.any(axis=(0, 1)))
+        if not len(slices):
+            raise EmptyMesh(f"{name}: every voxel of the array is 0; wanted some that are filled")
+        x, y, _ = grid.axes()
+        radius = float(np.hypot(x[:, None], y[None, :])[footprint].max())
+        volume = float(fraction.sum(dtype=np.float64)) * grid.voxel_volume
+        return cls(grid, name, fraction, radius, volume, float(slices[-1] - slices[0] + 1) * grid.pitch)
+
+    def on(self, device: str | Device | None = None) -> DeviceArray:
+        """The fractions as a field on ``device``; copied there once, then kept."""
+        place = open_device(device)
+        if isinstance(self.fraction, DeviceArray) and self.fraction.device is place:
+            return self.fraction
+        if place.name not in self._copies:
+            self._copies[place.name] = place.upload(self.numpy())
+        return self._copies[place.name]
+
+    def numpy(self) -> npt.NDArray[np.floating]:
+        """The fractions as a NumPy array [x, y, z]."""
+        return self.fraction.numpy() if isinstance(self.fraction, DeviceArray) else self.fraction
+
+
+def _one_scale(height: float | None, factor: float | None) -> None:
+    if height is None and factor is None:
+        raise BadInput("got neither height nor factor; give one: height= [mm] along z, or factor=1 for the mesh's size")
+    if height is not None and factor is not None:
+        raise BadInput(f"got height={height} and factor={factor}; give one of them")
+    positive("height [mm]" if factor is None else "factor", height if factor is None else factor)  # type: ignore[arg-type]
+
+
+def _solid(source: str | Path | Solid) -> Solid:
+    from vamgpu.targets.solid import Solid
+
+    if isinstance(source, Solid):
+        return source
+    if not isinstance(source, str | Path):
+        raise BadInput(f"got a {type(source).__name__}; wanted the path of a mesh file, or a Solid")
+    from vamgpu.targets.mesh import load_mesh
+
+    return load_mesh(source, center=False)
+
+
+def _margin(margin: int) -> int:
+    if positive("margin [voxels]", margin, zero=True) != int(margin):
+        raise BadInput(f"margin is {margin!r}; wanted a whole number of voxels")
+    return int(margin)
+
+
+def _grid(solid: Solid, pitch: float, margin: int, shape: tuple[int, int, int] | None) -> Grid:
+    """The grid asked for, or the smallest one whose inscribed cylinder holds the solid and the margin."""
+    across = 2.0 * (solid.radius / pitch + margin) + 1.0 - _SLACK
+    along = solid.height / pitch - _SLACK
+    if shape is None:
+        nx, nz = (_MULTIPLE * ceil(n / _MULTIPLE) for n in (across, along))
+        return Grid((nx, nx, max(nz, _MULTIPLE)), pitch)
+    grid = Grid(counts("shape", shape, 3), pitch)  # type: ignore[arg-type]
+    if across > min(grid.shape[:2]) or along > grid.shape[2]:
+        n, nz = ceil(across), ceil(along)
+        room = max(grid.inscribed_radius - margin * pitch, 0.0)
+        raise TargetTooLarge(
+            f"{solid.name} has radius {solid.radius:.4g} mm and height {solid.height:.4g} mm; shape {grid.shape} of "
+            f"{pitch:g} mm holds radius {room:.4g} mm (margin {margin}) and "
+            f"height {grid.shape[2] * pitch:.4g} mm: use shape ({n}, {n}, {nz}), a larger pitch, or a smaller part"
+        )
+    return grid
+
+
+def _check_memory(grid: Grid, device: Device) -> None:
+    """Refuse what cannot fit before a machine starts to swap; devices of their own memory refuse by themselves."""
+    import os
+
+    size = device.real.itemsize * prod(grid.shape) / 1e9
+    try:
+        room = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
+    except (AttributeError, ValueError, OSError):  # not told everywhere
+        return
+    if "cuda" not in device.name and not getattr(device, "is_gpu", False) and size > room:
+        raise OutOfMemory(
+            f"a target of {grid.shape} voxels of {grid.pitch:g} mm takes {size:.1f} GB; this machine has {room:.1f} "
+            "GB: use a larger pitch or a smaller part"
+        )
+
+
+def _fractions(values: npt.ArrayLike) -> npt.NDArray[np.floating]:
+    """Values as a read-only float32 copy, or `BadInput`."""
+    array = np.asarray(values)
+    if array.ndim != 3 or array.size == 0:
+        raise BadInput(f"the array has shape {array.shape}; wanted [x, y, z] with at least one voxel")
+    if array.dtype.kind not in "buif":
+        raise BadInput(f"the array holds {array.dtype}; wanted numbers in 0..1")
+    if not np.isfinite(array).all():
+        raise BadInput("the array holds NaN or infinity; wanted fractions in 0..1")
+    if array.min() < 0 or array.max() > 1:
+        raise BadInput(f"the array reaches from {array.min():g} to {array.max():g}; wanted fractions in 0..1: scale it")
+    fraction = np.array(array, np.float32, order="C")
+    fraction.setflags(write=False)
+    return fraction
