@@ -12,7 +12,7 @@ import pytest
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, DeviceError, ShapeMismatch
 from vamgpu.metrics import Parts, light_efficiency, score, score_slices
-from vamgpu.metrics.light import absorbed_share
+from vamgpu.metrics.light import light_sent
 
 
 def _plain() -> ModuleType:
@@ -113,7 +113,7 @@ def test_light_efficiency_is_the_mean_over_the_greatest(device: Device) -> None:
     assert light_efficiency(field) == pytest.approx(light.mean(dtype=np.float64) / light.max(), rel=1e-6)
     assert light_efficiency(field, full=2.0) == pytest.approx(light.mean(dtype=np.float64) / 2, rel=1e-6)
     assert light_efficiency(device.upload(np.zeros((2, 3, 4)))) == 0.0
-    assert absorbed_share(7.0, field) == pytest.approx(7.0 / light.sum(dtype=np.float64), rel=1e-6)
+    assert light_sent(field) == pytest.approx(light.sum(dtype=np.float64), rel=1e-6)
 
 
 def test_wrong_input_is_refused(device: Device) -> None:

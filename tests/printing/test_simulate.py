@@ -1,0 +1,132 @@
+"""A simulated print against the dose written out from the equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from vamgpu import Beam, Grid, Projection, Turntable, Vial
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.printing.dose import absorbed_dose
+from vamgpu.printing.simulate import simulate
+
+GRID = Grid((20, 20, 10), 0.2)
+BEAM = Beam((26, 10), 0.25)
+TURN = Turntable(16)
+VIAL = Vial(radius=3.2, wall=0.2, resin_index=1.45, wall_index=1.47, bath_index=1.3, absorption=0.08)
+
+
+@dataclass
+class Shown:
+    """Frames that are nothing but their light."""
+
+    light: np.ndarray
+    scale: float
+
+    def irradiance(self, device: Device) -> DeviceArray:
+        return device.upload(self.light)
+
+
+def ball(shape: tuple[int, int, int]) -> np.ndarray:
+    axes = np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")
+    return np.clip((0.55 - np.sqrt(sum(a**2 for a in axes))) * 6 + 0.5, 0, 1)
+
+
+def shown(A: Projection, scale: float = 2.0) -> Shown:
+    light = np.maximum(np.asarray(A(ball(A.grid.shape))), 0)
+    return Shown(scale * light / light.max(), scale)
+
+
+def test_calibrated_dose_follows_the_equation(device: Device) -> None:
+    A = Projection(GRID, BEAM, TURN, VIAL, device)
+    light = np.random.default_rng(0).random(A.range.shape)
+    got = absorbed_dose(A, A.device.upload(light), dwell=0.75, unit=3.0).numpy()
+    matrix = Projection(GRID, BEAM, TURN, VIAL, "numpy")
+    wanted = np.asarray(matrix.T(3.0 * light)) * 0.25**2 * 0.75 / 0.2**3
+    assert np.abs(got - wanted).max() <= 1e-5 * wanted.max()
+
+
+def test_energy_absorbed_is_the_energy_sent_times_the_absorbed_share() -> None:
+    """Of every ray through a vial in its own liquid 1 − exp(−αL) is absorbed, L its chord."""
+    grid, beam = Grid((61, 61, 3), 0.1), Beam((61, 3), 0.1)
+    vial = Vial(radius=2.8, wall=0.0, resin_index=1.33, wall_index=1.33, bath_index=1.33, absorption=0.2)
+    A = Projection(grid, beam, Turntable(37), vial, "numpy")
+    u = beam.columns()
+    lit = np.maximum(1 - (u / 2.2) ** 2, 0)
+    light = np.broadcast_to(5.0 * lit[None, :, None], A.range.shape)
+    dose = absorbed_dose(A, A.device.upload(light), dwell=2.0).numpy()
+    share = -np.expm1(-0.2 * 2 * np.sqrt(np.maximum(2.8**2 - u**2, 0)))
+    absorbed = 37 * 3 * np.sum(5.0 * lit * share) * beam.pixel_area * 2.0
+    assert dose.sum() * grid.voxel_volume == pytest.approx(absorbed, rel=5e-3)
+
+
+def test_the_predicted_exposure_brings_the_threshold_to_the_critical_dose(device: Device) -> None:
+    A = Projection(GRID, BEAM, TURN, VIAL, device)
+    frames, target = shown(A), ball(GRID.shape)
+    proof = simulate(A, frames, target, irradiance=6.0, critical_dose=1.5)
+    assert proof.exposure is not None and proof.seconds is not None
+    dwell = proof.seconds / TURN.angles
+    dose = absorbed_dose(A, A.device.upload(frames.light), dwell, unit=6.0 / frames.scale).numpy()
+    printed = proof.printed()
+    assert dose[printed].min() >= 1.5 * (1 - 1e-5)
+    judged = np.broadcast_to(GRID.cylinder()[..., None], dose.shape)
+    assert dose[judged & ~printed].max() <= 1.5 * (1 + 1e-5)
+    inside = judged & (target >= 0.5)
+    assert dose[inside].min() * proof.exposure.complete / proof.seconds == pytest.approx(1.5, rel=1e-5)
+    assert dose[judged & (target < 0.5)].max() * proof.exposure.spill / proof.seconds == pytest.approx(1.5, rel=1e-5)
+    sent = frames.light.sum() / frames.scale * 6.0 * BEAM.pixel_area * dwell
+    assert proof.exposure.energy == pytest.approx(sent, rel=1e-5)
+    assert proof.part_share == pytest.approx(dose[inside].sum() * GRID.voxel_volume / sent, rel=1e-5)
+    assert proof.light_efficiency == pytest.approx(frames.light.mean() / frames.scale, rel=1e-5)
+
+
+def test_scores_do_not_change_with_the_scale_of_the_light(device: Device) -> None:
+    A = Projection(GRID, BEAM, TURN, VIAL, device)
+    target = ball(GRID.shape)
+    dim, bright = (simulate(A, shown(A, scale), target, irradiance=6, critical_dose=2) for scale in (0.5, 64.0))
+    assert bright.scores.window == pytest.approx(dim.scores.window, abs=1e-5)
+    assert bright.scores.iou == pytest.approx(dim.scores.iou, abs=1e-5)
+    assert bright.seconds == pytest.approx(dim.seconds, rel=1e-4)
+
+
+def test_one_pixel_changes_the_dose(device: Device) -> None:
+    A = Projection(GRID, BEAM, TURN, VIAL, device)
+    frames, target = shown(A), device.upload(ball(GRID.shape))
+    before = simulate(A, frames, target).dose.numpy()
+    frames.light[3, 13, 5] += 0.5
+    change = simulate(A, frames, target).dose.numpy() - before
+    assert change[:, :, 5].max() > 0
+    assert change.min() >= -1e-6 * before.max()
+
+
+def test_straight_light_needs_to_be_told_how_much_is_absorbed() -> None:
+    beam = Beam((20, 10), 0.2)
+    A = Projection(GRID, beam, TURN, device="numpy")
+    frames, target = shown(A), ball(GRID.shape)
+    assert simulate(A, frames, target).seconds is None
+    with pytest.raises(BadInput, match="give absorption="):
+        simulate(A, frames, target, irradiance=6, critical_dose=2)
+    thin = simulate(A, frames, target, irradiance=6, critical_dose=2, absorption=0.1)
+    thick = simulate(A, frames, target, irradiance=6, critical_dose=2, absorption=0.2)
+    assert thin.seconds == pytest.approx(2 * (thick.seconds or 0))
+
+
+def test_wrong_input_is_refused() -> None:
+    A = Projection(GRID, BEAM, TURN, VIAL, "numpy")
+    frames, target = shown(A), ball(GRID.shape)
+    with pytest.raises(BadInput, match="irradiance without critical_dose"):
+        simulate(A, frames, target, irradiance=6)
+    with pytest.raises(BadInput, match="leave it out"):
+        simulate(A, frames, target, irradiance=6, critical_dose=2, absorption=0.1)
+    with pytest.raises(BadInput, match="critical_dose"):
+        simulate(A, frames, target, irradiance=6, critical_dose=-1)
+    with pytest.raises(ShapeMismatch, match="target"):
+        simulate(A, frames, target[1:])
+    with pytest.raises(ShapeMismatch, match="light"):
+        simulate(A, Shown(frames.light[1:], 1.0), target)
+    with pytest.raises(BadInput, match="no light"):
+        simulate(A, Shown(0 * frames.light, 1.0), target, irradiance=6, critical_dose=2)

@@ -1,0 +1,85 @@
+"""What a projector's frames would print, computed from nothing but the frames."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.metrics import light_efficiency, score, score_slices
+from vamgpu.metrics.light import light_sent
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.space import require
+from vamgpu.printing.exposure import expose
+from vamgpu.printing.proof import Proof
+
+
+class Light(Protocol):
+    """Frames as the simulation sees them: bytes and gray curve turned into light."""
+
+    @property
+    def scale(self) -> float:
+        """Light of a full-on pixel."""
+        ...
+
+    def irradiance(self, device: Device) -> DeviceArray:
+        """Light of every pixel, field [angle, r, z] on a device."""
+        ...
+
+
+def simulate(
+    A: Projection,
+    frames: Light,
+    target: Any,
+    *,
+    irradiance: float | None = None,
+    critical_dose: float | None = None,
+    absorption: float | None = None,
+    threshold: float | None = None,
+) -> Proof:
+    """Shine frames through a projection and judge the dose by a target; whole arrays stay on the device of ``A``.
+
+    frames: e.g. `Frames`; only their bytes and gray curve are read.  target: a `Target`, or fractions [x, y, z] as a
+    NumPy or device array.  irradiance: of a full-on pixel in air [mW/mm²] and critical_dose [mJ/mm³]: given both, times
+    are predicted.  absorption: of the resin [1/mm], needed for the times where ``A`` absorbs no light.  threshold: dose
+    in units of Aᵀ(light) from which a voxel counts as printed; the one with the best overlap by default.
+    Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
+    """
+    if (irradiance is None) != (critical_dose is None):
+        given, missing = ("irradiance", "critical_dose") if critical_dose is None else ("critical_dose", "irradiance")
+        raise BadInput(f"got {given} without {missing}; give both for predicted times, or neither")
+    fraction = fractions_of(target, A.device)
+    require(A.domain, fraction, "the target")
+    light = frames.irradiance(A.device)
+    require(A.range, light, "the frames' light")
+    dose = A.T(light)
+    scores = score(dose, fraction, threshold=threshold)
+    sent = light_sent(light)
+    exposure = None
+    if irradiance is not None and critical_dose is not None:
+        exposure = expose(
+            A, scores, sent, frames.scale, irradiance=irradiance, critical_dose=critical_dose, absorption=absorption
+        )
+    return Proof(
+        operator=A,
+        frames=frames,
+        name=getattr(target, "name", None) or "target",
+        target=fraction,
+        dose=dose,
+        scores=scores,
+        slices=score_slices(dose, fraction, scores),
+        light_efficiency=light_efficiency(light, frames.scale),
+        part_share=scores.total_in / sent if sent > 0 else 0.0,
+        exposure=exposure,
+    )
+
+
+def fractions_of(target: Any, device: Device) -> DeviceArray:
+    """The fractions of a target as a field on a device."""
+    if isinstance(target, DeviceArray):
+        device.check_mine(target)
+        return target
+    return target.on(device) if hasattr(target, "on") else device.upload(np.asarray(target))
