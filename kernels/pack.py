@@ -7,23 +7,25 @@ A frame may lie off by ``shift`` whole pixels plus a ``part`` of one: frame pixe
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
-from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, Tiling, kernel, table
+from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, Table, Tiling, kernel
 
 BINS = 1024
 NEVER = 1e30
 START_R, START_Z = 0.7548776662466927, 0.5698402909980532
 """Powers of the inverse plastic number: their multiples fill the unit square evenly (M. Roberts' R2 sequence)."""
 
-Images = table("uint8", "angle", "z", "r")
-ImagesOut = table("uint8", "angle", "z", "r", writes=True)
-Bytes = table("uint8", "angle", "z", "byte")
-BytesOut = table("uint8", "angle", "z", "byte", writes=True)
-Flat = table("float32", "flat_row", "flat_column")  # one by one where the field is flat
-Curve = table("float32", "level")
-Bounds = table("float32", "256")
-Counts = table("int32", "1024", writes=True)
+Images = Annotated[np.ndarray, Table("uint8", ("angle", "z", "r"))]
+ImagesOut = Annotated[np.ndarray, Table("uint8", ("angle", "z", "r"), writes=True)]
+Bytes = Annotated[np.ndarray, Table("uint8", ("angle", "z", "byte"))]
+BytesOut = Annotated[np.ndarray, Table("uint8", ("angle", "z", "byte"), writes=True)]
+Flat = Annotated[np.ndarray, Table("float32", ("flat_row", "flat_column"))]  # one by one where the field is flat
+Curve = Annotated[np.ndarray, Table("float32", ("level",))]
+Bounds = Annotated[np.ndarray, Table("float32", ("256",))]
+Counts = Annotated[np.ndarray, Table("int32", ("1024",), writes=True)]
 
 
 def tap(light: np.ndarray, across: int, up: int) -> np.ndarray:

@@ -27,7 +27,7 @@ def brightness(flat: wp.array2d(dtype=float), row: int, column: int):
 @wp.func
 def sample(sinogram: wp.array4d(dtype=wp.vec4), angle: int, r: int, z: int, n_r: int, n_z: int):
     if r < 0 or r >= n_r or z < 0 or z >= n_z:
-        return float(0.0)
+        return 0.0
     lanes = 4 * sinogram.shape[3]
     vector = sinogram[z // lanes, angle, r, (z % lanes) // 4]
     return vector[z % 4]
@@ -174,13 +174,13 @@ def shown(
     n_z: int,
 ):
     if r < 0 or r >= n_r or z < 0 or z >= n_z:
-        return float(0.0)
+        return 0.0
     row = place(z, n_z, flip_z == 0)
     column = place(r, n_r, flip_r != 0)
     level = int(0)
     if bits == 8:
         level = int(images[angle, row, column])
-    else:
+    if bits == 1:
         level = (int(images[angle, row, column // 8]) >> (7 - column % 8)) & 1
     return curve[level] * brightness(flat, row, column)
 
@@ -212,12 +212,14 @@ def unpack(
     r = column + shift_r
     for k in range(4):
         z = 4 * (slab * light.shape[3] + lane) + k + shift_z
-        total = (1.0 - part_r) * (1.0 - part_z) * shown(images, flat, curve, bits, flip_r, flip_z, angle, r, z, n_r, n_z)
-        if part_r > 0.0:
-            total += part_r * (1.0 - part_z) * shown(images, flat, curve, bits, flip_r, flip_z, angle, r + 1, z, n_r, n_z)
-        if part_z > 0.0:
-            total += (1.0 - part_r) * part_z * shown(images, flat, curve, bits, flip_r, flip_z, angle, r, z + 1, n_r, n_z)
-        if part_r > 0.0 and part_z > 0.0:
-            total += part_r * part_z * shown(images, flat, curve, bits, flip_r, flip_z, angle, r + 1, z + 1, n_r, n_z)
+        total = float(0.0)
+        for more in range(4):
+            more_r = more % 2
+            more_z = more // 2
+            weight = wp.where(more_r == 1, part_r, 1.0 - part_r) * wp.where(more_z == 1, part_z, 1.0 - part_z)
+            if weight > 0.0:
+                total += weight * shown(
+                    images, flat, curve, bits, flip_r, flip_z, angle, r + more_r, z + more_z, n_r, n_z
+                )
         result[k] = scale * total
     light[slab, angle, column, lane] = result

@@ -21,10 +21,10 @@ from vamgpu.printing.placement import Placement
 class Frames:
     """One picture a pose. Row 0 shows the largest z, column 0 the smallest r, before the flips of ``settings``.
 
-    images: uint8 table on a device, [angle, row, column] where ``bits`` is 8 and [angle, row, ⌈columns / 8⌉] where it is
-    1, the leftmost column in the highest bit.  gray: light of the levels.  scale: irradiance of a full-on pixel, in the
-    plan's units.  columns: pixels a row.  flat_field: relative brightness [row, column] of full-on mirrors, the brightest
-    1; None where all are alike.  Raises `BadInput`, `ShapeMismatch`.
+    images: uint8 table on a device, [angle, row, column] where ``bits`` is 8 and [angle, row, ⌈columns / 8⌉] where it
+    is 1, the leftmost column in the highest bit.  gray: light of the levels.  scale: irradiance of a full-on pixel, in
+    the plan's units.  columns: pixels a row.  flat_field: relative brightness [row, column] of full-on mirrors, the
+    brightest 1; None where all are alike.  Raises `BadInput`, `ShapeMismatch`.
     """
 
     images: DeviceArray
@@ -58,7 +58,7 @@ class Frames:
     @property
     def shape(self) -> tuple[int, int, int]:
         """Pictures, rows and columns."""
-        return (*self.images.shape[:2], self.columns)
+        return (self.images.shape[0], self.images.shape[1], self.columns)
 
     @property
     def nbytes(self) -> int:
@@ -84,7 +84,7 @@ class Frames:
     def irradiance(self, device: str | Device | None = None) -> DeviceArray:
         """The light that reaches the beam's pixels, field [angle, r, z] in the plan's units, black level included.
 
-        Computed from the bytes and what is known of the projector alone: gray curve, flat field, scale, flips and shift.
+        Computed from the bytes and what is known of the projector alone: gray curve, flat field, scale, flips, shift.
         The shift is undone as the machine undoes it, by where the picture lands: a pixel that lies across several beam
         pixels shares its light among them, and beam pixels beyond the picture stay wholly dark. device: where to, by
         default where the bytes are.

@@ -47,7 +47,8 @@ class GrayCurve:
             )
         if light[0] < 0 or light[-1] <= light[0]:
             raise BadInput(
-                f"intensity goes from {light[0]:g} to {light[-1]:g}; wanted 0 ≤ black < full-on: subtract the dark reading"
+                f"intensity goes from {light[0]:g} to {light[-1]:g}; wanted 0 ≤ black < full-on: "
+                "subtract the dark reading"
             )
         object.__setattr__(self, "levels", tuple(int(level) for level in levels))
         object.__setattr__(self, "intensity", tuple(float(value) for value in light / light[-1]))

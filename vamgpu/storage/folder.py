@@ -1,0 +1,131 @@
+"""Job folders: a Zarr group of arrays beside a manifest that names, dates and seals them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.storage.arrays import read, read_one, write
+from vamgpu.storage.atomic import explained, replacing
+from vamgpu.storage.manifest import ArrayRecord, Manifest
+
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """An array to store: NumPy or on a device, with the names of its axes and its unit ("1" for a plain number)."""
+
+    values: np.ndarray | DeviceArray
+    axes: tuple[str, ...]
+    unit: str = "1"
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A job folder that was opened: its manifest, and its arrays on demand."""
+
+    path: Path
+    manifest: Manifest
+
+    @classmethod
+    def open(cls, path: str | Path) -> Folder:
+        """Read the manifest of a job folder. Raises `StorageError` where there is none or it is damaged."""
+        file = Path(path) / MANIFEST
+        try:
+            text = file.read_text(encoding="utf-8")
+        except FileNotFoundError as error:
+            raise StorageError(f"{str(path)!r} is no finished job: it has no {MANIFEST}; check the path") from error
+        except UnicodeDecodeError as error:
+            raise StorageError(f"{str(file)!r} is damaged: {error}; write the job again") from error
+        except OSError as error:
+            raise explained("read", file, error) from error
+        return cls(Path(path), Manifest.from_json(text, file))
+
+    def record(self, name: str) -> ArrayRecord:
+        """What the manifest says of an array; raises `StorageError` for a name it does not know."""
+        if name not in self.manifest.arrays:
+            known = ", ".join(self.manifest.arrays) or "none"
+            raise StorageError(f"{str(self.path)!r} has no array {name!r}; it has {known}")
+        return self.manifest.arrays[name]
+
+    def array(self, name: str) -> np.ndarray:
+        """A whole array, proven by its hash. Raises `StorageError` where it is missing, damaged or changed."""
+        record = self.record(name)
+        values = read(self.path, name, record.shape, record.dtype)
+        found = digest(values)
+        if found != record.sha256:
+            raise StorageError(
+                f"array {name!r} of {str(self.path)!r} has SHA-256 {found[:12]}…, its manifest says "
+                f"{record.sha256[:12]}…; the job was changed or damaged, write it again"
+            )
+        return values
+
+    def one(self, name: str, index: int) -> np.ndarray:
+        """One entry along the first axis, such as one frame, without reading the others.
+
+        Proven by the checksum of its chunk. Raises `StorageError`, and `BadInput` for an index out of range.
+        """
+        record = self.record(name)
+        if not 0 <= index < record.shape[0]:
+            raise BadInput(f"index {index} of {name!r}; wanted 0 to {record.shape[0] - 1}")
+        return read_one(self.path, name, record.shape, record.dtype, index)
+
+    def verify(self) -> None:
+        """Read every array and compare it with its hash; raises `StorageError` at the first that differs."""
+        for name in self.manifest.arrays:
+            self.array(name)
+
+
+def write_folder(
+    path: str | Path,
+    arrays: Mapping[str, Entry],
+    *,
+    inputs: Mapping[str, Any],
+    details: Mapping[str, Any],
+    device: str,
+    overwrite: bool = False,
+) -> Folder:
+    """Write a job folder, whole or not at all, and return it opened.
+
+    Arrays are downloaded and written one after the other, one chunk an entry along the first axis. Only a job folder is
+    ever overwritten. Raises `StorageError`, and `BadInput` for inputs that a manifest cannot hold.
+    """
+    place = Path(path)
+    if overwrite and os.path.lexists(place) and not (place / MANIFEST).is_file():
+        raise StorageError(f"{str(path)!r} exists and is no job folder; choose another path")
+    Manifest(dict(inputs), dict(details), device, {}).to_json()  # refuse bad inputs before the long work
+    with replacing(place, overwrite=overwrite) as draft:
+        draft.mkdir()
+        records = {name: _store(draft, name, entry) for name, entry in arrays.items()}
+        manifest = Manifest(dict(inputs), dict(details), device, records)
+        with open(draft / MANIFEST, "w", encoding="utf-8") as file:
+            file.write(manifest.to_json())
+            file.flush()
+            os.fsync(file.fileno())
+    return Folder.open(place)
+
+
+def _store(draft: Path, name: str, entry: Entry) -> ArrayRecord:
+    values = np.ascontiguousarray(entry.values.numpy() if isinstance(entry.values, DeviceArray) else entry.values)
+    if not (name.isidentifier() and values.size and values.ndim == len(entry.axes) and values.dtype.kind in "biuf"):
+        raise BadInput(
+            f"array {name!r} is {values.dtype} {values.shape} with axes {entry.axes}; "
+            "wanted a plain name, some numbers, and one name an axis"
+        )
+    values = values.astype(values.dtype.newbyteorder("<"), copy=False)
+    write(draft, name, values, entry.axes)
+    return ArrayRecord(values.shape, values.dtype.name, tuple(entry.axes), entry.unit, digest(values))
+
+
+def digest(values: np.ndarray) -> str:
+    """SHA-256 of an array's bytes in C order."""
+    return hashlib.sha256(np.ascontiguousarray(values).view(np.uint8).data).hexdigest()

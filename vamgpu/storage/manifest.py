@@ -1,0 +1,130 @@
+"""What a job folder says of itself, in JSON a person can read."""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, StorageError
+
+FORMAT = "vamgpu job"
+VERSION = 1
+UNITS = {
+    "length": "mm",
+    "time": "s",
+    "energy": "mJ",
+    "power": "mW",
+    "irradiance": "mW/mm²",
+    "dose": "mJ/mm³",
+    "absorption": "1/mm",
+    "angle": "rad",
+}
+ROW = re.compile(r'\[\n([^\[\]{}]*?)\n\s*\]')
+"""A list of plain values over several lines; text never holds a line break in JSON."""
+PACKAGES = ("numpy", "zarr", "pyopencl", "warp-lang")
+
+
+@dataclass(frozen=True)
+class ArrayRecord:
+    """One array: its shape, NumPy type, axes, unit, and the SHA-256 of its bytes in C order, little-endian."""
+
+    shape: tuple[int, ...]
+    dtype: str
+    axes: tuple[str, ...]
+    unit: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """Everything needed to read a job folder and to know where it came from.
+
+    inputs: what the job was asked for.  details: what readers of its arrays must know, by subject.  device: where it was
+    computed.  arrays: by name.  versions: of this library, Python and what it computes with.
+    """
+
+    inputs: dict[str, Any]
+    details: dict[str, Any]
+    device: str
+    arrays: dict[str, ArrayRecord]
+    versions: dict[str, str] = field(default_factory=lambda: versions())
+    units: dict[str, str] = field(default_factory=lambda: dict(UNITS))
+    written: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+
+    def to_json(self) -> str:
+        """The manifest as text. Raises `BadInput` for inputs that JSON cannot hold."""
+        head = {"format": FORMAT, "version": VERSION}
+        text = json.dumps(plain({**head, **asdict(self)}), indent=2, ensure_ascii=False)
+        return ROW.sub(lambda row: "[" + " ".join(row[1].split()) + "]", text) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str, path: Path) -> Manifest:
+        """Read a manifest; raises `StorageError` for what this version cannot understand."""
+        try:
+            data = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise StorageError(f"{str(path)!r} is no valid JSON: {error}; the job is damaged, write it again") from error
+        if not isinstance(data, dict) or data.get("format") != FORMAT:
+            raise StorageError(f"{str(path)!r} is no manifest of a {FORMAT}; check the path")
+        if data.get("version") != VERSION:
+            raise StorageError(
+                f"{str(path)!r} has version {data.get('version')!r}, this library reads {VERSION}; "
+                "read it with the library that wrote it"
+            )
+        try:
+            arrays = {name: _record(record) for name, record in data["arrays"].items()}
+            return cls(**{f.name: arrays if f.name == "arrays" else data[f.name] for f in fields(cls)})
+        except (KeyError, TypeError, AttributeError) as error:
+            raise StorageError(f"{str(path)!r} lacks or garbles {error}; the job is damaged, write it again") from error
+
+
+def _record(record: dict[str, Any]) -> ArrayRecord:
+    return ArrayRecord(
+        tuple(int(n) for n in record["shape"]), record["dtype"], tuple(record["axes"]), record["unit"], record["sha256"]
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of this library, Python and the packages it computes with, as far as they are installed."""
+    from vamgpu import __version__
+
+    found = {"vamgpu": __version__, "python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def plain(value: Any, name: str = "manifest") -> Any:
+    """``value`` in JSON's own types; dataclasses become objects, paths text. Raises `BadInput` naming what cannot."""
+    if value is None or isinstance(value, (str, bool)):
+        return value
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        if not isfinite(value):
+            raise BadInput(f"{name} is {value!r}; a manifest holds finite numbers only")
+        return float(value)
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist(), name)
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name), f"{name}.{f.name}") for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item, f"{name}.{key}") for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item, f"{name}[{index}]") for index, item in enumerate(value)]
+    raise BadInput(f"{name} is a {type(value).__name__}; wanted numbers, text, lists, mappings or dataclasses of them")
