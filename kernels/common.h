@@ -15,7 +15,7 @@ typedef PASTE(float, WIDTH) Vector;
 // Which samples this item computes: tile indices along major and minor, the slab, and its first lane.
 #define ITEM_MINOR ((int)get_global_id(0) / THREADS)
 #define ITEM_MAJOR ((int)get_global_id(1))
-#define ITEM_SLAB ((int)get_global_id(2))
+#define ITEM_SLAB ((int)get_global_id(2) * TILE_SLABS)
 #define ITEM_LANE ((int)(get_global_id(0) % THREADS) * WIDTH * VECTORS)
 #define ITEM_INDEX ((get_global_id(2) * get_global_size(1) + get_global_id(1)) * get_global_size(0) + get_global_id(0))
 

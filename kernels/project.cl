@@ -80,22 +80,22 @@ __kernel void forward_joseph(__global const float *restrict volume, __global con
 #if THREADS == 1
     const int last_angle = min(first_angle + TILE_MAJOR, n_angle);
     for (int strip = 0; strip < longest; strip += STRIP)
-        for (int angle = first_angle; angle < last_angle; angle++) {
-            const Crossing k = crossing(directions[angle], n_x, n_y, n_r);
-            const float length = pitch * fabs(k.step);
-            for (int r = 0; r < n_r; r += RAYS) {
-                Vector sum[RAYS * VECTORS];
-                UNROLL for (int i = 0; i < RAYS * VECTORS; i++) sum[i] = (Vector)(0.0f);
-                march(volume, k, k.origin + r * k.step, min(strip, k.planes), min(strip + STRIP, k.planes), sum);
-                UNROLL for (int ray = 0; ray < RAYS; ray++) if (r + ray < n_r) {
-                    __global float *out = sinogram + SAMPLE(angle, r + ray, n_r);
-                    EACH_VECTOR {
-                        const Vector part = sum[ray * VECTORS + v] * length;
-                        STORE(out, strip ? LOAD(out) + part : part);
+        for (int group = first_angle; group < last_angle; group += TOGETHER)
+            for (int r = 0; r < n_r; r += RAYS)
+                for (int angle = group; angle < min(group + TOGETHER, last_angle); angle++) {
+                    const Crossing k = crossing(directions[angle], n_x, n_y, n_r);
+                    const float length = pitch * fabs(k.step);
+                    Vector sum[RAYS * VECTORS];
+                    UNROLL for (int i = 0; i < RAYS * VECTORS; i++) sum[i] = (Vector)(0.0f);
+                    march(volume, k, k.origin + r * k.step, min(strip, k.planes), min(strip + STRIP, k.planes), sum);
+                    UNROLL for (int ray = 0; ray < RAYS; ray++) if (r + ray < n_r) {
+                        __global float *out = sinogram + SAMPLE(angle, r + ray, n_r);
+                        EACH_VECTOR {
+                            const Vector part = sum[ray * VECTORS + v] * length;
+                            STORE(out, strip ? LOAD(out) + part : part);
+                        }
                     }
                 }
-            }
-        }
 #else
     const int r = ITEM_MINOR, v = 0;
     if (r >= n_r) return;

@@ -23,7 +23,7 @@ def middle(n: int) -> float:
     over="sinogram",
     cpu=Tiling(major=45, minor=0),
     gpu=Tiling(major=4, minor=1, group=(256, 1)),
-    constants={"cpu": {"RAYS": 4, "STRIP": 64}, "gpu": {"RAYS": 1, "STRIP": 16}},
+    constants={"cpu": {"RAYS": 4, "STRIP": 32, "TOGETHER": 9}, "gpu": {"RAYS": 1, "STRIP": 16}},
 )
 def forward_joseph(volume: Volume, directions: Directions, pitch: Real, sinogram: SinogramOut) -> None:
     """sinogram[a, r, z] = Σ along the ray of volume, interpolated between the two cells it passes, × length [mm]."""

@@ -20,41 +20,128 @@ static inline float tent(float distance, float inverse_width) {
     return fmax(0.0f, 1.0f - fabs(distance) * inverse_width) * inverse_width;
 }
 
-#ifdef COMPILE_back_refracted
-__kernel void back_refracted(__global const float *restrict sinogram, __global const float2 *restrict directions,
-                             __global const float2 *restrict light, float width, float radius,
-                             __global float *restrict volume,
-                             int n_angle, int n_r, int n_z, int n_across, int n_along, int n_x, int n_y) {
-    const int x_begin = ITEM_MAJOR * TILE_MAJOR, x_end = min(x_begin + TILE_MAJOR, n_x);
-    const int y_begin = TILE_MINOR ? ITEM_MINOR * TILE_MINOR : 0, y_end = TILE_MINOR ? min(y_begin + TILE_MINOR, n_y) : n_y;
-    const float inverse = 1.0f / width;
-    const int taps = (int)ceil(2.0f * width);
-    sinogram += slab_offset(n_angle, n_r);
-    volume += slab_offset(n_x, n_y);
-    for (int block = 0; block < n_angle; block += min(ANGLES, n_angle)) {
-        const int stop = min(n_angle, block + min(ANGLES, n_angle));
-        for (int row = x_begin; row < x_end; row++) for (int column = y_begin; column < y_end; column++) {
-            const float x = row - 0.5f * (n_x - 1), y = column - 0.5f * (n_y - 1);
-            __global float *out = volume + SAMPLE(row, column, n_y);
+#if THREADS == 1
+// On a CPU core a look-up costs as much as the lanes it serves, so it is made once and noted, then applied to every slab
+// and, where a quarter turn maps grid and poses onto themselves, to all four quarters (folds). TOGETHER neighbours are
+// noted before any is applied, because they read the same samples: those then come from the nearest cache.
+typedef struct {
+    int count;
+    float weight[CAPACITY];
+    int from[4][CAPACITY];      // sample of the source field, per fold
+    int to[4];                  // sample of the target field, per fold
+} Notes;
+
+static inline void apply(const Notes *notes, int members, int folds, int slabs, __global const float *restrict source,
+                         size_t source_slab, __global float *restrict target, size_t target_slab) {
+    for (int fold = 0; fold < folds; fold++) for (int slab = 0; slab < slabs; slab++) {
+        __global const float *from = source + slab * source_slab;
+        for (int member = 0; member < members; member++) {
+            const Notes *own = notes + member;
+            __global float *out = target + slab * target_slab + (size_t)own->to[fold] * LANES;
             Vector sum[VECTORS];
-            EACH_VECTOR sum[v] = block ? LOAD(out) : (Vector)(0.0f);
-            if (within(x, y, radius)) for (int angle = block; angle < stop; angle++) {
-                const float2 ray = look_up(light, n_across, n_along, directions[angle], x, y);
-                const int first = (int)ceil(ray.x - width);
-                __global const float *pose = sinogram + SAMPLE(angle, 0, n_r);
-                for (int tap = max(first, 0); tap < min(first + taps, n_r); tap++) {
-                    const Vector weight = (Vector)(ray.y * tent(ray.x - tap, inverse));
-                    __global const float *sample = pose + (size_t)tap * LANES;
-                    EACH_VECTOR sum[v] = fma(weight, LOAD(sample), sum[v]);
-                }
+            EACH_VECTOR sum[v] = LOAD(out);
+            for (int note = 0; note < own->count; note++) {
+                const Vector weight = (Vector)(own->weight[note]);
+                __global const float *sample = from + (size_t)own->from[fold][note] * LANES;
+                EACH_VECTOR sum[v] = fma(weight, LOAD(sample), sum[v]);
             }
             EACH_VECTOR STORE(out, sum[v]);
         }
     }
 }
+
+static inline void clear(const Notes *notes, int folds, int slabs, __global float *target, size_t target_slab) {
+    for (int fold = 0; fold < folds; fold++) for (int slab = 0; slab < slabs; slab++) {
+        __global float *out = target + slab * target_slab + (size_t)notes->to[fold] * LANES;
+        EACH_VECTOR STORE(out, (Vector)(0.0f));
+    }
+}
+
+// A turn by 90 degrees takes pose a to a + n_angle / 4 and voxel (x, y) to (-y, x).
+static inline int folds_of(int n_angle, int n_x, int n_y) {
+    return n_angle % 4 == 0 && n_x == n_y && n_x % 2 == 0 ? 4 : 1;
+}
+static inline int turned_voxel(int fold, int x, int y, int n_y) {
+    const int last = n_y - 1;
+    return fold == 0 ? x * n_y + y : fold == 1 ? (last - y) * n_y + x
+         : fold == 2 ? (last - x) * n_y + last - y : y * n_y + last - x;
+}
+static inline int turned_column(int fold, int angle, int column, int n_angle, int n_r) {
+    return (angle + fold * (n_angle / 4)) % n_angle * n_r + column;
+}
+// The share [x, y) of `count` things that item `index` of `items` takes.
+static inline int2 share(int index, int items, int count) {
+    return (int2)((int)((long)index * count / items), (int)((long)(index + 1) * count / items));
+}
+#endif
+
+#ifdef COMPILE_back_refracted
+__kernel void back_refracted(__global const float *restrict sinogram, __global const float2 *restrict directions,
+                             __global const float2 *restrict light, float width, float radius,
+                             __global float *restrict volume,
+                             int n_angle, int n_r, int n_z, int n_across, int n_along, int n_x, int n_y) {
+    const float inverse = 1.0f / width, x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1);
+    const int taps = (int)ceil(2.0f * width);
+    sinogram += slab_offset(n_angle, n_r);
+    volume += slab_offset(n_x, n_y);
+#if THREADS == 1
+    const size_t from_slab = (size_t)n_angle * n_r * LANES, to_slab = (size_t)n_x * n_y * LANES;
+    const int folds = folds_of(n_angle, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
+    const int2 rows = share(ITEM_MAJOR, get_global_size(1), folds == 4 ? n_x / 2 : n_x);
+    const int y_end = folds == 4 ? n_y / 2 : n_y;
+    Notes notes[TOGETHER];
+    for (int block = 0; block < n_angle; block += ANGLES)
+        for (int row = rows.x; row < rows.y; row++) for (int y_begin = 0; y_begin < y_end; y_begin += TOGETHER) {
+            const int members = min(TOGETHER, y_end - y_begin);
+            for (int member = 0; member < members; member++) {
+                Notes *own = notes + member;
+                const int column = y_begin + member;
+                own->count = 0;
+                for (int fold = 0; fold < folds; fold++) own->to[fold] = turned_voxel(fold, row, column, n_y);
+                if (!block) clear(own, folds, slabs, volume, to_slab);
+                if (!within(row - x0, column - y0, radius)) continue;
+                for (int angle = block; angle < min(n_angle, block + ANGLES); angle++) {
+                    const float2 ray = look_up(light, n_across, n_along, directions[angle], row - x0, column - y0);
+                    const int first = (int)ceil(ray.x - width);
+                    for (int tap = max(first, 0); tap < min(first + taps, n_r); tap++) {
+                        if (own->count == CAPACITY) {
+                            apply(own, 1, folds, slabs, sinogram, from_slab, volume, to_slab);
+                            own->count = 0;
+                        }
+                        for (int fold = 0; fold < folds; fold++)
+                            own->from[fold][own->count] = turned_column(fold, angle, tap, n_angle, n_r);
+                        own->weight[own->count++] = ray.y * tent(ray.x - tap, inverse);
+                    }
+                }
+            }
+            apply(notes, members, folds, slabs, sinogram, from_slab, volume, to_slab);
+        }
+#else
+    const int row = ITEM_MAJOR, column = ITEM_MINOR, v = 0;
+    if (row >= n_x || column >= n_y) return;
+    const float x = row - x0, y = column - y0;
+    Vector sum = (Vector)(0.0f);
+    if (within(x, y, radius)) for (int angle = 0; angle < n_angle; angle++) {
+        const float2 ray = look_up(light, n_across, n_along, directions[angle], x, y);
+        const int first = (int)ceil(ray.x - width);
+        __global const float *pose = sinogram + SAMPLE(angle, 0, n_r);
+        for (int tap = max(first, 0); tap < min(first + taps, n_r); tap++)
+            sum += ray.y * tent(ray.x - tap, inverse) * LOAD(pose + (size_t)tap * LANES);
+    }
+    STORE(volume + SAMPLE(row, column, n_y), sum);
+#endif
+}
 #endif
 
 #ifdef COMPILE_forward_refracted
+// The cells of plane `plane` between which one column's tent may lie, from the chords on either side of it.
+typedef struct {
+    bool along_y;               // planes are of constant y
+    int planes, cells;
+    float2 from, to;            // crossing with plane 0 and drift per plane of either chord
+    float slack;
+} Span;
+
 // Where a chord (p, cos d, sin d) turned to one pose crosses plane 0, and how far it drifts from plane to plane.
 static inline float2 line(float4 chord, float2 direction, bool along_y, float planes_middle, float cells_middle) {
     const float c = direction.x * chord.y - direction.y * chord.z, s = direction.y * chord.y + direction.x * chord.z;
@@ -63,44 +150,86 @@ static inline float2 line(float4 chord, float2 direction, bool along_y, float pl
     return (float2)(start - planes_middle * slope + cells_middle, slope);
 }
 
+static inline Span span_of(float8 edge, float2 direction, int n_x, int n_y) {
+    const float4 low = edge.lo, high = edge.hi;
+    // the chord's own direction decides which planes it crosses most steeply
+    const float c = direction.x * low.y - direction.y * low.z, s = direction.y * low.y + direction.x * low.z;
+    Span span;
+    span.along_y = fabs(s) > fabs(c);
+    span.planes = span.along_y ? n_y : n_x;
+    span.cells = span.along_y ? n_x : n_y;
+    const float planes_middle = 0.5f * (span.planes - 1), cells_middle = 0.5f * (span.cells - 1);
+    span.from = line(low, direction, span.along_y, planes_middle, cells_middle);
+    span.to = line(high, direction, span.along_y, planes_middle, cells_middle);
+    span.slack = low.w;
+    return span;
+}
+
+static inline int2 cells_of(const Span *span, int plane) {
+    const float a = span->from.x + plane * span->from.y, b = span->to.x + plane * span->to.y;
+    return (int2)(max((int)ceil(fmin(a, b) - span->slack), 0), min((int)floor(fmax(a, b) + span->slack), span->cells - 1));
+}
+
 __kernel void forward_refracted(__global const float *restrict volume, __global const float2 *restrict directions,
                                 __global const float2 *restrict light, __global const float8 *restrict edges,
                                 float width, float radius, __global float *restrict sinogram,
                                 int n_x, int n_y, int n_z, int n_angle, int n_across, int n_along, int n_r) {
-    const int angle_begin = ITEM_MAJOR * TILE_MAJOR, angle_end = min(angle_begin + TILE_MAJOR, n_angle);
-    const int r_begin = TILE_MINOR ? ITEM_MINOR * TILE_MINOR : 0, r_end = TILE_MINOR ? min(r_begin + TILE_MINOR, n_r) : n_r;
     const float inverse = 1.0f / width, x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1);
-    const int longest = max(n_x, n_y);
     volume += slab_offset(n_x, n_y);
     sinogram += slab_offset(n_angle, n_r);
-    for (int strip = 0; strip < longest; strip += min(STRIP, longest))
-        for (int angle = angle_begin; angle < angle_end; angle++)
-            for (int r = r_begin; r < r_end; r++) {
-                const float2 direction = directions[angle];
-                const float4 low = edges[r].lo, high = edges[r].hi;
-                // the chord's own direction decides which planes it crosses most steeply
-                const float cosine = direction.x * low.y - direction.y * low.z, sine = direction.y * low.y + direction.x * low.z;
-                const bool along_y = fabs(sine) > fabs(cosine);
-                const int planes = along_y ? n_y : n_x, cells = along_y ? n_x : n_y;
-                const size_t row = (size_t)n_y * LANES, plane_stride = along_y ? LANES : row, cell_stride = along_y ? row : LANES;
-                const float2 from = line(low, direction, along_y, along_y ? y0 : x0, along_y ? x0 : y0);
-                const float2 to = line(high, direction, along_y, along_y ? y0 : x0, along_y ? x0 : y0);
-                __global float *out = sinogram + SAMPLE(angle, r, n_r);
-                Vector sum[VECTORS];
-                EACH_VECTOR sum[v] = strip ? LOAD(out) : (Vector)(0.0f);
-                for (int plane = strip; plane < min(strip + min(STRIP, longest), planes); plane++) {
-                    const float a = from.x + plane * from.y, b = to.x + plane * to.y;
-                    const int begin = max((int)ceil(fmin(a, b) - low.w), 0), end = min((int)floor(fmax(a, b) + low.w), cells - 1);
-                    for (int cell = begin; cell <= end; cell++) {
-                        const float x = (along_y ? cell : plane) - x0, y = (along_y ? plane : cell) - y0;
-                        if (!within(x, y, radius)) continue;
-                        const float2 ray = look_up(light, n_across, n_along, direction, x, y);
-                        const Vector weight = (Vector)(ray.y * tent(ray.x - r, inverse));
-                        __global const float *sample = volume + plane * plane_stride + cell * cell_stride;
-                        EACH_VECTOR sum[v] = fma(weight, LOAD(sample), sum[v]);
+#if THREADS == 1
+    const size_t from_slab = (size_t)n_x * n_y * LANES, to_slab = (size_t)n_angle * n_r * LANES;
+    const int folds = folds_of(n_angle, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
+    const int2 angles = share(ITEM_MAJOR, get_global_size(1), n_angle / folds);
+    const int longest = max(n_x, n_y);
+    Notes notes[TOGETHER];
+    for (int strip = 0; strip < longest; strip += STRIP)
+        for (int angle = angles.x; angle < angles.y; angle++) for (int r_begin = 0; r_begin < n_r; r_begin += TOGETHER) {
+            const float2 direction = directions[angle];
+            const int members = min(TOGETHER, n_r - r_begin);
+            for (int member = 0; member < members; member++) {
+                Notes *own = notes + member;
+                const int r = r_begin + member;
+                const Span span = span_of(edges[r], direction, n_x, n_y);
+                own->count = 0;
+                for (int fold = 0; fold < folds; fold++) own->to[fold] = turned_column(fold, angle, r, n_angle, n_r);
+                if (!strip) clear(own, folds, slabs, sinogram, to_slab);
+                for (int plane = strip; plane < min(strip + STRIP, span.planes); plane++) {
+                    const int2 cells = cells_of(&span, plane);
+                    for (int cell = cells.x; cell <= cells.y; cell++) {
+                        const int i = span.along_y ? cell : plane, j = span.along_y ? plane : cell;
+                        if (!within(i - x0, j - y0, radius)) continue;
+                        const float2 ray = look_up(light, n_across, n_along, direction, i - x0, j - y0);
+                        const float weight = ray.y * tent(ray.x - r, inverse);
+                        if (weight == 0.0f) continue;
+                        if (own->count == CAPACITY) {
+                            apply(own, 1, folds, slabs, volume, from_slab, sinogram, to_slab);
+                            own->count = 0;
+                        }
+                        for (int fold = 0; fold < folds; fold++)
+                            own->from[fold][own->count] = turned_voxel(fold, i, j, n_y);
+                        own->weight[own->count++] = weight;
                     }
                 }
-                EACH_VECTOR STORE(out, sum[v]);
             }
+            apply(notes, members, folds, slabs, volume, from_slab, sinogram, to_slab);
+        }
+#else
+    const int angle = ITEM_MAJOR, r = ITEM_MINOR, v = 0;
+    if (angle >= n_angle || r >= n_r) return;
+    const float2 direction = directions[angle];
+    const Span span = span_of(edges[r], direction, n_x, n_y);
+    Vector sum = (Vector)(0.0f);
+    for (int plane = 0; plane < span.planes; plane++) {
+        const int2 cells = cells_of(&span, plane);
+        for (int cell = cells.x; cell <= cells.y; cell++) {
+            const int i = span.along_y ? cell : plane, j = span.along_y ? plane : cell;
+            if (!within(i - x0, j - y0, radius)) continue;
+            const float2 ray = look_up(light, n_across, n_along, direction, i - x0, j - y0);
+            sum += ray.y * tent(ray.x - r, inverse) * LOAD(volume + SAMPLE(i, j, n_y));
+        }
+    }
+    STORE(sinogram + SAMPLE(angle, r, n_r), sum);
+#endif
 }
 #endif

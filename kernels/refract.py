@@ -41,9 +41,9 @@ def _lit(
 
 @kernel(
     over="sinogram",
-    cpu=Tiling(major=30, minor=0),
+    cpu=Tiling(major=20, minor=0, slabs=4),
     gpu=Tiling(major=1, minor=1, group=(256, 1)),
-    constants={"cpu": {"STRIP": 16}, "gpu": {"STRIP": 1 << 30}},
+    constants={"cpu": {"STRIP": 8, "TOGETHER": 16, "CAPACITY": 32}},
 )
 def forward_refracted(
     volume: Volume, directions: Directions, light: Map, edges: Edges, width: Real, radius: Real, sinogram: SinogramOut
@@ -60,9 +60,9 @@ def forward_refracted(
 
 @kernel(
     over="volume",
-    cpu=Tiling(major=16, minor=0),
+    cpu=Tiling(major=16, minor=0, slabs=4),
     gpu=Tiling(major=1, minor=1, group=(64, 4)),
-    constants={"cpu": {"ANGLES": 30}, "gpu": {"ANGLES": 1 << 30}},
+    constants={"cpu": {"ANGLES": 12, "TOGETHER": 16, "CAPACITY": 32}},
 )
 def back_refracted(
     sinogram: Sinogram, directions: Directions, light: Map, width: Real, radius: Real, volume: VolumeOut

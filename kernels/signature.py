@@ -54,13 +54,14 @@ Integer = Annotated[int, Scalar("int32")]
 
 @dataclass(frozen=True)
 class Tiling:
-    """How much one work item computes: ``major`` × ``minor`` samples (0 = all of them) and, on GPUs, the work-group.
+    """How much one work item computes: ``major`` × ``minor`` samples (0 = all of them) of ``slabs`` slabs.
 
-    group counts work-items of a group along (minor × lanes, major).
+    group counts the work items of a GPU's work-group along (minor × lanes, major).
     """
 
     major: int = 1
     minor: int = 1
+    slabs: int = 1
     group: tuple[int, int] = (256, 1)
 
 

@@ -140,10 +140,13 @@ class Vessel(Protocol):
     Laboratory coordinates at pose θ: ``X = y·cosθ − x·sinθ`` across the light and ``Y = −(x·cosθ + y·sinθ)`` along it.
     """
 
-    absorption: float
+    @property
+    def absorption(self) -> float:
+        """Absorbed share per length in the resin [1/mm], natural logarithm."""
+        ...
 
     @property
-    def printable_radius(self) -> float:
+    def lit_radius(self) -> float:
         """Radius [mm] about the axis inside which every point is lit by exactly one ray at every pose."""
         ...
 

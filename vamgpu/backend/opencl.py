@@ -80,7 +80,7 @@ class OpenclDevice(Device):
         threads = lanes // width if self.is_gpu else 1
         tiling = self._tiling(kernel)
         shape = {"LANES": lanes, "WIDTH": width, "THREADS": threads, "VECTORS": lanes // width // threads}
-        tile = {"TILE_MAJOR": tiling.major, "TILE_MINOR": tiling.minor}
+        tile = {"TILE_MAJOR": tiling.major, "TILE_MINOR": tiling.minor, "TILE_SLABS": tiling.slabs}
         return (shape if lanes else {}) | tile | kernel.constants.get("gpu" if self.is_gpu else "cpu", {})
 
     def _tiling(self, kernel: Kernel) -> Tiling:
@@ -92,7 +92,7 @@ class OpenclDevice(Device):
         threads = lanes // 4 if self.is_gpu else 1
         minor = -(-shape[1] // tiling.minor) if tiling.minor else 1
         major = -(-shape[0] // tiling.major) if tiling.major else 1
-        return (minor * threads, major, -(-shape[2] // lanes))
+        return (minor * threads, major, -(-shape[2] // (lanes * tiling.slabs)))
 
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
         return int(np.prod(self._counts(kernel, shape)))

@@ -24,7 +24,7 @@ class OpenAir:
     """No vessel at all: straight rays, nothing absorbed, light everywhere."""
 
     absorption: float = 0.0
-    printable_radius: float = inf
+    lit_radius: float = inf
 
     def chords(self, u: np.ndarray) -> Chords:
         zero = np.zeros_like(u)
@@ -54,7 +54,7 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel) -> Light:
     if columns < 2:
         raise BadInput(f"a beam of {columns} column cannot be interpolated; give it at least 2")
     corner = hypot(*(0.5 * (n - 1) for n in grid.shape[:2]))
-    radius = min(vessel.printable_radius / grid.pitch, corner + 1.0)
+    radius = min(vessel.lit_radius / grid.pitch, corner + 1.0)
     samples = 2 * (ceil(min(radius, corner)) + 2)
     position = (np.arange(samples) - 0.5 * (samples - 1)) * grid.pitch
     u, weight = vessel.illuminate(*np.meshgrid(position, position, indexing="ij"))

@@ -77,6 +77,11 @@ class Vat:
         return self._inscribed if self.radius is None else self.radius
 
     @property
+    def lit_radius(self) -> float:
+        """Radius that light reaches at every pose [mm]: the printable radius, for straight light goes everywhere."""
+        return self.printable_radius
+
+    @property
     def window_transmittance(self) -> float:
         """Share of the power that crosses both faces of the window."""
         one = np.ones(())
