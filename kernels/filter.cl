@@ -43,7 +43,8 @@ __kernel void filtered_step(__global const float *restrict gradient, __global co
         convolve(gradient + slab + SAMPLE(i, 0, n_j), taps, stride, j, n_r, n_tap, sum);
         EACH_VECTOR {
             const Vector before = LOAD(light + at), from = LOAD(ahead + at);
-            const Vector new = fmax(ZERO, from - step * sum[v]);
+            const Lanes held = (from <= ZERO) & (LOAD(gradient + at) >= ZERO);
+            const Vector new = select(fmax(ZERO, from - step * sum[v]), ZERO, held);
             uphill[v] += MASKED(REAL_LANES, (from - new) * (new - before));
             STORE(ahead + at, new + momentum * (new - before));
             STORE(light + at, new);

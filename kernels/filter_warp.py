@@ -66,6 +66,10 @@ def filtered_step(
         before = light[slab, i, j, lane]
         start = ahead[slab, i, j, lane]
         new = wp.max(dark, start - step * convolve(gradient, taps, stride, slab, i, j, lane))
+        slope = gradient[slab, i, j, lane]
+        for k in range(4):
+            if start[k] <= 0.0 and slope[k] >= 0.0:
+                new[k] = 0.0
         for k in range(count):
             uphill += (start[k] - new[k]) * (new[k] - before[k])
         ahead[slab, i, j, lane] = new + momentum * (new - before)

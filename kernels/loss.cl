@@ -3,7 +3,7 @@
 // One vector of doses against its bands: returns the losses, and the derivatives through dose.
 static inline Vector band(Vector *dose, Vector f, Vector weight, __global const float *restrict response, int n_sample,
                           float start, float density, float low, float high, float slack_low, float slack_high,
-                          float power) {
+                          float power, float ridge) {
     const Vector position = (*dose - start) * density;
     Vector value, slope;
     if (n_sample == 2) {  // a straight line needs no looking up
@@ -23,20 +23,20 @@ static inline Vector band(Vector *dose, Vector f, Vector weight, __global const 
     const Vector difference = value - (low + (high - low) * f);
     const Vector excess = fabs(difference) - (slack_low + (slack_high - slack_low) * f);
     const Lanes wrong = excess > ZERO;
-    if (!any(wrong)) {
+    if (ridge == 0.0f && !any(wrong)) {
         *dose = ZERO;
         return ZERO;
     }
     const Vector amount = fmax(excess, 1e-30f);
     const Vector root = power == 2.0f ? amount : power == 1.0f ? (Vector)(1.0f) : pow(amount, (Vector)(power - 1.0f));
     const Vector gain = MASKED(wrong, weight);
-    *dose = copysign(gain * power * root, difference) * slope * density;
-    return gain * root * amount;
+    *dose = (copysign(gain * power * root, difference) + 2.0f * ridge * value) * slope * density;
+    return gain * root * amount + ridge * value * value;
 }
 
 __kernel void band_loss(__global float *dose, __global const float *target, __global const float *weight, int weighted,
                         __global const float *restrict response, float start, float density, float low, float high,
-                        float slack_low, float slack_high, float gain_low, float gain_high, float power, int binary,
+                        float slack_low, float slack_high, float gain_low, float gain_high, float power, float ridge, int binary,
                         float reach, __global float *restrict parts, int n_i, int n_j, int n_z, int n_sample,
                         int n_part) {
     const int part = part_index(n_i, n_j, n_z);
@@ -57,7 +57,7 @@ __kernel void band_loss(__global float *dose, __global const float *target, __gl
             Vector gain = gain_low + (gain_high - gain_low) * f, value = LOAD(dose + at);
             if (weighted) gain *= LOAD(weight + at);
             const Vector loss = band(&value, f, gain, response, n_sample, start, density, low, high, slack_low,
-                                     slack_high, power);
+                                     slack_high, power, ridge);
             STORE(dose + at, value);
             sum[v] += MASKED(REAL_LANES, loss);
         }

@@ -30,11 +30,12 @@ def band_loss(
     gain_low: Real,
     gain_high: Real,
     power: Real,
+    ridge: Real,
     binary: Integer,
     reach: Real,
     parts: Parts,
 ) -> None:
-    """Σ parts = Σ w·e^p with e = max(0, |M − c| − ε), and dose becomes the derivative of that by dose.
+    """Σ parts = Σ w·e^p with e = max(0, |M − c| − ε), and + ridge·M²; dose becomes the derivative of that by dose.
 
     M = response(dose), sampled from ``start`` on with ``density`` samples per unit and straight beyond its ends.
     c = low + (high − low)·f; ε and the gain in w go from their low to their high value likewise. f is the target, or
@@ -51,5 +52,7 @@ def band_loss(
     gain = np.where(excess > 0, gain * weight if weighted else gain, 0.0)
     excess = np.maximum(excess, 1e-30)
     parts[...] = 0.0
-    parts[0] = np.sum(gain * excess**power)
-    dose[...] = gain * power * excess ** (power - 1) * np.sign(difference) * slope * density
+    value, near = difference + low + (high - low) * f, disc(*dose.shape[:2], reach)[:, :, None]
+    parts[0] = np.sum(gain * excess**power + ridge * value**2 * near)
+    pull = gain * power * excess ** (power - 1) * np.sign(difference) + 2.0 * ridge * value * near
+    dose[...] = pull * slope * density

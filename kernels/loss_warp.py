@@ -45,6 +45,7 @@ def band_loss(
     gain_low: float,
     gain_high: float,
     power: float,
+    ridge: float,
     binary: int,
     reach: float,
     parts: wp.array(dtype=float),
@@ -77,5 +78,8 @@ def band_loss(
                     root = root_of(excess, power)
                     result += gain * root * excess
                     slopes[k] = wp.sign(difference) * gain * power * root * answer[1]
+                value = difference + low + (high - low) * f
+                result += ridge * value * value
+                slopes[k] = slopes[k] + 2.0 * ridge * value * answer[1]
         dose[slab, i, j, lane] = slopes
     parts[part_index(slab, tile, j, lane, n_i, n_j, dose.shape[3])] = result

@@ -2,28 +2,48 @@
 
 #define ARRAY __global const float *
 #define SIZES int n_i, int n_j, int n_z
+#define MINE (part_index(n_i, n_j, n_z) >= 0)
 #define EACH_VECTOR_AT                                                                                                 \
-    if (part_index(n_i, n_j, n_z) < 0) return;                                                                         \
     const size_t slab = slab_offset(n_i, n_j);                                                                         \
     EACH_SAMPLE for (size_t at = slab + SAMPLE(i, j, n_j), end = at + 1; at < end; at++) EACH_VECTOR
 
 #ifdef COMPILE_linear
 __kernel void linear(float a, ARRAY x, float b, ARRAY y, float floor, __global float *out, SIZES) {
+    if (!MINE) return;
     EACH_VECTOR_AT STORE(out + at, fmax((Vector)(floor), a * LOAD(x + at) + b * LOAD(y + at)));
 }
 #endif
 
 #ifdef COMPILE_free_gradient
-__kernel void free_gradient(ARRAY light, float slope, __global float *gradient, SIZES) {
+static inline Vector raised(Vector x, float power) {
+    return power == 0.0f ? (Vector)(1.0f) : power == 1.0f ? x : power == 3.0f ? x * x * x : pow(x, (Vector)(power));
+}
+
+__kernel void free_gradient(ARRAY light, float weight, float power, __global float *gradient,
+                            __global float *restrict parts, SIZES, int n_part) {
+    const int part = part_index(n_i, n_j, n_z);
+    if (part < 0 || part >= n_part) return;
+    Vector sum[VECTORS];
+    EACH_VECTOR sum[v] = ZERO;
     EACH_VECTOR_AT {
-        const Vector value = LOAD(gradient + at) + slope;
-        STORE(gradient + at, select(value, fmin(value, ZERO), LOAD(light + at) <= ZERO));
+        const Vector from = LOAD(light + at), lit = fmax(from, ZERO);
+        Vector value = LOAD(gradient + at);
+        if (weight != 0.0f) {
+            const Vector root = raised(lit, power - 1.0f);
+            value += weight * power * root;
+            sum[v] += MASKED(REAL_LANES, root * lit);
+        }
+        STORE(gradient + at, select(value, fmin(value, ZERO), from <= ZERO));
     }
+    float result = 0.0f;
+    EACH_VECTOR result += across_lanes(sum[v], 0);
+    parts[part] = weight * result;
 }
 #endif
 
 #ifdef COMPILE_paint
 __kernel void paint(ARRAY target, float low, float high, float reach, __global float *model, SIZES) {
+    if (!MINE) return;
     EACH_VECTOR_AT {
         const int near = disc_distance(i, j, n_i, n_j) <= reach * reach;
         STORE(model + at, near ? low + (high - low) * LOAD(target + at) : ZERO);
@@ -34,6 +54,7 @@ __kernel void paint(ARRAY target, float low, float high, float reach, __global f
 #ifdef COMPILE_correct_by_ratio
 __kernel void correct_by_ratio(ARRAY dose, float scale, ARRAY target, float low, float high, float most,
                                __global float *model, SIZES) {
+    if (!MINE) return;
     EACH_VECTOR_AT {
         const Vector wanted = low + (high - low) * LOAD(target + at);
         const Vector got = fmax(fmax(LOAD(dose + at) * scale, wanted / most), 1e-30f);
@@ -45,6 +66,7 @@ __kernel void correct_by_ratio(ARRAY dose, float scale, ARRAY target, float low,
 #ifdef COMPILE_correct_by_difference
 __kernel void correct_by_difference(ARRAY dose, float scale, ARRAY target, float low, float high, float gain_outside,
                                     float gain_inside, float reach, __global float *model, SIZES) {
+    if (!MINE) return;
     EACH_VECTOR_AT {
         if (disc_distance(i, j, n_i, n_j) > reach * reach) continue;
         const Vector got = LOAD(dose + at) * scale;

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vamgpu.kernels.reduce import CPU, disc
+from vamgpu.kernels.reduce import CPU, GPU as PARTIAL, Parts, disc
 from vamgpu.kernels.signature import Array, ArrayOut, Real, Tiling, kernel
 
 GPU = Tiling(major=1, minor=1)
@@ -16,10 +16,18 @@ def linear(a: Real, x: Array, b: Real, y: Array, floor: Real, out: ArrayOut) -> 
     out[...] = np.maximum(floor, a * x + b * y)
 
 
-@kernel(over="gradient", cpu=CPU, gpu=GPU)
-def free_gradient(light: Array, slope: Real, gradient: ArrayOut) -> None:
-    """gradient += slope where light may follow it downhill; 0 where light is dark and would have to become negative."""
-    gradient += slope
+@kernel(over="gradient", cpu=CPU, gpu=PARTIAL)
+def free_gradient(light: Array, weight: Real, power: Real, gradient: ArrayOut, parts: Parts) -> None:
+    """Add the derivative of weight·light^power to the gradient, then hold what cannot follow it.
+
+    Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where it would make dark light (≤ 0) negative: a filter or a
+    metric applied to what is left keeps it a direction of descent. Source: D. Bertsekas, SIAM J. Control Optim. 20
+    (1982) 221. power ≥ 1.
+    """
+    lit = np.maximum(light, 0.0)
+    parts[...] = 0.0
+    parts[0] = weight * np.sum(lit**power)
+    gradient += weight * power * lit ** (power - 1)
     gradient[(light <= 0) & (gradient > 0)] = 0.0
 
 

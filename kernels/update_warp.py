@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.partial_warp import disc_distance
+from vamgpu.kernels.partial_warp import ROWS, disc_distance, part_index, real_lanes
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -19,15 +19,34 @@ def linear(a: float, x: Vectors, b: float, y: Vectors, floor: float, out: Vector
 
 
 @wp.kernel
-def free_gradient(light: Vectors, slope: float, gradient: Vectors, n_i: int, n_j: int, n_z: int):
-    slab, i, j, lane = wp.tid()
-    value = gradient[slab, i, j, lane]
-    lit = light[slab, i, j, lane]
-    for k in range(4):
-        value[k] = value[k] + slope
-        if lit[k] <= 0.0:
-            value[k] = wp.min(value[k], 0.0)
-    gradient[slab, i, j, lane] = value
+def free_gradient(
+    light: Vectors,
+    weight: float,
+    power: float,
+    gradient: Vectors,
+    parts: wp.array(dtype=float),
+    n_i: int,
+    n_j: int,
+    n_z: int,
+    n_part: int,
+):
+    slab, tile, j, lane = wp.tid()
+    count = real_lanes(slab, lane, light.shape[3], n_z)
+    result = float(0.0)
+    for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_i)):
+        value = gradient[slab, i, j, lane]
+        lit = light[slab, i, j, lane]
+        for k in range(count):
+            if weight != 0.0:
+                root = float(1.0)
+                if power != 1.0:
+                    root = wp.pow(wp.max(lit[k], 0.0), power - 1.0)
+                value[k] = value[k] + weight * power * root
+                result += root * wp.max(lit[k], 0.0)
+            if lit[k] <= 0.0:
+                value[k] = wp.min(value[k], 0.0)
+        gradient[slab, i, j, lane] = value
+    parts[part_index(slab, tile, j, lane, n_i, n_j, light.shape[3])] = weight * result
 
 
 @wp.kernel

@@ -28,11 +28,13 @@ BAND = {
     "gain_high": 1.3,
     "binary": 0,
     "reach": 15.0,
+    "ridge": 0.0,
 }
 LINE = {"start": 0.0, "density": 1.0}
 CASES: list[tuple[Kernel, dict[str, Any]]] = [
     (linear, {"a": 0.5, "b": -1.5, "floor": 0.0}),
-    (free_gradient, {"slope": 0.1}),
+    (free_gradient, {"weight": 0.1, "power": 4.0}),
+    (free_gradient, {"weight": 0.0, "power": 1.0}),
     (paint, {"low": 0.6, "high": 1.0, "reach": 11.0}),
     (correct_by_ratio, {"scale": 1.2, "low": 0.6, "high": 1.0, "most": 3.0}),
     (
@@ -43,7 +45,7 @@ CASES: list[tuple[Kernel, dict[str, Any]]] = [
     (filter_rows, {"taps": np.array([1.0]), "stride": 1, "floor": -1e30}),
     (filtered_step, {"taps": np.linspace(1, -0.5, 90), "stride": 1, "step": 0.3, "momentum": 0.8}),
     (band_loss, {**BAND, **LINE, "response": FLAT, "power": 2.0}),
-    (band_loss, {**BAND, "response": CURVE, "power": 3.0, "weighted": 1}),
+    (band_loss, {**BAND, "response": CURVE, "power": 3.0, "weighted": 1, "ridge": 0.2}),
     (band_loss, {**BAND, **LINE, "response": FLAT, "power": 1.0, "binary": 1}),
 ]
 
