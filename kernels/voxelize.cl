@@ -3,8 +3,8 @@
 #define SAMPLES 16
 #define GENERATOR 7
 
-// One edge of a triangle: at (x, y), offset + along_x * x + along_y * y is twice the area between edge and point, and the
-// point is inside where that reaches own for all three edges.
+// One edge of a triangle: at (x, y), offset + along_x * x + along_y * y is twice the area between edge and point, and
+// the point is inside where that reaches own for all three edges.
 typedef struct {
     long along_x, along_y, offset;
     int own;
@@ -35,7 +35,8 @@ static inline size_t place(int x, int y, int z, int n_x, int n_y) {
 }
 
 // From height h on, all voxels of a column change by weight; the voxel that h cuts, by its part above h.
-static inline void change(__global float *volume, int x, int y, int h, float weight, int bits, int n_x, int n_y, int n_z) {
+static inline void change(__global float *volume, int x, int y, int h, float weight, int bits,
+                          int n_x, int n_y, int n_z) {
     const int z = max(h, 0) >> bits, below = max(h, 0) - (z << bits);
     if (z < n_z) volume[place(x, y, z, n_x, n_y)] += weight * ((1 << bits) - below);
     if (below && z + 1 < n_z) volume[place(x, y, z + 1, n_x, n_y)] += weight * below;
@@ -81,12 +82,13 @@ static inline float settle(__global float *volume, int x, int y, int n_x, int n_
     return sum;
 }
 
-// An item owns a square of columns, all of z. The hint keeps compilers for CPUs from running several items in step, which
-// their unlike lists of triangles would make several times slower.
-__kernel __attribute__((vec_type_hint(float16))) void voxelize(__global const int *restrict triangles, __global const int *restrict members,
-                       __global const int *restrict first, __global const int *restrict last, int tile, int bits,
-                       __global float *restrict volume, __global float *restrict filled,
-                       int n_triangle, int n_member, int n_tile_x, int n_tile_y, int n_x, int n_y, int n_z) {
+// An item owns a square of columns, all of z. The hint keeps compilers for CPUs from running several items in step,
+// which their unlike lists of triangles would make several times slower.
+__kernel __attribute__((vec_type_hint(float16)))
+void voxelize(__global const int *restrict triangles, __global const int *restrict members,
+              __global const int *restrict first, __global const int *restrict last, int tile, int bits,
+              __global float *restrict volume, __global float *restrict filled,
+              int n_triangle, int n_member, int n_tile_x, int n_tile_y, int n_x, int n_y, int n_z) {
     const int item = get_global_id(1) * n_tile_y + get_global_id(0), begin = first[item], end = last[item];
     const int2 low = (int2)(get_global_id(1), get_global_id(0)) * tile, high = min(low + tile, (int2)(n_x, n_y));
     const int slabs = (n_z + LANES - 1) / LANES;

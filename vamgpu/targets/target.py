@@ -58,7 +58,7 @@ class Target:
         device: str | Device | None = None,
         name: str | None = None,
     ) -> Target:
-        """Voxelize a mesh file (STL, PLY, OBJ, 3MF) or a Solid on a device.
+        """Voxelize a mesh file (STL, PLY, OBJ, 3MF) or a Solid, repaired where needed, on a device.
 
         The part is turned by ``orientation`` (3 × 3 rotation matrix), scaled to ``height`` [mm] along z or by
         ``factor`` (exactly one of them), and centered: its smallest enclosing circle on the axis, its middle at z = 0.
@@ -80,7 +80,7 @@ class Target:
         if volume <= 0.0:
             raise EmptyMesh(
                 f"{solid.name}: no voxel of {pitch:g} mm is filled ({solid.volume:.3g} mm³ in the mesh); wanted a "
-                "closed part, wound outward, not much thinner than a voxel: use a smaller pitch or a larger part"
+                "part not much thinner than a voxel: use a smaller pitch or a larger part"
             )
         return cls(grid, name or solid.name, fraction, solid.radius, volume, solid.height)
 
@@ -123,10 +123,11 @@ def _one_scale(height: float | None, factor: float | None) -> None:
 
 
 def _solid(source: str | Path | Solid) -> Solid:
+    from vamgpu.targets.repair import repaired
     from vamgpu.targets.solid import Solid
 
     if isinstance(source, Solid):
-        return source
+        return repaired(source)
     if not isinstance(source, str | Path):
         raise BadInput(f"got a {type(source).__name__}; wanted the path of a mesh file, or a Solid")
     from vamgpu.targets.mesh import load_mesh

@@ -46,8 +46,8 @@ def voxelize(solid: Solid, grid: Grid, device: str | Device | None = None) -> Vo
     corners, bits = snapped(solid, grid)
     triangles = oriented(corners, solid.faces)
     tile = _tile(place)
-    members, first, last = binned(triangles, grid, bits, tile)
     fraction = _allocate(place, grid)
+    members, first, last = binned(triangles, grid, bits, tile)
     filled = place.empty(first.shape, place.kept("float32"), table=True)
     place.launch(
         scan,
