@@ -79,7 +79,8 @@ def count_light(
     dark pixels are left out, and what is not finite lands in bins 1020 to 1023 of the first round.
     """
     wanted = pictures(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) / flat
-    bits = np.abs(wanted[~(wanted <= 0)]).astype(np.float32).view(np.uint32)
+    with np.errstate(over="ignore"):
+        bits = np.abs(wanted[~(wanted <= 0)]).astype(np.float32).view(np.uint32)
     bits = bits[bits >> (drop + 10) == prefix]
     counts += np.bincount((bits >> drop) & (BINS - 1), minlength=BINS).astype(counts.dtype)
 

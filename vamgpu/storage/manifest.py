@@ -6,7 +6,7 @@ import json
 import platform
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from math import isfinite
@@ -49,8 +49,8 @@ class ArrayRecord:
 class Manifest:
     """Everything needed to read a job folder and to know where it came from.
 
-    inputs: what the job was asked for.  details: what readers of its arrays must know, by subject.  device: where it was
-    computed.  arrays: by name.  versions: of this library, Python and what it computes with.
+    inputs: what the job was asked for.  details: what readers of its arrays must know, by subject.  device: where it
+    was computed.  arrays: by name.  versions: of this library, Python and what it computes with.
     """
 
     inputs: dict[str, Any]
@@ -64,7 +64,8 @@ class Manifest:
     def to_json(self) -> str:
         """The manifest as text. Raises `BadInput` for inputs that JSON cannot hold."""
         head = {"format": FORMAT, "version": VERSION}
-        text = json.dumps(plain({**head, **asdict(self)}), indent=2, ensure_ascii=False)
+        body = {name: plain(getattr(self, name), name) for name in (f.name for f in fields(self))}
+        text = json.dumps({**head, **body}, indent=2, ensure_ascii=False)
         return ROW.sub(lambda row: "[" + " ".join(row[1].split()) + "]", text) + "\n"
 
     @classmethod
@@ -73,7 +74,7 @@ class Manifest:
         try:
             data = json.loads(text)
         except json.JSONDecodeError as error:
-            raise StorageError(f"{str(path)!r} is no valid JSON: {error}; the job is damaged, write it again") from error
+            raise StorageError(f"{str(path)!r} is no valid JSON: {error}; write the job again") from error
         if not isinstance(data, dict) or data.get("format") != FORMAT:
             raise StorageError(f"{str(path)!r} is no manifest of a {FORMAT}; check the path")
         if data.get("version") != VERSION:
@@ -83,7 +84,8 @@ class Manifest:
             )
         try:
             arrays = {name: _record(record) for name, record in data["arrays"].items()}
-            return cls(**{f.name: arrays if f.name == "arrays" else data[f.name] for f in fields(cls)})
+            known = (data[name] for name in ("versions", "units", "written"))
+            return cls(data["inputs"], data["details"], data["device"], arrays, *known)
         except (KeyError, TypeError, AttributeError) as error:
             raise StorageError(f"{str(path)!r} lacks or garbles {error}; the job is damaged, write it again") from error
 

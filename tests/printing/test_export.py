@@ -1,0 +1,143 @@
+"""Frames in job folders and in exported files: every bit comes back."""
+
+from __future__ import annotations
+
+import errno
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import vamgpu as vam
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.printing.export import export
+from vamgpu.printing.folder import load_frames, save_frames
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.printing.pack import pack
+from vamgpu.storage.folder import Entry
+
+
+def some_frames(device: Device | str, bits: int = 8) -> Frames:
+    there = vam.open_device(device)
+    plan = SimpleNamespace(sinogram=there.upload(np.random.default_rng(0).random((12, 13, 21))), operator=None)
+    flat = np.linspace(0.7, 1.0, 21 * 13).reshape(21, 13)
+    curve = GrayCurve.gamma(2.2, black=0.01)
+    return pack(plan, bits=bits, gray=curve, flat_field=flat, flip_r=True, shift=(0.5, -1.25))
+
+
+@pytest.mark.parametrize("bits", [8, 1])
+def test_frames_come_back_with_their_light(device: Device, tmp_path: Path, bits: int) -> None:
+    frames = some_frames(device, bits)
+    beside = {"target": Entry(np.ones((2, 2)), ("x", "y"))}
+    save_frames(tmp_path / "a.vam", frames, inputs={"height": 12.0}, arrays=beside)
+    back = load_frames(tmp_path / "a.vam", device)
+    assert (back.bits, back.columns, back.scale) == (frames.bits, frames.columns, frames.scale)
+    assert back.gray == frames.gray and back.settings == frames.settings
+    assert np.array_equal(back.images.numpy(), frames.images.numpy())
+    assert np.array_equal(back.irradiance().numpy(), frames.irradiance().numpy())
+
+
+def test_one_flipped_bit_of_a_job_is_refused(tmp_path: Path) -> None:
+    frames = some_frames("numpy", bits=1)
+    save_frames(tmp_path / "a.vam", frames)
+    import zarr
+
+    array = zarr.open_array(tmp_path / "a.vam" / "frames", mode="r+")
+    array[3, 4, 1] = int(array[3, 4, 1]) ^ 0b00010000  # type: ignore[arg-type]
+    with pytest.raises(StorageError, match="SHA-256"):
+        load_frames(tmp_path / "a.vam", "numpy")
+
+
+def test_garbled_descriptions_are_refused(tmp_path: Path) -> None:
+    save_frames(tmp_path / "a.vam", some_frames("numpy"))
+    file = tmp_path / "a.vam" / "manifest.json"
+    text = file.read_text(encoding="utf-8")
+    for old, new in (('"dither": "round"', '"dither": "?"'), ('"bits": 8', '"bits": 3'), ('"gray"', '"grey"')):
+        file.write_text(text.replace(old, new, 1), encoding="utf-8")
+        with pytest.raises(StorageError, match="manifest"):
+            load_frames(tmp_path / "a.vam", "numpy")
+
+
+def test_names_of_the_frames_own_are_taken(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="name the other"):
+        save_frames(tmp_path / "a.vam", some_frames("numpy"), arrays={"frames": Entry(np.ones(3), ("x",))})
+
+
+@pytest.mark.parametrize("bits", [8, 1])
+def test_png_stack(tmp_path: Path, bits: int) -> None:
+    from PIL import Image
+
+    frames = some_frames("numpy", bits)
+    folder = export(frames, tmp_path / "png")
+    files = sorted(folder.glob("*.png"))
+    assert [file.name for file in files[:2]] == ["frame_0000.png", "frame_0001.png"] and len(files) == 12
+    opened = [Image.open(file) for file in files]
+    assert {image.mode for image in opened} == {"L" if bits == 8 else "1"}
+    assert np.array_equal(np.stack([np.asarray(image.convert("L")) for image in opened]), frames.pictures())
+    assert json.loads((folder / "frames.json").read_text(encoding="utf-8"))["scale"] == frames.scale
+
+
+@pytest.mark.parametrize("bits", [8, 1])
+def test_tiff_pages(tmp_path: Path, bits: int) -> None:
+    import tifffile
+
+    frames = some_frames("numpy", bits)
+    with tifffile.TiffFile(export(frames, tmp_path / "a.tiff")) as file:
+        assert len(file.pages) == 12
+        assert np.array_equal(file.asarray(), frames.pictures())
+        assert json.loads(file.pages[0].tags["ImageDescription"].value)["bits"] == bits  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("bits", [8, 1])
+def test_npz_needs_no_pickle(tmp_path: Path, bits: int) -> None:
+    frames = some_frames("numpy", bits)
+    with np.load(export(frames, tmp_path / "a.npz"), allow_pickle=False) as data:
+        assert np.array_equal(data["images"], frames.images.numpy())
+        assert np.array_equal(data["curve"], frames.gray.table(bits))
+        assert data["scale"] == frames.scale and data["flat_field"].shape == (21, 13)
+        assert json.loads(str(data["description"]))["settings"]["shift"] == [0.5, -1.25]
+
+
+@pytest.mark.parametrize("bits", [8, 1])
+def test_films_keep_every_bit(tmp_path: Path, bits: int) -> None:
+    import av
+
+    frames = some_frames("numpy", bits)
+    with av.open(str(export(frames, tmp_path / "a.mp4", fps=24))) as film:
+        assert film.streams.video[0].average_rate == 24
+        decoded = [frame.to_ndarray(format="gray") for frame in film.decode(video=0)]
+    assert np.array_equal(np.stack(decoded), frames.pictures())
+
+
+def test_exports_are_refused_with_a_reason(tmp_path: Path) -> None:
+    frames = some_frames("numpy")
+    with pytest.raises(BadInput, match="PNG folder"):
+        export(frames, tmp_path / "a.gif")
+    with pytest.raises(BadInput, match="frames per second"):
+        export(frames, tmp_path / "a.mp4", fps=0)
+    export(frames, tmp_path / "a.npz")
+    with pytest.raises(StorageError, match="exists"):
+        export(frames, tmp_path / "a.npz")
+    export(frames, tmp_path / "a.npz", overwrite=True)
+    export(frames, tmp_path / "png")
+    with pytest.raises(StorageError, match="is a folder"):
+        export(frames, tmp_path / "png", overwrite=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "png"]
+
+
+@pytest.mark.parametrize("ending", ["", ".tif", ".npz", ".mp4"])
+def test_a_full_disk_leaves_no_export_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str) -> None:
+    frames = some_frames("numpy")
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    writers = {"": "PIL.Image.Image.save", ".tif": "tifffile.imwrite", ".npz": "numpy.savez_compressed"}
+    monkeypatch.setattr(writers.get(ending, "av.open"), full)
+    with pytest.raises(StorageError, match="the disk is full"):
+        export(frames, tmp_path / f"a{ending}")
+    assert not list(tmp_path.iterdir())
