@@ -5,7 +5,7 @@ gains one, the voxel cut by the surface its part above h; where it leaves, they 
 winding number, so nothing needs sorting, and the result is exact along z. Vertices sit on a fine grid of 2**bits units
 a voxel, edge tests and heights are integers of 64 bits, and a ray through an edge or a vertex counts as passing it an
 infinitesimal (ε, ε²) beside: neighboring triangles never both take it and never both miss it. All sums are multiples of
-1 / (SAMPLES · 2**bits) and exact in float32, so every device gives the very same numbers in any order.
+1 / (SAMPLES · 2**bits), exact in float32 up to a thousand shells, so devices give the very same numbers in any order.
 
 The points are a lattice of 16 rows and 16 columns with one point in each (rank 1, generator 7): a wall along x or y is
 resolved to 1/16 of a voxel, where a square array of as many points would resolve 1/4.
