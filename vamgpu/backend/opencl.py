@@ -28,7 +28,7 @@ class OpenclDevice(Device):
         self.context = cl.Context([device])
         self.queue = cl.CommandQueue(self.context)
         self._device = device
-        self.compiled = lru_cache(maxsize=None)(self._compiled)
+        self._compiled = lru_cache(maxsize=None)(self.compile)
 
     @property
     def real(self) -> np.dtype:
@@ -64,14 +64,15 @@ class OpenclDevice(Device):
             except cl.MemoryError as error:  # drivers may defer an allocation until it is first used
                 raise OutOfMemory(f"{self.name} ran out of memory: {error}") from error
 
-    def _compiled(self, kernel: Kernel, lanes: int) -> cl.Kernel:
-        """The compiled sibling of a kernel for a layout of ``lanes``."""
+    def compile(self, kernel: Kernel, lanes: int, *, cached: bool = True) -> cl.Kernel:
+        """The sibling of a kernel compiled for a layout of ``lanes``; not cached, it tells its arguments everywhere."""
         options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info", f"-DCOMPILE_{kernel.name}"]
         options += [f"-D{key}={value}" for key, value in self._constants(kernel, lanes).items()]
         try:
             with warnings.catch_warnings():  # a compiler that merely talks is no news
                 warnings.simplefilter("ignore", cl.CompilerWarning)
-                return cl.Kernel(cl.Program(self.context, kernel.source.read_text()).build(options), kernel.name)
+                program = cl.Program(self.context, kernel.source.read_text())
+                return cl.Kernel(program.build(options, cache_dir=None if cached else False), kernel.name)
         except (cl.Error, RuntimeError) as error:
             raise KernelError(f"{kernel.source.name} does not build on {self.name}: {error}") from error
 
@@ -109,7 +110,7 @@ class OpenclDevice(Device):
             raise KernelError(f"{kernel.name} runs over {kernel.over}, which is a number")
         if group:
             counts = tuple(-(-n // g) * g for n, g in zip(counts, group, strict=True))
-        function = self.compiled(kernel, lanes)
+        function = self._compiled(kernel, lanes)
         extents = [np.int32(sizes[axis]) for axis in kernel.axes]
         try:
             function(self.queue, counts, group, *bound.values(), *extents)
