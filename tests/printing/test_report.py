@@ -1,0 +1,174 @@
+"""The report of a small print: everything inside one file, every picture there, every number the proof's."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from vamgpu import Beam, Grid, Projection, Turntable, Vial
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import StorageError
+from vamgpu.printing import charts, pictures, surface
+from vamgpu.printing.proof import Proof
+from vamgpu.printing.simulate import simulate
+
+GRID = Grid((24, 24, 14), 0.2)
+VIAL = Vial(radius=4.0, wall=0.2, resin_index=1.45, wall_index=1.47, bath_index=1.45, absorption=0.05)
+
+
+class Shown:
+    """Frames that are nothing but their light."""
+
+    bits, scale = 8, 3.0
+
+    def __init__(self, light: np.ndarray) -> None:
+        self.light = light
+
+    def irradiance(self, device: Device) -> DeviceArray:
+        return device.upload(self.light)
+
+
+@dataclass(frozen=True)
+class Record:
+    projector_pairs: int
+    loss: float
+    window: float | None
+
+
+def ball(shape: tuple[int, int, int], radius: float = 0.6) -> np.ndarray:
+    x, y, z = np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")
+    return np.clip((radius - np.sqrt(x**2 + y**2 + z**2)) * 8 + 0.5, 0, 1)
+
+
+def small_proof(name: str = "ball <1>", vessel: Vial | None = VIAL) -> Proof:
+    A = Projection(GRID, Beam((24, 14), 0.2), Turntable(12), vessel, "numpy")
+    light = np.asarray(A(ball(GRID.shape)))
+    target = SimpleNamespace(name=name, on=lambda device: device.upload(ball(GRID.shape)))
+    return simulate(A, Shown(3 * light / light.max()), target, irradiance=5, critical_dose=1,
+                    absorption=None if vessel else 0.1)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def proof() -> Proof:
+    return small_proof()
+
+
+def data_of(page: str) -> dict:
+    found = re.search(r"const DATA = (\{.*\});</script>", page)
+    assert found
+    return json.loads(found[1])
+
+
+def test_the_page_is_one_file_and_complete(proof: Proof, tmp_path: Path) -> None:
+    plan = SimpleNamespace(
+        history=tuple(Record(k, 1 / (k + 1), None if k % 2 else 0.01 * k) for k in range(6)),
+        method="two thresholds", papers=("A. Author, A method. A Journal 1 (2020) 1.",), seconds=1.5,
+    )  # fmt: skip
+    path = proof.report(tmp_path / "proof.html", plan=plan)
+    page = path.read_text(encoding="utf-8")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["proof.html"]
+    assert "ball &lt;1&gt;" in page and "<1>" not in page
+    assert not re.findall(r"""(?:src|href)=["'](?!data:|#)[^"']*["']""", page)
+    assert "@import" not in page and "url(http" not in page
+    for heading in ("Printed part", "Slices", "Dose in and out", "Slice by slice", "Sinogram", "Frames", "Convergence",
+                    "Numbers", "Papers relied on"):  # fmt: skip
+        assert heading in page
+    for text in (*plan.papers, "two thresholds", proof.operator.device.description):
+        assert text in page
+    assert page.count("<svg") == 3
+    for line in proof.lines():
+        assert line.name in page
+
+
+def test_a_report_without_a_plan_has_no_convergence(proof: Proof, tmp_path: Path) -> None:
+    assert "Convergence" not in proof.report(tmp_path / "proof.html").read_text(encoding="utf-8")
+
+
+def test_a_report_that_cannot_be_written_says_so_and_leaves_nothing(proof: Proof, tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="choose another path"):
+        proof.report(tmp_path / "missing" / "proof.html")
+    (tmp_path / "taken.html").mkdir()
+    with pytest.raises(StorageError, match="taken.html"):
+        proof.report(tmp_path / "taken.html")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["taken.html"]
+
+
+def test_the_slice_sheet_holds_dose_target_and_verdict(proof: Proof, tmp_path: Path) -> None:
+    sheet = data_of(proof.report(tmp_path / "proof.html").read_text(encoding="utf-8"))["sheet"]
+    image = np.asarray(Image.open(BytesIO(base64.b64decode(sheet["image"].split(",")[1]))))
+    dose, target, printed = proof.dose.numpy(), proof.target.numpy(), proof.printed()
+    for index, z in enumerate(sheet["slices"]):
+        row, column = divmod(index, sheet["across"])
+        tile = image[row * 24 : (row + 1) * 24, column * 24 : (column + 1) * 24].astype(int)
+        x, y = 9, 15
+        pixel = tile[23 - y, x]
+        assert pixel[0] == round(255 * min(1, dose[x, y, z] / proof.scores.peak))
+        assert pixel[1] == round(255 * target[x, y, z])
+        wanted = target[x, y, z] >= 0.5
+        verdict = {(True, True): 1, (True, False): 2, (False, True): 3, (False, False): 0}
+        assert pixel[2] == 40 * verdict[bool(wanted), bool(printed[x, y, z])]
+        assert tile[0, 0, 2] == 40 * pictures.OUTSIDE
+
+
+def test_verdicts_add_up_to_the_scores(proof: Proof) -> None:
+    printed, target = proof.printed(), proof.target.numpy()
+    verdict = pictures.verdicts(target, printed, GRID.cylinder())
+    assert (verdict == pictures.MISSING).sum() == proof.scores.missing
+    assert (verdict == pictures.EXCESS).sum() == proof.scores.excess
+
+
+def test_surfaces_enclose_the_volume_and_face_outwards() -> None:
+    x, y, z = np.meshgrid(*(np.arange(n) - (n - 1) / 2 for n in (40, 44, 48)), indexing="ij")
+    inwards = -np.sqrt(x**2 + y**2 + (z - 2) ** 2)
+    ball, grown = (surface.iso_surface(np.clip(inwards + r + 0.5, 0, 1), 0.5, 0.1) for r in (15.0, 16.0))
+    a, b, c = (ball.points[ball.faces[:, k]] for k in range(3))
+    assert np.einsum("ij,ij->", np.cross(b - a, c - a), a) / 6 == pytest.approx(4 / 3 * np.pi * 1.5**3, rel=0.01)
+    assert ball.points.mean(axis=0) == pytest.approx([0, 0, 0.2], abs=0.01)
+    outwards = ball.points - [0, 0, 0.2]
+    assert (np.einsum("ij,ij->i", ball.normals, outwards) > 0).all()
+    found = surface.deviation(grown, ball)
+    assert found == pytest.approx(0.1, abs=0.02)
+    assert surface.iso_surface(np.zeros((5, 5, 1)), 0.5, 0.1) is surface.NOTHING
+
+
+def test_a_packed_surface_unpacks_to_itself() -> None:
+    solid = surface.iso_surface(ball((20, 20, 20)), 0.5, 0.1)
+    texts = solid.packed(np.zeros(len(solid.points)), 2.0)
+    packed = {name: zlib.decompress(base64.b64decode(text)) for name, text in texts.items()}
+    points = np.cumsum(np.frombuffer(packed["points"], "<i2").reshape(-1, 3), axis=0, dtype=np.int16) / 32767 * 2.0
+    assert np.abs(points - solid.points).max() < 1e-4
+    assert np.array_equal(np.cumsum(np.frombuffer(packed["faces"], "<i4")), solid.faces.ravel())
+
+
+def test_a_long_field_is_averaged_in_blocks() -> None:
+    field = np.zeros((300, 6, 6))
+    field[90:210, 1:5, 1:5] = 1.0
+    solid = surface.iso_surface(field, 0.4, 0.1)
+    assert solid.points[:, 0].min() == pytest.approx(-6.0, abs=0.2)
+    assert solid.points[:, 0].max() == pytest.approx(6.0, abs=0.2)
+
+
+def test_history_columns_read_dataclasses_and_dictionaries() -> None:
+    found = charts.columns([Record(1, 0.5, None), {"projector_pairs": 2, "loss": np.float32(0.25), "note": "x"}])
+    assert found["projector_pairs"].tolist() == [1, 2] and found["loss"].tolist() == [0.5, 0.25]
+    assert "note" not in found and "window" not in found
+    assert charts.convergence_chart([Record(1, 0.5, 0.1)]) is None
+
+
+def test_a_print_of_a_single_slice_without_a_vessel(tmp_path: Path) -> None:
+    A = Projection(Grid((20, 20, 1), 0.2), Beam((20, 1), 0.2), Turntable(8), device="numpy")
+    target = ball((20, 20, 3))[:, :, 1:2]
+    found = simulate(A, Shown(np.asarray(A(target))), target)
+    page = found.report(tmp_path / "slice.html").read_text(encoding="utf-8")
+    assert "straight light" in page and "predicted exposure" not in page

@@ -1,0 +1,117 @@
+"""Charts of a report as inline SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from io import StringIO
+from numbers import Real
+from typing import Any
+
+import numpy as np
+
+from vamgpu.metrics import Scores, SliceScores
+from vamgpu.metrics.histogram import Histogram
+from vamgpu.metrics.parts import IN, OUT
+
+INK, FAINT, PART, REST, WARN = "#1f2733", "#d5dae1", "#2563a8", "#9aa5b4", "#d63a49"
+STYLE = {
+    "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 10.5, "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False,
+    "axes.spines.right": False, "axes.grid": True, "grid.color": "#eef1f5", "axes.axisbelow": True,
+    "legend.frameon": False, "svg.hashsalt": "vamgpu",
+}  # fmt: skip
+ABSCISSA = ("projector_pairs", "pairs", "iteration")
+"""Names a convergence may be plotted over, best first."""
+
+
+def _figure(draw: Any, width: float = 7.2, height: float = 3.0, rows: int = 1) -> str:
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasSVG(figure)
+        draw(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+        stream = StringIO()
+        figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
+    svg = stream.getvalue()
+    return svg[svg.index("<svg") :].replace("sans-serif", "inherit")
+
+
+def histogram_chart(found: Histogram, scores: Scores) -> str:
+    """Voxels in and out of the part over dose, with the threshold and what lies between part and rest."""
+    peak = scores.peak or 1.0
+    edges = found.edges / peak
+
+    def draw(axes: Sequence[Any]) -> None:
+        axis = axes[0]
+        for which, color, name in ((OUT, REST, "outside"), (IN, PART, "in the part")):
+            axis.stairs(np.maximum(found.counts[0, which], 0.5), edges, baseline=0.5, fill=True, color=color, alpha=0.3)
+            axis.stairs(np.maximum(found.counts[0, which], 0.5), edges, color=color, lw=1.4, label=name)
+        low, high = sorted((scores.greatest_out / peak, scores.least_in / peak))
+        good = scores.window > 0
+        name = "process window" if good else "overlap"
+        axis.axvspan(low, high, color="#1d9a5b" if good else WARN, alpha=0.12, lw=0, label=name)
+        axis.axvline(scores.threshold / peak, color=INK, lw=1.2, ls=(0, (4, 3)), label="threshold")
+        axis.set(yscale="log", xlim=(0, 1), ylim=(0.5, None), xlabel="dose over its greatest", ylabel="voxels")
+        axis.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+
+    return _figure(draw, width=11.6, height=3.4)
+
+
+def slices_chart(slices: SliceScores, z: np.ndarray, *, wide: bool = False) -> str:
+    """Windows and wrong voxels of every slice over its height [mm], on one scale."""
+
+    def draw(axes: Sequence[Any]) -> None:
+        axes[0].axhline(0, color=INK, lw=0.8)
+        axes[0].plot(z, slices.window, color=PART, lw=1.6, marker="." if len(z) < 3 else None, label="strict window")
+        axes[0].plot(z, slices.trimmed, color=REST, lw=1.4, label="1 % window")
+        axes[0].set_ylabel("process window")
+        axes[0].legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        axes[1].fill_between(z, slices.missing, color=WARN, alpha=0.7, lw=0, step="mid", label="missing")
+        axes[1].fill_between(z, -slices.excess, color="#f09620", alpha=0.8, lw=0, step="mid", label="excess")
+        most = max(1, int(slices.missing.max()), int(slices.excess.max()))
+        axes[1].set(ylabel="wrong voxels", xlabel="height z [mm]", ylim=(-1.15 * most, 1.15 * most))
+        axes[1].yaxis.set_major_formatter(lambda value, _: f"{abs(value):g}")
+        axes[1].legend(ncols=2, loc="upper right")
+
+    return _figure(draw, width=11.6 if wide else 5.6, height=4.0, rows=2)
+
+
+def convergence_chart(history: Sequence[Any]) -> str | None:
+    """Loss, and the process window where it was recorded, over projector pairs; None without a history."""
+    table = columns(history)
+    over = next((name for name in ABSCISSA if name in table), None)
+    shown = [name for name in ("loss", "window") if name in table and np.isfinite(table[name]).any()]
+    if not shown or len(history) < 2:
+        return None
+    x = table[over] if over else np.arange(len(history))
+
+    def draw(axes: Sequence[Any]) -> None:
+        for axis, name in zip(axes, shown, strict=True):
+            usable = np.isfinite(table[name])
+            axis.plot(x[usable], table[name][usable], color=PART, lw=1.6, marker=".", ms=4)
+            positive = bool((table[name][usable] > 0).all())
+            axis.set(ylabel=name, yscale="log" if name == "loss" and positive else "linear")
+        axes[-1].set_xlabel((over or "iteration").replace("_", " "))
+
+    return _figure(draw, width=5.6, height=4.0, rows=len(shown))
+
+
+def columns(history: Sequence[Any]) -> dict[str, np.ndarray]:
+    """Numeric fields of a history's records, by name; what a record lacks is NaN."""
+    rows = [_fields(record) for record in history]
+    names = dict.fromkeys(name for row in rows for name, value in row.items() if isinstance(value, Real))
+    return {name: np.array([_number(row.get(name)) for row in rows]) for name in names}
+
+
+def _fields(record: Any) -> dict[str, Any]:
+    if is_dataclass(record):
+        return {field.name: getattr(record, field.name) for field in fields(record)}
+    return dict(record._asdict()) if hasattr(record, "_asdict") else dict(record)
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, Real) else float("nan")

@@ -1,0 +1,103 @@
+"""Pictures of volumes and sinograms as PNG data addresses."""
+
+from __future__ import annotations
+
+import base64
+from io import BytesIO
+from math import ceil, sqrt
+from typing import Any
+
+import numpy as np
+
+SLICES = 64
+"""Slices of the viewer at most."""
+
+EDGE = 192
+"""Edge [px] of a slice of the viewer at most."""
+
+HIT, MISSING, EXCESS, OUTSIDE = 1, 2, 3, 4
+"""Verdicts on a voxel; 0 is one rightly left unprinted."""
+
+COLORS = np.array([[246, 247, 249], [176, 190, 208], [214, 58, 73], [240, 150, 32], [255, 255, 255]], np.uint8)
+"""Color of each verdict."""
+
+
+def png(pixels: np.ndarray) -> str:
+    """A data address of uint8 pixels [row, column(, channel)]."""
+    from PIL import Image
+
+    stream = BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+
+
+def colored(values: np.ndarray, name: str) -> np.ndarray:
+    """uint8 RGB of values from 0 to 1 in a matplotlib color map."""
+    from matplotlib import colormaps
+
+    return (colormaps[name](np.clip(values, 0, 1))[..., :3] * 255).round().astype(np.uint8)
+
+
+def ramp(name: str) -> list[int]:
+    """256 RGB triples of a matplotlib color map in one flat list."""
+    return colored(np.linspace(0, 1, 256), name).ravel().tolist()
+
+
+def verdicts(target: np.ndarray, printed: np.ndarray, cylinder: np.ndarray, level: float = 0.5) -> np.ndarray:
+    """uint8 [x, y, z]: right, `HIT`, `MISSING`, `EXCESS`, or `OUTSIDE` the judged cylinder [x, y]."""
+    wanted = target >= level
+    verdict = np.where(wanted, np.where(printed, HIT, MISSING), np.where(printed, EXCESS, 0)).astype(np.uint8)
+    verdict[~cylinder] = OUTSIDE
+    return verdict
+
+
+def upright(plane: np.ndarray) -> np.ndarray:
+    """A plane [horizontal, vertical] as picture rows, the vertical axis pointing up."""
+    return plane.T[::-1]
+
+
+def sheet(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float) -> dict[str, Any]:
+    """Slices along z in one picture: red is dose over peak, green the target, blue the verdict times 40."""
+    nx, ny, nz = dose.shape
+    step = max(1, ceil(max(nx, ny) / EDGE))
+    chosen = np.unique(np.linspace(0, nz - 1, min(nz, SLICES)).round().astype(int))
+    across = ceil(sqrt(len(chosen)))
+    channels = (np.clip(dose / (peak or 1.0), 0, 1) * 255, np.clip(target, 0, 1) * 255, verdict * 40.0)
+    tiles = [[upright(channel[::step, ::step, z]) for channel in channels] for z in chosen]
+    height, width = tiles[0][0].shape
+    pixels = np.zeros((ceil(len(chosen) / across) * height, across * width, 3), np.uint8)
+    for index, tile in enumerate(tiles):
+        row, column = divmod(index, across)
+        pixels[row * height : (row + 1) * height, column * width : (column + 1) * width] = np.stack(tile, -1).round()
+    return {"image": png(pixels), "slices": chosen.tolist(), "across": across, "width": width, "height": height}
+
+
+def cuts(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float) -> list[dict[str, str]]:
+    """Target, dose and verdict in the planes x = 0 and y = 0."""
+    found = []
+    for axis, name in ((0, "x = 0"), (1, "y = 0")):
+        middle = dose.shape[axis] // 2
+        wanted, given, verdict_here = (upright(np.take(a, middle, axis)) for a in (target, dose, verdict))
+        found.append(
+            {
+                "name": name,
+                "target": png(255 - (np.clip(wanted, 0, 1) * 200).astype(np.uint8)),
+                "dose": png(colored(given / (peak or 1.0), "magma")),
+                "verdict": png(COLORS[verdict_here]),
+            }
+        )
+    return found
+
+
+def sinogram(light: np.ndarray, full: float) -> str:
+    """The middle row [angle, r] of a sinogram [angle, r, z], angles downwards."""
+    return png(colored(light[:, :, light.shape[2] // 2] / full, "inferno"))
+
+
+def frames(light: np.ndarray, full: float, count: int = 4) -> list[dict[str, Any]]:
+    """``count`` poses, each a picture [z, r] as it leaves the projector, and their angles [°]."""
+    poses = [round(k * light.shape[0] / count) for k in range(min(count, light.shape[0]))]
+    return [
+        {"angle": 360.0 * pose / light.shape[0], "image": png(colored(upright(light[pose]) / full, "inferno"))}
+        for pose in poses
+    ]

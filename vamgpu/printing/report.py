@@ -1,0 +1,206 @@
+"""A proof as one self-contained HTML page that is looked at rather than read."""
+
+from __future__ import annotations
+
+import json
+import platform
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import vamgpu
+from vamgpu.errors import StorageError
+from vamgpu.printing import charts, pictures, surface
+from vamgpu.printing.proof import Proof
+
+PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
+PAPERS = (
+    "B. E. Kelly et al., Volumetric additive manufacturing via tomographic reconstruction. Science 363 (2019) 1075.",
+    "C. M. Rackson et al., Object-space optimization of tomographic reconstructions for additive manufacturing. "
+    "Additive Manufacturing 48 (2021) 102367. [process window, VER, IPDR]",
+    "B. Nicolet et al., Inverse rendering for tomographic volumetric additive manufacturing. ACM Transactions on "
+    "Graphics 43 (2024). [light efficiency]",
+)
+JOSEPH = "P. M. Joseph, An improved algorithm for reprojecting rays through pixel images. IEEE TMI 1 (1982) 192."
+VIAL = (
+    "A. Orth et al., Correcting ray distortion in tomographic additive manufacturing. Optics Express 29 (2021) 11037. "
+    "[refraction at a vial]"
+)
+
+
+def write_report(proof: Proof, path: str | Path, plan: Any = None) -> Path:
+    """Write the page of a proof; ``plan`` adds convergence, method and papers. Raises `StorageError`."""
+    target = Path(path)
+    page = render(proof, plan)
+    partial = target.with_name(target.name + ".part")
+    try:
+        partial.write_text(page, encoding="utf-8")
+        partial.replace(target)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise StorageError(f"the report {str(target)!r} cannot be written: {error}; choose another path") from error
+    return target
+
+
+def render(proof: Proof, plan: Any = None) -> str:
+    """The page as text."""
+    from jinja2 import Environment
+
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    css, js = _template("report.css"), _template("report.js")
+    return environment.from_string(_template("report.html")).render(css=css, js=js, **_content(proof, plan))
+
+
+def _content(proof: Proof, plan: Any) -> dict[str, Any]:
+    grid, scores = proof.operator.grid, proof.scores
+    dose, target = proof.dose.numpy(), proof.target.numpy()
+    cylinder = grid.cylinder()
+    verdict = pictures.verdicts(target, dose >= scores.threshold, cylinder)
+    light = proof.frames.irradiance(proof.operator.device).numpy()
+    full = float(proof.frames.scale)
+    solids, reach = _solids(proof, dose, target, cylinder)
+    sheet = pictures.sheet(dose, target, verdict, scores.peak)
+    z = grid.axes()[2]
+    convergence = charts.convergence_chart(plan.history) if plan is not None else None
+    data = {
+        **solids,
+        "sheet": sheet,
+        "heights": [float(z[k]) for k in sheet["slices"]],
+        "first": _fullest(proof, sheet["slices"]),
+        "heat": pictures.ramp("magma"),
+        "colors": pictures.COLORS.tolist(),
+    }
+    return {
+        "title": proof.name,
+        "perfect": proof.perfect,
+        "verdict": _verdict(proof),
+        "tiles": _tiles(proof),
+        "deviation_um": f"{1e3 * reach:.3g}",
+        "surface_note": _surface_note(proof),
+        "histogram": charts.histogram_chart(proof.histogram(), scores),
+        "per_slice": charts.slices_chart(proof.slices, z, wide=convergence is None),
+        "cuts": pictures.cuts(dose, target, verdict, scores.peak),
+        "sinogram": pictures.sinogram(light, full),
+        "frames": pictures.frames(light, full),
+        "frames_note": _frames_note(proof),
+        "convergence": convergence,
+        "lines": proof.lines(),
+        "setup": _setup(proof, plan),
+        "versions": _versions(proof),
+        "papers": _papers(proof, plan),
+        "data": json.dumps(data, separators=(",", ":")),
+    }
+
+
+def _solids(proof: Proof, dose: np.ndarray, target: np.ndarray, cylinder: np.ndarray) -> tuple[dict[str, Any], float]:
+    """Both surfaces packed, and the deviation [mm] at the ends of their color scale: one voxel."""
+    pitch = proof.operator.grid.pitch
+    wanted = surface.iso_surface(target, 0.5, pitch)
+    printed = surface.iso_surface(np.where(cylinder[:, :, None], dose, 0.0), proof.scores.threshold, pitch)
+    points = np.concatenate([wanted.points, printed.points])
+    reach = float(np.abs(points).max(initial=pitch))
+    radius = float(np.linalg.norm(points, axis=1).max(initial=pitch))
+    found = {
+        "target": wanted.packed(np.zeros(len(wanted.points)), reach),
+        "printed": printed.packed(surface.deviation(printed, wanted) / pitch, reach),
+        "radius": 2 * radius / reach,
+    }
+    return found, pitch
+
+
+def _fullest(proof: Proof, slices: list[int]) -> int:
+    """Which of the chosen slices to show first: the one with most of the part."""
+    return int(np.argmax(proof.slices.in_voxels[slices]))
+
+
+def _verdict(proof: Proof) -> str:
+    scores = proof.scores
+    total = scores.in_voxels + scores.out_voxels
+    if proof.perfect:
+        return f"All {total:,} judged voxels print right."
+    wrong = scores.missing + scores.excess
+    return f"{wrong:,} of {total:,} judged voxels print wrong: {scores.missing:,} missing, {scores.excess:,} excess."
+
+
+def _tiles(proof: Proof) -> list[dict[str, str]]:
+    scores = proof.scores
+    tiles = [
+        ("process window", f"{scores.window:+.3f}".replace("-", "−")),
+        ("IoU", f"{scores.iou:.4f}"),
+        ("VER", _power(scores.error_rate)),
+        ("IPDR", f"{scores.dose_range:.3f}"),
+        ("light efficiency", f"{100 * proof.light_efficiency:.2g} %"),
+    ]
+    if proof.seconds is not None:
+        tiles.append(("predicted exposure", f"{proof.seconds:.3g} s"))
+    return [{"name": name, "value": value} for name, value in tiles]
+
+
+def _power(value: float) -> str:
+    """A share in words of percent, short."""
+    return "0" if value == 0 else f"{100 * value:.2g} %"
+
+
+def _surface_note(proof: Proof) -> str:
+    grid = proof.operator.grid
+    width, depth, height = (n * grid.pitch for n in grid.shape)
+    return (
+        f"Surface where the dose reaches the threshold, colored by its distance from the target; the scale ends at one "
+        f"voxel. Field of {width:.3g} × {depth:.3g} × {height:.3g} mm. Drag to turn, scroll to zoom."
+    )
+
+
+def _frames_note(proof: Proof) -> str:
+    angles, columns, rows = proof.operator.range.shape
+    bits = getattr(proof.frames, "bits", None)
+    depth = f" in {bits} bit" if bits else ""
+    return f"{angles} frames of {columns} × {rows} pixels{depth}; brightness is light, full-on is white."
+
+
+def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
+    A = proof.operator
+    rows = [
+        ("grid", f"{' × '.join(map(str, A.grid.shape))} voxels of {1e3 * A.grid.pitch:.4g} µm"),
+        ("beam", f"{' × '.join(map(str, A.beam.pixels))} pixels of {1e3 * A.beam.pitch:.4g} µm"),
+        ("poses", f"{A.motion.angles} over a full turn"),
+        ("vessel", _described(A.vessel) if A.vessel else "none: straight light, nothing absorbed"),
+    ]
+    if plan is not None:
+        method = getattr(plan, "method", None)
+        rows += [("method", _described(method))] if method else []
+        seconds = getattr(plan, "seconds", None)
+        rows += [("optimized in", f"{seconds:.3g} s")] if seconds else []
+    return rows
+
+
+def _described(value: Any) -> str:
+    """A frozen description as its name and numbers."""
+    from dataclasses import fields, is_dataclass
+
+    if isinstance(value, str) or not is_dataclass(value):
+        return str(value) if isinstance(value, str) else type(value).__name__
+    parts = [f"{f.name.replace('_', ' ')} {getattr(value, f.name)!r}" for f in fields(value) if f.repr]
+    return f"{type(value).__name__}: {', '.join(parts)}" if parts else type(value).__name__
+
+
+def _versions(proof: Proof) -> list[tuple[str, str]]:
+    device = proof.operator.device
+    rows = [("device", f"{device.description} ({device.name})"), ("vamgpu", vamgpu.__version__)]
+    rows.append(("Python", platform.python_version()))
+    for package in PACKAGES:
+        try:
+            rows.append((package, metadata.version(package)))
+        except metadata.PackageNotFoundError:
+            continue
+    return rows
+
+
+def _papers(proof: Proof, plan: Any) -> list[str]:
+    own = (*PAPERS, VIAL) if proof.operator.vessel else (*PAPERS, JOSEPH)
+    return list(dict.fromkeys([*(str(paper) for paper in getattr(plan, "papers", ())), *own]))
+
+
+def _template(name: str) -> str:
+    return resources.files("vamgpu.printing").joinpath("templates", name).read_text(encoding="utf-8")
