@@ -6,6 +6,7 @@ import errno
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from vamgpu.storage.folder import Entry
 
 def some_frames(device: Device | str, bits: int = 8) -> Frames:
     there = vam.open_device(device)
-    plan = SimpleNamespace(sinogram=there.upload(np.random.default_rng(0).random((12, 13, 21))), operator=None)
+    plan: Any = SimpleNamespace(sinogram=there.upload(np.random.default_rng(0).random((12, 13, 21))), operator=None)
     flat = np.linspace(0.7, 1.0, 21 * 13).reshape(21, 13)
     curve = GrayCurve.gamma(2.2, black=0.01)
     return pack(plan, bits=bits, gray=curve, flat_field=flat, flip_r=True, shift=(0.5, -1.25))
@@ -126,7 +127,8 @@ def test_exports_are_refused_with_a_reason(tmp_path: Path) -> None:
     export(frames, tmp_path / "png")
     with pytest.raises(StorageError, match="is a folder"):
         export(frames, tmp_path / "png", overwrite=True)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "png"]
+    export(frames, tmp_path / "B.NPZ")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["B.NPZ", "a.npz", "png"]
 
 
 @pytest.mark.parametrize("ending", ["", ".tif", ".npz", ".mp4"])

@@ -50,6 +50,21 @@ def test_devices_agree_with_the_reference(fast_device: Device, case: str) -> Non
     assert np.array_equal(frames.irradiance("numpy").numpy(), reference.irradiance().numpy()) or apart.any()
 
 
+@pytest.mark.parametrize("case", CASES)
+def test_the_layout_of_gpus_agrees(opencl_name: str, case: str) -> None:
+    """Many items a slab and groups that count together, on whatever runs OpenCL here."""
+    from vamgpu.backend.opencl import OpenclDevice
+    from vamgpu.backend.opencl_platforms import all_devices
+
+    device = OpenclDevice(opencl_name, all_devices()[opencl_name])
+    device.is_gpu = True
+    light = some_light()
+    frames, reference = (pack(plan_of(d, light), **CASES[case]) for d in (device, vam.open_device("numpy")))
+    assert frames.scale == pytest.approx(reference.scale, rel=1e-6)
+    assert (frames.levels() != reference.levels()).mean() <= 1e-3
+    assert np.allclose(frames.irradiance().numpy(), frames.irradiance("numpy").numpy(), rtol=1e-5, atol=1e-6)
+
+
 def test_the_round_trip_errs_by_half_a_level_at_most(device: Device) -> None:
     curve = GrayCurve.gamma(1.7, black=0.015)
     light = some_light()
@@ -209,7 +224,7 @@ def test_bad_plans_are_refused(device: Device) -> None:
         pack(plan_of(device, some_light()), flat_field=np.ones((21, 35)))
     A = vam.Projection(vam.Grid((4, 4, 2), 0.1), vam.Beam((4, 2), 0.1), vam.Turntable(3), device=device)
     with pytest.raises(ShapeMismatch, match="sinogram"):
-        pack(SimpleNamespace(sinogram=device.upload(some_light()), operator=A))
+        pack(SimpleNamespace(sinogram=device.upload(some_light()), operator=A))  # type: ignore[arg-type]
 
 
 def test_light_that_is_not_finite_is_refused(device: Device) -> None:

@@ -72,7 +72,8 @@ def _npz(frames: Frames, draft: Path, fps: float) -> None:
         "flat_field": np.ones(frames.shape[1:]) if frames.flat_field is None else frames.flat_field,
         "description": np.array(json.dumps(plain(describe(frames)))),
     }
-    np.savez_compressed(draft, **fields)
+    with open(draft, "wb") as file:  # given a path, NumPy would add an ending of its own to .NPZ
+        np.savez_compressed(file, **fields)
 
 
 def _mp4(frames: Frames, draft: Path, fps: float) -> None:
@@ -81,7 +82,7 @@ def _mp4(frames: Frames, draft: Path, fps: float) -> None:
 
     _, rows, columns = frames.shape
     try:
-        with av.open(str(draft), "w") as film:
+        with av.open(str(draft), "w", format="mp4") as film:
             rate = Fraction(fps).limit_denominator(1001)
             stream = film.add_stream("libx264", rate=rate, options={"qp": "0", "preset": "fast"})
             stream.width, stream.height, stream.pix_fmt = columns, rows, "gray"

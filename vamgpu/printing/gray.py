@@ -68,8 +68,9 @@ class GrayCurve:
 
     @classmethod
     def load(cls, path: str | Path) -> GrayCurve:
-        """Read the table ``[gray]`` of a projector's TOML file: arrays ``levels`` and ``intensity``.
+        """Read the table ``[gray]`` of a projector's TOML file: arrays ``levels`` and ``intensity`` of equal length.
 
+        For example ``levels = [0, 64, 128, 192, 255]`` and ``intensity = [0.9, 4.0, 20.0, 61.0, 90.0]``.
         Raises `StorageError` where the file cannot be read, `BadInput` where it holds no valid curve.
         """
         file = Path(path)
