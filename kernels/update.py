@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vamgpu.kernels.reduce import CPU, GPU as PARTIAL, Parts, disc
-from vamgpu.kernels.signature import Array, ArrayOut, Real, Tiling, kernel
+from vamgpu.kernels.signature import Array, ArrayOut, Integer, Real, Tiling, kernel
 
 GPU = Tiling(major=1, minor=1)
 
@@ -17,8 +17,8 @@ def linear(a: Real, x: Array, b: Real, y: Array, floor: Real, out: ArrayOut) -> 
 
 
 @kernel(over="gradient", cpu=CPU, gpu=PARTIAL)
-def free_gradient(light: Array, weight: Real, power: Real, gradient: ArrayOut, parts: Parts) -> None:
-    """Add the derivative of weight·light^power to the gradient, then hold what cannot follow it.
+def free_gradient(light: Array, weight: Real, power: Real, hold: Integer, gradient: ArrayOut, parts: Parts) -> None:
+    """Add the derivative of weight·light^power to the gradient, then, with ``hold``, hold what cannot follow it.
 
     Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where it would make dark light (≤ 0) negative: a filter or a
     metric applied to what is left keeps it a direction of descent. Source: D. Bertsekas, SIAM J. Control Optim. 20
@@ -28,7 +28,8 @@ def free_gradient(light: Array, weight: Real, power: Real, gradient: ArrayOut, p
     parts[...] = 0.0
     parts[0] = weight * np.sum(lit**power)
     gradient += weight * power * lit ** (power - 1)
-    gradient[(light <= 0) & (gradient > 0)] = 0.0
+    if hold:
+        gradient[(light <= 0) & (gradient > 0)] = 0.0
 
 
 @kernel(over="model", cpu=CPU, gpu=GPU)

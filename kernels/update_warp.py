@@ -23,6 +23,7 @@ def free_gradient(
     light: Vectors,
     weight: float,
     power: float,
+    hold: int,
     gradient: Vectors,
     parts: wp.array(dtype=float),
     n_i: int,
@@ -43,7 +44,7 @@ def free_gradient(
                     root = wp.pow(wp.max(lit[k], 0.0), power - 1.0)
                 value[k] = value[k] + weight * power * root
                 result += root * wp.max(lit[k], 0.0)
-            if lit[k] <= 0.0:
+            if hold != 0 and lit[k] <= 0.0:
                 value[k] = wp.min(value[k], 0.0)
         gradient[slab, i, j, lane] = value
     parts[part_index(slab, tile, j, lane, n_i, n_j, light.shape[3])] = weight * result

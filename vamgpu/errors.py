@@ -56,7 +56,11 @@ class StorageError(VamError, OSError):
 
 
 class Cancelled(VamError):
-    """A run was stopped by its caller before it reached a result."""
+    """A run was stopped by its caller; ``plan`` holds what it had reached (None before the first light)."""
+
+    def __init__(self, message: str, plan: object | None = None) -> None:
+        super().__init__(message)
+        self.plan = plan
 
 
 class OpticsWarning(UserWarning):

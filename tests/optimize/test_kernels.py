@@ -33,8 +33,8 @@ BAND = {
 LINE = {"start": 0.0, "density": 1.0}
 CASES: list[tuple[Kernel, dict[str, Any]]] = [
     (linear, {"a": 0.5, "b": -1.5, "floor": 0.0}),
-    (free_gradient, {"weight": 0.1, "power": 4.0}),
-    (free_gradient, {"weight": 0.0, "power": 1.0}),
+    (free_gradient, {"weight": 0.1, "power": 4.0, "hold": 0}),
+    (free_gradient, {"weight": 0.0, "power": 1.0, "hold": 1}),
     (paint, {"low": 0.6, "high": 1.0, "reach": 11.0}),
     (correct_by_ratio, {"scale": 1.2, "low": 0.6, "high": 1.0, "most": 3.0}),
     (

@@ -1,0 +1,39 @@
+"""The doses, or responses, a target asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from vamgpu.errors import BadInput
+from vamgpu.optimize.response import Linear, Response
+
+
+@dataclass(frozen=True)
+class Band:
+    """Loss Σ gain·e^power + ridge·M², e = max(0, |M − c| − slack) with M = response(dose).
+
+    c, slack and gain are (outside, inside) the part; between for a fractional voxel unless ``binary``.
+    """
+
+    center: tuple[float, float]
+    slack: tuple[float, float]
+    gain: tuple[float, float] = (1.0, 1.0)
+    power: float = 2.0
+    ridge: float = 0.0
+    binary: bool = False
+    response: Response = Linear()
+
+    def __post_init__(self) -> None:
+        if min(self.slack) < 0 or min(self.gain) < 0 or self.ridge < 0 or self.power < 1:
+            raise BadInput(f"{self!r}: wanted slack, gain and ridge ≥ 0 and power ≥ 1")
+
+    @classmethod
+    def thresholds(cls, outside: float, inside: float, most: float = 1.0, power: float = 2.0) -> Band:
+        """At most ``outside`` where nothing is, between ``inside`` and ``most`` in the part; both doses of the part.
+
+        Raises `BadInput` unless 0 ≤ outside < inside ≤ most.
+        """
+        if not 0 <= outside < inside <= most:
+            raise BadInput(f"thresholds {outside}, {inside}, {most}; wanted 0 ≤ outside < inside ≤ most")
+        center, slack = (0.5 * outside, 0.5 * (inside + most)), (0.5 * outside, 0.5 * (most - inside))
+        return cls(center, slack, (1.0 / power, 1.0 / power), power, binary=True)

@@ -1,0 +1,49 @@
+"""Filters along r: tables of taps for a projector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.operators.projection import Projection
+
+
+@dataclass(frozen=True, eq=False)
+class Taps:
+    """One side of a symmetric filter; taps between multiples of ``stride`` (counted from the first) are zero."""
+
+    table: DeviceArray
+    stride: int
+
+
+def ramp(operator: Projection) -> Taps:
+    """The band-limited ramp, scaled so that Aᵀ·ramp·A is near the identity for straight rays that nothing absorbs.
+
+    Source: G. Ramachandran & A. Lakshminarayanan, PNAS 68 (1971) 2236.
+    """
+    columns = operator.beam.pixels[0]
+    taps = np.zeros(columns)
+    taps[0] = 0.25
+    taps[1::2] = -1.0 / (np.pi * np.arange(1, columns, 2)) ** 2
+    return Taps(operator.device.table(taps * _scale(operator)), 2)
+
+
+def capped_ramp(operator: Projection, cap: float) -> Taps:
+    """The ramp |ω| up to ``cap`` cycles a column, level beyond: a preconditioner that spares the finest detail."""
+    columns = operator.beam.pixels[0]
+    frequency = np.abs(np.fft.fftfreq(8 * columns))
+    taps = np.real(np.fft.ifft(np.minimum(frequency, cap)))[:columns]
+    return Taps(operator.device.table(taps * _scale(operator)), 1)
+
+
+def identity(operator: Projection) -> Taps:
+    """No filter."""
+    return Taps(operator.device.table(np.ones(1)), 1)
+
+
+def _scale(operator: Projection) -> float:
+    # A voxel of Aᵀ gathers pitch² / beam pitch from each angle; π per half turn is what the inversion formula asks
+    area = operator.grid.pitch**2 / operator.beam.pitch
+    return np.pi / operator.motion.angles / area / operator.beam.pitch

@@ -1,0 +1,109 @@
+"""What a resin makes of a dose: response models, sampled once and looked up on the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+
+SAMPLES = 1024
+REACH = 3.0
+"""Curves are sampled from dose 0 to this; beyond, they go on straight."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Samples of a response: at dose ``start`` + k / ``density``."""
+
+    values: np.ndarray
+    start: float
+    density: float
+
+
+class Response(Protocol):
+    """Response of the resin to a dose in units of the part's."""
+
+    def curve(self) -> Curve:
+        """The response as samples that a device interpolates."""
+        ...
+
+
+def _sampled(function: np.ufunc | object) -> Curve:
+    doses = np.linspace(0.0, REACH, SAMPLES)
+    return Curve(function(doses), 0.0, (SAMPLES - 1) / REACH)  # type: ignore[operator]
+
+
+@dataclass(frozen=True)
+class Linear:
+    """M(d) = gain·d."""
+
+    gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        positive("Linear gain", self.gain)
+
+    def curve(self) -> Curve:
+        return Curve(np.array([0.0, self.gain]), 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Logistic:
+    """M(d) = 1 / (1 + exp(−steepness·(d − middle)))."""
+
+    steepness: float = 10.0
+    middle: float = 0.5
+
+    def __post_init__(self) -> None:
+        positive("Logistic steepness", self.steepness)
+        positive("Logistic middle", self.middle, zero=True)
+
+    def curve(self) -> Curve:
+        return GeneralizedLogistic(steepness=self.steepness, middle=self.middle).curve()
+
+
+@dataclass(frozen=True)
+class GeneralizedLogistic:
+    """M(d) = low + (high − low) / (1 + exp(−steepness·(d − middle)))^(1/skew), Richards' curve."""
+
+    low: float = 0.0
+    high: float = 1.0
+    steepness: float = 10.0
+    middle: float = 0.5
+    skew: float = 1.0
+
+    def __post_init__(self) -> None:
+        positive("GeneralizedLogistic steepness", self.steepness)
+        positive("GeneralizedLogistic skew", self.skew)
+        if not self.low < self.high:
+            raise BadInput(f"GeneralizedLogistic goes from {self.low} to {self.high}; wanted low < high")
+
+    def curve(self) -> Curve:
+        def richards(dose: np.ndarray) -> np.ndarray:
+            growth = np.logaddexp(0.0, -self.steepness * (dose - self.middle)) / self.skew
+            return self.low + (self.high - self.low) * np.exp(-growth)
+
+        return _sampled(richards)
+
+
+@dataclass(frozen=True)
+class Interpolated:
+    """A measured response: straight between (dose, value) pairs, doses rising."""
+
+    doses: tuple[float, ...]
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        doses, values = np.asarray(self.doses, float), np.asarray(self.values, float)
+        if doses.ndim != 1 or doses.shape != values.shape or len(doses) < 2 or (np.diff(doses) <= 0).any():
+            raise BadInput(
+                f"Interpolated got {doses.shape} doses and {values.shape} values; wanted two or more pairs, doses rising"
+            )
+        if not (np.isfinite(doses).all() and np.isfinite(values).all()):
+            raise BadInput("Interpolated got NaN or infinity; clean the measurement first")
+
+    def curve(self) -> Curve:
+        return _sampled(lambda dose: np.interp(dose, self.doses, self.values))

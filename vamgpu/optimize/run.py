@@ -1,0 +1,210 @@
+"""`optimize`: one way to run every method."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput, Cancelled
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.space import require
+from vamgpu.optimize.bclp import BCLP
+from vamgpu.optimize.calgd import GradientDescent
+from vamgpu.optimize.fbp import FilteredBackProjection
+from vamgpu.optimize.lbfgs import LBFGS
+from vamgpu.optimize.method import Method
+from vamgpu.optimize.osmo import OSMO
+from vamgpu.optimize.penalty import PenaltyMinimization
+from vamgpu.optimize.plan import Plan, Step
+from vamgpu.optimize.recipe import Recipe
+from vamgpu.optimize.window import ProcessWindow
+from vamgpu.optimize.work import Work
+
+METHODS: dict[str, type[Any]] = {
+    "default": ProcessWindow,
+    "window": ProcessWindow,
+    "recipe": Recipe,
+    "fbp": FilteredBackProjection,
+    "cal": GradientDescent,
+    "osmo": OSMO,
+    "penalty": PenaltyMinimization,
+    "bclp": BCLP,
+    "lbfgs": LBFGS,
+}
+"""Names a method can be chosen by, with default parameters."""
+
+Progress = Callable[[Step], None]
+
+
+def optimize(
+    operator: Projection,
+    target: Any,
+    method: str | Method = "default",
+    iterations: int | None = None,
+    *,
+    tolerance: float = 0.0,
+    progress: bool | Progress | None = None,
+    cancel: Callable[[], bool] | None = None,
+    resume: Plan | None = None,
+) -> Plan:
+    """Find light [angle, r, z] ≥ 0 whose dose prints a target, on the operator's device.
+
+    target: a `Target`, or fractions [x, y, z] (NumPy or on the device).  method: a name of `METHODS` or an instance.
+    iterations: in all, those of ``resume`` included; None takes the method's own.  tolerance: stop once the loss has
+    fallen below this share of the first one (0: only when nothing is left to gain).  progress: True shows a bar, a
+    function gets every `Step`.  cancel: asked before each iteration.  resume: a plan of the same operator and method
+    to go on from; it stays as it is.
+
+    Raises `BadInput`, `ShapeMismatch`, `TargetTooLarge`, `OutOfMemory`; `Cancelled`, which carries the plan reached so
+    far, when ``cancel`` says so or on Ctrl-C.
+    """
+    chosen = _method(method if resume is None or method != "default" else resume.method)
+    limit = chosen.iterations if iterations is None else _count(iterations)
+    field_ = _target(operator, target)
+    run = _Run(operator, chosen, Work(operator, field_, _memory(operator, chosen, resume)), _name(target))
+    if resume is not None:
+        run.history, run.before = list(resume.history), resume.seconds
+    with _reporting(progress, limit) as report:
+        run.go(limit, tolerance, report, cancel or (lambda: False))
+    return run.plan()
+
+
+@dataclass
+class _Run:
+    """One run in progress."""
+
+    operator: Projection
+    method: Method
+    work: Work
+    name: str
+    history: list[Step] = field(default_factory=list)
+    before: float = 0.0
+    started: float = field(default_factory=time.perf_counter)
+
+    def go(self, limit: int, tolerance: float, report: Progress, cancel: Callable[[], bool]) -> None:
+        steps = self.method.steps(self.work)
+        try:
+            while len(self.history) < limit:
+                if cancel():
+                    raise self._cancelled("cancelled by the caller")
+                record = next(steps, None)
+                if record is None:
+                    return
+                self.history.append(Step(len(self.history) + 1, self.work.pairs, *record))
+                report(self.history[-1])
+                if record[0] <= tolerance * self.history[0].loss:
+                    return
+        except KeyboardInterrupt:
+            raise self._cancelled("interrupted") from None
+        finally:
+            steps.close()  # type: ignore[attr-defined]
+
+    def _cancelled(self, why: str) -> Cancelled:
+        plan = self.plan() if self.history else None
+        return Cancelled(
+            f"{why} after {len(self.history)} iterations; pass the error's plan as resume= to go on from there", plan
+        )
+
+    def plan(self) -> Plan:
+        work = self.work
+        pairs = work.pairs
+        light = work.held("light")
+        window, _ = work.window(self.operator.T(light))
+        seconds = self.before + time.perf_counter() - self.started
+        return Plan(
+            light,
+            self.operator,
+            self.method,
+            tuple(self.history),
+            window,
+            pairs,
+            self.method.papers,
+            seconds,
+            self.name,
+            dict(work.memory),
+        )
+
+
+def _method(method: str | Method) -> Method:
+    if isinstance(method, str):
+        if method not in METHODS:
+            raise BadInput(f"no method {method!r}; there are {', '.join(METHODS)}, or give an instance")
+        return METHODS[method]()
+    if isinstance(method, type) or not hasattr(method, "steps"):
+        raise BadInput(f"got {method!r} as method; wanted a name ({', '.join(METHODS)}) or an instance such as OSMO()")
+    return method
+
+
+def _count(iterations: int) -> int:
+    if isinstance(iterations, bool) or int(iterations) != iterations or iterations < 1:
+        raise BadInput(f"iterations is {iterations!r}; wanted a whole number ≥ 1")
+    return int(iterations)
+
+
+def _name(target: Any) -> str:
+    return str(getattr(target, "name", "target"))
+
+
+def _target(operator: Projection, target: Any) -> DeviceArray:
+    """The target's fractions on the operator's device, after checking that light can reach it all."""
+    radius = getattr(target, "radius", None)
+    check = getattr(operator.vessel, "check_fits", None)
+    if radius is not None and check is not None:
+        check(radius)
+    if hasattr(target, "on"):
+        require(operator.domain, target.fraction, "the target")
+        return target.on(operator.device)
+    require(operator.domain, target, "the target")
+    if isinstance(target, DeviceArray):
+        operator.device.check_mine(target)
+        return target
+    return operator.device.upload(target)
+
+
+def _memory(operator: Projection, method: Method, resume: Plan | None) -> dict[str, Any]:
+    """A copy of what a plan remembers, so that the plan stays what it is."""
+    if resume is None:
+        return {}
+    if resume.operator.device is not operator.device or resume.sinogram.shape != operator.range.shape:
+        raise BadInput(
+            f"the plan to resume has light {resume.sinogram.shape} on {resume.operator.device}; wanted "
+            f"{operator.range.shape} on {operator.device}: resume with the operator that made it"
+        )
+    if resume.method != method:
+        raise BadInput(f"the plan to resume is by {resume.method!r}, not by {method!r}; resume with the same method")
+    return _copied(operator, resume.state)
+
+
+def _copied(operator: Projection, value: Any) -> Any:
+    if isinstance(value, DeviceArray):
+        from vamgpu.kernels.update import linear
+
+        twin = operator.device.empty(value.shape)
+        operator.device.launch(linear, a=1.0, x=value, b=0.0, y=value, floor=-3e38, out=twin)
+        return twin
+    if isinstance(value, dict):
+        return {name: _copied(operator, part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return type(value)(_copied(operator, part) for part in value)
+    return value
+
+
+@contextmanager
+def _reporting(progress: bool | Progress | None, limit: int) -> Iterator[Progress]:
+    """Where steps are reported: nowhere, to a function, or to a bar on the terminal."""
+    if callable(progress):
+        yield progress
+    elif progress:
+        from rich.progress import Progress as Bars
+
+        with Bars() as bars:
+            task = bars.add_task("optimizing", total=limit)
+            yield lambda step: bars.update(
+                task, completed=step.iteration, description=f"loss {step.loss:.3g}, window {step.window:+.3f}"
+            )
+    else:
+        yield lambda step: None
