@@ -1,8 +1,8 @@
 """Histograms and extremes of a field, split in two classes by a second field, for the whole or slice by slice.
 
 Every work item counts its own rows and slices into a table of its own, so nothing is counted by two at once; a fold
-adds the tables up. Class 1 ("in") holds the samples where ``target`` reaches ``level``, class 0 ("out") all others; only
-columns within ``radius`` samples of the axis through the middle are counted.
+adds the tables up. Class 1 ("in") holds the samples where ``target`` reaches ``level``, class 0 ("out") all others;
+only columns within ``radius`` samples of the axis through the middle are counted.
 """
 
 from __future__ import annotations

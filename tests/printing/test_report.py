@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import json
 import re
+import subprocess
+import sys
 import zlib
 from dataclasses import dataclass
 from io import BytesIO
@@ -164,6 +166,15 @@ def test_history_columns_read_dataclasses_and_dictionaries() -> None:
     assert found["projector_pairs"].tolist() == [1, 2] and found["loss"].tolist() == [0.5, 0.25]
     assert "note" not in found and "window" not in found
     assert charts.convergence_chart([Record(1, 0.5, 0.1)]) is None
+
+
+def test_pictures_are_paid_for_only_when_drawn() -> None:
+    code = (
+        "import sys, vamgpu.printing.report, vamgpu.printing.simulate; "
+        "print([m for m in ('matplotlib', 'skimage', 'scipy', 'PIL', 'jinja2') if m in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
 
 
 def test_a_print_of_a_single_slice_without_a_vessel(tmp_path: Path) -> None:

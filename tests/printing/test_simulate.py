@@ -12,6 +12,8 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.printing.dose import absorbed_dose
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.simulate import simulate
 
 GRID = Grid((20, 20, 10), 0.2)
@@ -101,6 +103,27 @@ def test_one_pixel_changes_the_dose(device: Device) -> None:
     change = simulate(A, frames, target).dose.numpy() - before
     assert change[:, :, 5].max() > 0
     assert change.min() >= -1e-6 * before.max()
+
+
+@pytest.mark.parametrize("bits", [1, 8])
+def test_one_bit_of_the_frames_changes_the_dose_at_its_height(device: Device, bits: int) -> None:
+    A = Projection(GRID, BEAM, TURN, VIAL, device)
+    rng = np.random.default_rng(5)
+    width = 26 if bits == 8 else 4
+    images = rng.integers(0, 256, (16, 10, width), dtype=np.uint8)
+    target = device.upload(ball(GRID.shape))
+    gray = GrayCurve.linear(black=0.02)
+    flipped = images.copy()
+    flipped[5, 3, 13 if bits == 8 else 1] ^= 64
+    before, after = (
+        simulate(A, Frames.from_bytes(i, device, bits=bits, gray=gray, scale=1.5, columns=26), target)
+        for i in (images, flipped)
+    )
+    change = np.abs(after.dose.numpy() - before.dose.numpy())
+    height = (10 - 1 - 3 - 4.5) * BEAM.pitch  # of picture row 3
+    near = np.abs(GRID.axes()[2] - height) < BEAM.pitch
+    assert change[:, :, near].max() > 1e-4 * before.scores.peak
+    assert change[:, :, ~near].max() == 0.0
 
 
 def test_straight_light_needs_to_be_told_how_much_is_absorbed() -> None:

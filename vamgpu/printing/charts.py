@@ -15,14 +15,15 @@ from vamgpu.metrics.histogram import Histogram
 from vamgpu.metrics.parts import IN, OUT
 
 INK, FAINT, PART, REST, WARN = "#1f2733", "#d5dae1", "#2563a8", "#9aa5b4", "#d63a49"
-STYLE = {
+STYLE: dict[Any, Any] = {
     "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 10.5, "axes.edgecolor": FAINT,
     "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False,
     "axes.spines.right": False, "axes.grid": True, "grid.color": "#eef1f5", "axes.axisbelow": True,
     "legend.frameon": False, "svg.hashsalt": "vamgpu",
 }  # fmt: skip
-ABSCISSA = ("projector_pairs", "pairs", "iteration")
-"""Names a convergence may be plotted over, best first."""
+ABSCISSA = {"pairs": "projector pairs", "projector_pairs": "projector pairs", "iteration": "iteration"}
+"""Fields of a history it may be plotted over, best first, and their labels."""
+ORDINATE = {"loss": "loss", "window": "strict window"}
 
 
 def _figure(draw: Any, width: float = 7.2, height: float = 3.0, rows: int = 1) -> str:
@@ -84,7 +85,7 @@ def convergence_chart(history: Sequence[Any]) -> str | None:
     """Loss, and the process window where it was recorded, over projector pairs; None without a history."""
     table = columns(history)
     over = next((name for name in ABSCISSA if name in table), None)
-    shown = [name for name in ("loss", "window") if name in table and np.isfinite(table[name]).any()]
+    shown = [name for name in ORDINATE if name in table and np.isfinite(table[name]).any()]
     if not shown or len(history) < 2:
         return None
     x = table[over] if over else np.arange(len(history))
@@ -94,8 +95,8 @@ def convergence_chart(history: Sequence[Any]) -> str | None:
             usable = np.isfinite(table[name])
             axis.plot(x[usable], table[name][usable], color=PART, lw=1.6, marker=".", ms=4)
             positive = bool((table[name][usable] > 0).all())
-            axis.set(ylabel=name, yscale="log" if name == "loss" and positive else "linear")
-        axes[-1].set_xlabel((over or "iteration").replace("_", " "))
+            axis.set(ylabel=ORDINATE[name], yscale="log" if name == "loss" and positive else "linear")
+        axes[-1].set_xlabel(ABSCISSA[over] if over else "record")
 
     return _figure(draw, width=5.6, height=4.0, rows=len(shown))
 

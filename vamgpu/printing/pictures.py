@@ -81,7 +81,7 @@ def cuts(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float)
         found.append(
             {
                 "name": name,
-                "target": png(255 - (np.clip(wanted, 0, 1) * 200).astype(np.uint8)),
+                "target": png(247 - (np.clip(wanted, 0, 1) * 191).astype(np.uint8)),
                 "dose": png(colored(given / (peak or 1.0), "magma")),
                 "verdict": png(COLORS[verdict_here]),
             }

@@ -172,6 +172,8 @@ def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
         rows += [("method", _described(method))] if method else []
         seconds = getattr(plan, "seconds", None)
         rows += [("optimized in", f"{seconds:.3g} s")] if seconds else []
+        window = getattr(plan, "window", None)
+        rows += [("window before packing", f"{window:+.4f}")] if window is not None else []
     return rows
 
 

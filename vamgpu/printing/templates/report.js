@@ -49,7 +49,7 @@
   });
   const solids = { target: await unpack(DATA.target), printed: await unpack(DATA.printed) };
   const canvas = document.getElementById("solid");
-  let mode = "both", turn = -0.9, tilt = 0.42, zoom = 1, queued = false;
+  let mode = "both", turn = -0.9, tilt = 0.42, zoom = 1.15, queued = false;
   const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
 
   // rows of the rotation that turns z upright and then towards the eye
