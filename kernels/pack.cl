@@ -42,7 +42,7 @@ static inline float wanted(__global const float *sinogram, const Placement p, in
 #endif
 
 #ifdef COMPILE_count_light
-#if THREADS == 1
+#ifdef CPU
 #define ADD(counter, amount) (*(counter) += (amount))
 #else
 #define ADD(counter, amount) atomic_add(counter, amount)

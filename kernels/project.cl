@@ -77,7 +77,7 @@ __kernel void forward_joseph(__global const float *restrict volume, __global con
     const int first_angle = ITEM_MAJOR * TILE_MAJOR, longest = max(n_x, n_y);
     volume += slab_offset(n_x, n_y);
     sinogram += slab_offset(n_angle, n_r);
-#if THREADS == 1
+#ifdef CPU
     const int last_angle = min(first_angle + TILE_MAJOR, n_angle);
     for (int strip = 0; strip < longest; strip += STRIP)
         for (int group = first_angle; group < last_angle; group += TOGETHER)

@@ -22,7 +22,7 @@ def middle(n: int) -> float:
 @kernel(
     over="sinogram",
     cpu=Tiling(major=45, minor=0),
-    gpu=Tiling(major=4, minor=1, group=(256, 1)),
+    gpu=Tiling(major=2, minor=1, group=(128, 1)),
     constants={"cpu": {"RAYS": 4, "STRIP": 32, "TOGETHER": 9}, "gpu": {"RAYS": 1, "STRIP": 16}},
 )
 def forward_joseph(volume: Volume, directions: Directions, pitch: Real, sinogram: SinogramOut) -> None:
@@ -47,8 +47,8 @@ def forward_joseph(volume: Volume, directions: Directions, pitch: Real, sinogram
 @kernel(
     over="volume",
     cpu=Tiling(major=64, minor=0),
-    gpu=Tiling(major=2, minor=2, group=(64, 4)),
-    constants={"cpu": {"ROWS": 2, "COLUMNS": 2, "ANGLES": 45}, "gpu": {"ROWS": 2, "COLUMNS": 2, "ANGLES": 1 << 30}},
+    gpu=Tiling(major=4, minor=4, group=(64, 4)),
+    constants={"cpu": {"ROWS": 2, "COLUMNS": 2, "ANGLES": 45}, "gpu": {"ROWS": 4, "COLUMNS": 4, "ANGLES": 1 << 30}},
 )
 def back_joseph(sinogram: Sinogram, directions: Directions, pitch: Real, volume: VolumeOut) -> None:
     """The transpose: each voxel gathers the rays less than 1/m columns away, with weights m·max(0, 1 − m·distance)."""

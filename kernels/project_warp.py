@@ -1,4 +1,7 @@
-"""Warp siblings of `project`; a thread owns four lanes of z."""
+"""Warp siblings of `project`; a thread owns four lanes of z, and fields come flat per slab: ``[slab, sample · lane]``.
+
+Flat, because one multiplication an access then finds the sample, where four would cost more than the arithmetic.
+"""
 
 from __future__ import annotations
 
@@ -6,25 +9,59 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-ANGLES = wp.constant(4)
-STRIP = wp.constant(16)
+STRIP = wp.constant(16)  # planes a group crosses at its two poses before it goes on
+ROWS = wp.constant(2)  # voxels of a thread along x and along y
+Flat = wp.array2d(dtype=wp.vec4)
 
 
 @wp.func
-def sample(volume: wp.array4d(dtype=wp.vec4), slab: int, lane: int, plane: int, cell: int, cells: int, across_y: int):
-    if cell < 0 or cell >= cells:
-        return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    if across_y == 1:
-        return volume[slab, plane, cell, lane]
-    return volume[slab, cell, plane, lane]
+def march(field: Flat, slab: int, lane: int, lanes: int, strip: int, offset: float, c: float, s: float, n_x: int, n_y: int):
+    """What the ray at `offset` columns from the middle meets in planes [strip, strip + STRIP)."""
+    across_y = wp.abs(c) >= wp.abs(s)
+    planes = wp.where(across_y, n_x, n_y)
+    cells = wp.where(across_y, n_y, n_x)
+    plane_stride = wp.where(across_y, n_y * lanes, lanes)
+    cell_stride = wp.where(across_y, lanes, n_y * lanes)
+    step = wp.where(across_y, 1.0 / c, -1.0 / s)  # y = (r + x s) / c, or x = (y c - r) / s
+    slope = wp.where(across_y, s / c, c / s)
+    origin = 0.5 * float(cells - 1) + offset * step - 0.5 * float(planes - 1) * slope
+    first = wp.min(strip, planes)
+    last = wp.min(strip + STRIP, planes)
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    start = origin + float(first) * slope
+    end = origin + float(last - 1) * slope
+    if wp.min(start, end) > 0.01 and wp.max(start, end) < float(cells) - 1.01:  # between two cells all along
+        for plane in range(first, last):
+            position = origin + float(plane) * slope
+            cell = int(position)
+            fraction = position - float(cell)
+            index = plane * plane_stride + cell * cell_stride + lane
+            total += (1.0 - fraction) * field[slab, index]
+            total += fraction * field[slab, index + cell_stride]
+    else:
+        for plane in range(first, last):
+            position = origin + float(plane) * slope
+            below = wp.floor(position)
+            cell = int(below)
+            index = plane * plane_stride + cell * cell_stride + lane
+            if cell >= 0 and cell < cells:
+                total += (1.0 - (position - below)) * field[slab, index]
+            if cell >= -1 and cell + 1 < cells:
+                total += (position - below) * field[slab, index + cell_stride]
+    return total
+
+
+@wp.func
+def length(pitch: float, c: float, s: float):
+    return pitch / wp.max(wp.abs(c), wp.abs(s))
 
 
 @wp.kernel
 def forward_joseph(
-    volume: wp.array4d(dtype=wp.vec4),
+    volume: wp.array2d(dtype=wp.vec4),
     directions: wp.array2d(dtype=float),
     pitch: float,
-    sinogram: wp.array4d(dtype=wp.vec4),
+    sinogram: wp.array2d(dtype=wp.vec4),
     n_x: int,
     n_y: int,
     n_z: int,
@@ -32,66 +69,44 @@ def forward_joseph(
     n_r: int,
 ):
     slab, block, r, lane = wp.tid()
-    x0 = 0.5 * float(n_x - 1)
-    y0 = 0.5 * float(n_y - 1)
+    lanes = volume.shape[1] // (n_x * n_y)
     offset = float(r) - 0.5 * float(n_r - 1)
-    for a in range(ANGLES):
-        angle = block * ANGLES + a
-        if angle < n_angle:
-            c = directions[angle, 0]
-            s = directions[angle, 1]
-            total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-            if wp.abs(c) >= wp.abs(s):  # planes of constant x: y = (r + x s) / c
-                step = 1.0 / c
-                slope = s * step
-                origin = y0 + (offset - x0 * s) * step
-                for plane in range(n_x):
-                    position = origin + float(plane) * slope
-                    below = wp.floor(position)
-                    cell = int(below)
-                    fraction = position - below
-                    total += (1.0 - fraction) * sample(volume, slab, lane, plane, cell, n_y, 1)
-                    total += fraction * sample(volume, slab, lane, plane, cell + 1, n_y, 1)
-                sinogram[slab, angle, r, lane] = total * (pitch * wp.abs(step))
-            else:  # planes of constant y: x = (y c - r) / s
-                step = 1.0 / s
-                slope = c * step
-                origin = x0 - (offset + y0 * c) * step
-                for plane in range(n_y):
-                    position = origin + float(plane) * slope
-                    below = wp.floor(position)
-                    cell = int(below)
-                    fraction = position - below
-                    total += (1.0 - fraction) * sample(volume, slab, lane, plane, cell, n_x, 0)
-                    total += fraction * sample(volume, slab, lane, plane, cell + 1, n_x, 0)
-                sinogram[slab, angle, r, lane] = total * (pitch * wp.abs(step))
+    here = 2 * block
+    beside = wp.min(here + 1, n_angle - 1)  # the last thread of an odd number of poses computes its pose twice
+    c0 = directions[here, 0]
+    s0 = directions[here, 1]
+    c1 = directions[beside, 0]
+    s1 = directions[beside, 1]
+    t0 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    t1 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for strip in range(0, wp.max(n_x, n_y), STRIP):
+        t0 += march(volume, slab, lane, lanes, strip, offset, c0, s0, n_x, n_y)
+        t1 += march(volume, slab, lane, lanes, strip, offset, c1, s1, n_x, n_y)
+    sinogram[slab, (here * n_r + r) * lanes + lane] = t0 * length(pitch, c0, s0)
+    sinogram[slab, (beside * n_r + r) * lanes + lane] = t1 * length(pitch, c1, s1)
 
 
 @wp.func
-def column(sinogram: wp.array4d(dtype=wp.vec4), slab: int, angle: int, r: int, lane: int, n_r: int):
-    if r < 0 or r >= n_r:
-        return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    return sinogram[slab, angle, r, lane]
-
-
-@wp.func
-def gathered(
-    sinogram: wp.array4d(dtype=wp.vec4), slab: int, angle: int, u: float, m: float, lane: int, n_r: int
-):
+def gather(field: Flat, slab: int, row: int, lanes: int, u: float, m: float, n_r: int):
+    """What a voxel that projects to column u receives from the pose that begins at sample `row`."""
     below = wp.floor(u)
     beyond = u - below
-    r = int(below)
-    left = wp.max(0.0, m - m * m * beyond)
-    right = wp.max(0.0, m - m * m * (1.0 - beyond))
-    return left * column(sinogram, slab, angle, r, lane, n_r) + right * column(sinogram, slab, angle, r + 1, lane, n_r)
+    column = int(below)
+    index = row + column * lanes
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if column >= 0 and column < n_r:
+        total += wp.max(0.0, m - m * m * beyond) * field[slab, index]
+    if column >= -1 and column + 1 < n_r:
+        total += wp.max(0.0, m - m * m * (1.0 - beyond)) * field[slab, index + lanes]
+    return total
 
 
 @wp.kernel
 def back_joseph(
-    sinogram: wp.array4d(dtype=wp.vec4),
+    sinogram: wp.array2d(dtype=wp.vec4),
     directions: wp.array2d(dtype=float),
     pitch: float,
-    volume: wp.array4d(dtype=wp.vec4),
+    volume: wp.array2d(dtype=wp.vec4),
     n_angle: int,
     n_r: int,
     n_z: int,
@@ -99,28 +114,32 @@ def back_joseph(
     n_y: int,
 ):
     slab, block_x, block_y, lane = wp.tid()
-    x = float(2 * block_x) - 0.5 * float(n_x - 1)
-    y = float(2 * block_y) - 0.5 * float(n_y - 1)
-    zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    t00 = zero
-    t01 = zero
-    t10 = zero
-    t11 = zero
-    for angle in range(n_angle):
-        c = directions[angle, 0]
-        s = directions[angle, 1]
-        m = 1.0 / wp.max(wp.abs(c), wp.abs(s))
-        u = y * c - x * s + 0.5 * float(n_r - 1)
-        t00 += gathered(sinogram, slab, angle, u, m, lane, n_r)
-        t01 += gathered(sinogram, slab, angle, u + c, m, lane, n_r)
-        t10 += gathered(sinogram, slab, angle, u - s, m, lane, n_r)
-        t11 += gathered(sinogram, slab, angle, u - s + c, m, lane, n_r)
-    i = 2 * block_x
-    j = 2 * block_y
-    volume[slab, i, j, lane] = t00 * pitch
-    if j + 1 < n_y:
-        volume[slab, i, j + 1, lane] = t01 * pitch
-    if i + 1 < n_x:
-        volume[slab, i + 1, j, lane] = t10 * pitch
-        if j + 1 < n_y:
-            volume[slab, i + 1, j + 1, lane] = t11 * pitch
+    lanes = volume.shape[1] // (n_x * n_y)
+    i0 = 4 * block_x
+    j0 = 4 * block_y
+    for i in range(i0, wp.min(i0 + 4, n_x), ROWS):
+        for j in range(j0, wp.min(j0 + 4, n_y), ROWS):
+            x = float(i) - 0.5 * float(n_x - 1)
+            y = float(j) - 0.5 * float(n_y - 1)
+            t00 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            t01 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            t10 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            t11 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            for angle in range(n_angle):
+                c = directions[angle, 0]
+                s = directions[angle, 1]
+                m = 1.0 / wp.max(wp.abs(c), wp.abs(s))
+                u = y * c - x * s + 0.5 * float(n_r - 1)
+                row = angle * n_r * lanes + lane
+                t00 += gather(sinogram, slab, row, lanes, u, m, n_r)
+                t01 += gather(sinogram, slab, row, lanes, u + c, m, n_r)
+                t10 += gather(sinogram, slab, row, lanes, u - s, m, n_r)
+                t11 += gather(sinogram, slab, row, lanes, u - s + c, m, n_r)
+            at = (i * n_y + j) * lanes + lane
+            volume[slab, at] = t00 * pitch
+            if j + 1 < n_y:
+                volume[slab, at + lanes] = t01 * pitch
+            if i + 1 < n_x:
+                volume[slab, at + n_y * lanes] = t10 * pitch
+                if j + 1 < n_y:
+                    volume[slab, at + n_y * lanes + lanes] = t11 * pitch

@@ -20,7 +20,7 @@ static inline float tent(float distance, float inverse_width) {
     return fmax(0.0f, 1.0f - fabs(distance) * inverse_width) * inverse_width;
 }
 
-#if THREADS == 1
+#ifdef CPU
 // On a CPU core a look-up costs as much as the lanes it serves, so it is made once and noted, then applied to every slab
 // and, where a quarter turn maps grid and poses onto themselves, to all four quarters (folds). TOGETHER neighbours are
 // noted before any is applied, because they read the same samples: those then come from the nearest cache.
@@ -84,7 +84,7 @@ __kernel void back_refracted(__global const float *restrict sinogram, __global c
     const int taps = (int)ceil(2.0f * width);
     sinogram += slab_offset(n_angle, n_r);
     volume += slab_offset(n_x, n_y);
-#if THREADS == 1
+#ifdef CPU
     const size_t from_slab = (size_t)n_angle * n_r * LANES, to_slab = (size_t)n_x * n_y * LANES;
     const int folds = folds_of(n_angle, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
     const int2 rows = share(ITEM_MAJOR, get_global_size(1), folds == 4 ? n_x / 2 : n_x);
@@ -177,7 +177,7 @@ __kernel void forward_refracted(__global const float *restrict volume, __global 
     const float inverse = 1.0f / width, x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1);
     volume += slab_offset(n_x, n_y);
     sinogram += slab_offset(n_angle, n_r);
-#if THREADS == 1
+#ifdef CPU
     const size_t from_slab = (size_t)n_x * n_y * LANES, to_slab = (size_t)n_angle * n_r * LANES;
     const int folds = folds_of(n_angle, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
     const int2 angles = share(ITEM_MAJOR, get_global_size(1), n_angle / folds);

@@ -86,9 +86,11 @@ class WarpDevice(Device):
         spec = kernel.arguments[kernel.over]
         over = tuple(sizes[axis] if not axis.isdigit() else int(axis) for axis in getattr(spec, "axes", ()))
         grid = self._grid(kernel, over) if isinstance(spec, Field) else over  # type: ignore[arg-type]
-        inputs = [*bound.values(), *(sizes[axis] for axis in kernel.axes)]
+        function = sibling(kernel)
+        handles = [_seen(value, argument.type) for value, argument in zip(bound.values(), function.adj.args)]  # noqa: B905
+        inputs = [*handles, *(sizes[axis] for axis in kernel.axes)]
         block = kernel.gpu.group[0] * kernel.gpu.group[1]
-        wp.launch(sibling(kernel), dim=grid, inputs=inputs, device=self._device, block_dim=block)
+        wp.launch(function, dim=grid, inputs=inputs, device=self._device, block_dim=block)
 
     def synchronize(self) -> None:
         wp.synchronize_device(self._device)
@@ -116,6 +118,13 @@ class WarpDevice(Device):
         if array.device != self._device or not array.is_contiguous:
             raise DeviceError(f"{self.name} adopts contiguous arrays of its own device; got one on {array.device}")
         return DeviceArray(self, array, tuple(array.shape), np.dtype(wp.dtype_to_numpy(array.dtype)), 0)
+
+
+def _seen(value: Any, declared: Any) -> Any:
+    """A field as its kernel takes it: ``[slab, major, minor, lanes / 4]``, or flat per slab where it says array2d."""
+    if isinstance(value, wp.array) and value.ndim == 4 and declared.ndim == 2:
+        return value.reshape((value.shape[0], -1))
+    return value
 
 
 def sibling(kernel: Kernel) -> wp.Kernel:
