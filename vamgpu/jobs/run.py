@@ -1,0 +1,104 @@
+"""Carry out a job: target, light, frames, a folder; and prove a written one from its own bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vamgpu.backend import open_device
+from vamgpu.errors import StorageError
+from vamgpu.jobs.build import describe, packing_of, projection_from, projection_of, target_of
+from vamgpu.jobs.read import Job
+from vamgpu.jobs.record import PlanRecord
+from vamgpu.storage.folder import Entry, Folder
+from vamgpu.targets.target import Target
+
+if TYPE_CHECKING:
+    from vamgpu.printing.proof import Proof
+
+Told = Callable[[str, float], None]
+"""Told of progress: what is being done, and how much of it is done, 0..1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Proven:
+    """A proof and the record of the plan behind it."""
+
+    proof: Proof
+    plan: PlanRecord
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report; raises `StorageError`."""
+        return self.proof.report(path, self.plan)
+
+
+def _quietly(stage: str, share: float) -> None:
+    """Tell nobody."""
+
+
+def solve(job: Job, path: str | Path, *, overwrite: bool = False, told: Told = _quietly) -> Folder:
+    """Find the light of a job, pack it, and write its folder, whole or not at all.
+
+    Raises what the parts raise: `BadInput`, `MeshError`, `TargetTooLarge`, `DeviceError`, `StorageError`.
+    """
+    from vamgpu.optimize import optimize
+    from vamgpu.printing.folder import save_frames
+    from vamgpu.printing.pack import pack
+
+    wanted = job.wanted
+    _refuse_taken(Path(path), overwrite)
+    device = open_device(wanted.solve.device)
+    packing = packing_of(wanted.frames, job.folder)
+    told("voxels", 0.0)
+    target = target_of(job, device)
+    A = projection_of(wanted, target, device)
+    told("light", 0.0)
+    count = {} if wanted.solve.iterations is None else {"iterations": wanted.solve.iterations}
+    plan = optimize(A, target, method=wanted.solve.method, progress=_share(told), **count)
+    told("frames", 0.0)
+    frames = pack(plan, **packing)
+    told("folder", 0.0)
+    inputs = {
+        "job": job.given,
+        "geometry": describe(A),
+        "target": {key: getattr(target, key) for key in ("name", "radius", "volume", "height")},
+        "plan": asdict(PlanRecord.of(plan)),
+        "print": None if wanted.print is None else wanted.print.model_dump(),
+    }
+    arrays = {"target": Entry(target.on(device), ("x", "y", "z"))}
+    return save_frames(path, frames, inputs=inputs, arrays=arrays, overwrite=overwrite)
+
+
+def prove(path: str | Path, device: str | None = None) -> Proven:
+    """Simulate a written job from its frames' bytes and gray curve. Raises `StorageError`, `DeviceError`."""
+    from vamgpu.printing.folder import load_frames
+    from vamgpu.printing.simulate import simulate
+
+    folder, place = Folder.open(path), open_device(device)
+    inputs = folder.manifest.inputs
+    try:
+        geometry, part, plan, exposure = (inputs[key] for key in ("geometry", "target", "plan", "print"))
+        name, facts = part["name"], {key: float(part[key]) for key in ("radius", "volume", "height")}
+    except (KeyError, TypeError) as error:
+        raise StorageError(f"{str(path)!r} lacks {error} in its manifest; write it with `vam solve`") from error
+    A = projection_from(geometry, place)
+    target = Target(A.grid, name, folder.array("target"), **facts)
+    proof = simulate(A, load_frames(path, place), target, **(exposure or {}))
+    return Proven(proof, PlanRecord.read(plan))
+
+
+def _refuse_taken(place: Path, overwrite: bool) -> None:
+    """Say before the work, not after it, that the place is taken."""
+    if place.exists() and not overwrite:
+        raise StorageError(f"{str(place)!r} exists; choose another path, or allow overwriting it (--overwrite)")
+
+
+def _share(told: Told) -> Callable[..., None]:
+    """An optimizer's progress as a share of its iterations."""
+
+    def progress(done: int, total: int, *_: Any) -> None:
+        told("light", done / total if total else 0.0)
+
+    return progress
