@@ -12,22 +12,15 @@ import numpy as np
 
 import vamgpu
 from vamgpu.errors import StorageError
+from vamgpu.optimize.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
 from vamgpu.printing import charts, pictures, surface
 from vamgpu.printing.proof import Proof
 
 PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
-PAPERS = (
-    "B. E. Kelly et al., Volumetric additive manufacturing via tomographic reconstruction. Science 363 (2019) 1075.",
-    "C. M. Rackson et al., Object-space optimization of tomographic reconstructions for additive manufacturing. "
-    "Additive Manufacturing 48 (2021) 102367. [process window, VER, IPDR]",
-    "B. Nicolet et al., Inverse rendering for tomographic volumetric additive manufacturing. ACM Transactions on "
-    "Graphics 43 (2024). [light efficiency]",
-)
-JOSEPH = "P. M. Joseph, An improved algorithm for reprojecting rays through pixel images. IEEE TMI 1 (1982) 192."
-VIAL = (
-    "A. Orth et al., Correcting ray distortion in tomographic additive manufacturing. Optics Express 29 (2021) 11037. "
-    "[refraction at a vial]"
-)
+MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
+"""What the scores rely on: dose as a sum of projections; window, VER and IPDR; light efficiency."""
+
+JOSEPH = "P. M. Joseph, An improved algorithm for reprojecting rays through pixel images, IEEE TMI 1 (1982) 192"
 
 
 def write_report(proof: Proof, path: str | Path, plan: Any = None) -> Path:
@@ -200,7 +193,7 @@ def _versions(proof: Proof) -> list[tuple[str, str]]:
 
 
 def _papers(proof: Proof, plan: Any) -> list[str]:
-    own = (*PAPERS, VIAL) if proof.operator.vessel else (*PAPERS, JOSEPH)
+    own = (*MEASURES, VIAL if proof.operator.vessel else JOSEPH)
     return list(dict.fromkeys([*(str(paper) for paper in getattr(plan, "papers", ())), *own]))
 
 
