@@ -60,13 +60,7 @@ def score(
     """
     parts = Parts(dose, target, level, reach)
     ends = extremes(parts)
-    voxels = tuple(int(n) for n in above(parts, 0.0)[0].sum(axis=1))
-    if not voxels[IN]:
-        raise BadInput(
-            f"no voxel within {parts.reach:g} voxels of the axis is in the part (fraction ≥ {level:g}); "
-            "center the target on the axis or choose a finer pitch"
-        )
-    counts = (voxels[OUT], voxels[IN])
+    counts = _voxels(parts)
     at = float(np.float32(best_threshold(parts, ends, counts) if threshold is None else threshold))
     (_, excess), (missing, printed) = above(parts, at)[0].tolist()
     least, greatest = float(ends.least[0, IN]), float(ends.greatest[0, IN])
@@ -89,3 +83,14 @@ def score(
         missing=missing,
         excess=excess,
     )
+
+
+def _voxels(parts: Parts) -> tuple[int, int]:
+    """Judged voxels out of and in the part; `BadInput` where none is in it."""
+    found = above(parts, 0.0)[0].sum(axis=1)
+    if not found[IN]:
+        raise BadInput(
+            f"no voxel within {parts.reach:g} voxels of the axis is in the part (fraction ≥ {parts.level:g}); "
+            "center the target on the axis or choose a finer pitch"
+        )
+    return int(found[OUT]), int(found[IN])

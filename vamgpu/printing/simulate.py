@@ -48,9 +48,7 @@ def simulate(
     in units of Aᵀ(light) from which a voxel counts as printed; the one with the best overlap by default.
     Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
     """
-    if (irradiance is None) != (critical_dose is None):
-        given, missing = ("irradiance", "critical_dose") if critical_dose is None else ("critical_dose", "irradiance")
-        raise BadInput(f"got {given} without {missing}; give both for predicted times, or neither")
+    _both_or_neither(irradiance, critical_dose)
     fraction = fractions_of(target, A.device)
     require(A.domain, fraction, "the target")
     light = frames.irradiance(A.device)
@@ -75,6 +73,12 @@ def simulate(
         part_share=scores.total_in / sent if sent > 0 else 0.0,
         exposure=exposure,
     )
+
+
+def _both_or_neither(irradiance: float | None, critical_dose: float | None) -> None:
+    if (irradiance is None) != (critical_dose is None):
+        given, missing = ("irradiance", "critical_dose") if critical_dose is None else ("critical_dose", "irradiance")
+        raise BadInput(f"got {given} without {missing}; give both for predicted times, or neither")
 
 
 def fractions_of(target: Any, device: Device) -> DeviceArray:
