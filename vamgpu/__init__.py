@@ -17,6 +17,23 @@ _PUBLIC = {
     "Projection": "vamgpu.operators.projection",
     "Vial": "vamgpu.optics.vial",
     "Vat": "vamgpu.optics.vat",
+    "Target": "vamgpu.targets.target",
+    "optimize": "vamgpu.optimize",
+    "Plan": "vamgpu.optimize",
+    "BCLP": "vamgpu.optimize",
+    "LBFGS": "vamgpu.optimize",
+    "OSMO": "vamgpu.optimize",
+    "FilteredBackProjection": "vamgpu.optimize",
+    "GradientDescent": "vamgpu.optimize",
+    "PenaltyMinimization": "vamgpu.optimize",
+    "ProcessWindow": "vamgpu.optimize",
+    "Recipe": "vamgpu.optimize",
+    "Frames": "vamgpu.printing.frames",
+    "GrayCurve": "vamgpu.printing.gray",
+    "pack": "vamgpu.printing.pack",
+    "export": "vamgpu.printing.export",
+    "simulate": "vamgpu.printing.simulate",
+    "Proof": "vamgpu.printing.proof",
 }
 """Public name → module that defines it."""
 

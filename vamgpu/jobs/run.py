@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from vamgpu.backend import open_device
-from vamgpu.errors import StorageError
+from vamgpu.errors import JobError, StorageError
 from vamgpu.jobs.build import describe, packing_of, projection_from, projection_of, target_of
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.record import PlanRecord
@@ -16,6 +17,8 @@ from vamgpu.storage.folder import Entry, Folder
 from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:
+    from vamgpu.optimize.method import Method
+    from vamgpu.optimize.plan import Step
     from vamgpu.printing.proof import Proof
 
 Told = Callable[[str, float], None]
@@ -49,14 +52,15 @@ def solve(job: Job, path: str | Path, *, overwrite: bool = False, told: Told = _
 
     wanted = job.wanted
     _refuse_taken(Path(path), overwrite)
+    method = _method(wanted.solve.method)
+    limit = wanted.solve.iterations or method.iterations
     device = open_device(wanted.solve.device)
     packing = packing_of(wanted.frames, job.folder)
     told("voxels", 0.0)
     target = target_of(job, device)
     A = projection_of(wanted, target, device)
     told("light", 0.0)
-    count = {} if wanted.solve.iterations is None else {"iterations": wanted.solve.iterations}
-    plan = optimize(A, target, method=wanted.solve.method, progress=_share(told), **count)
+    plan = optimize(A, target, method=method, iterations=limit, progress=_share(told, limit))
     told("frames", 0.0)
     frames = pack(plan, **packing)
     told("folder", 0.0)
@@ -95,10 +99,17 @@ def _refuse_taken(place: Path, overwrite: bool) -> None:
         raise StorageError(f"{str(place)!r} exists; choose another path, or allow overwriting it (--overwrite)")
 
 
-def _share(told: Told) -> Callable[..., None]:
-    """An optimizer's progress as a share of its iterations."""
+def _method(name: str) -> Method:
+    """The method of that name with its default parameters."""
+    from vamgpu.optimize import METHODS
 
-    def progress(done: int, total: int, *_: Any) -> None:
-        told("light", done / total if total else 0.0)
+    if name not in METHODS:
+        close = get_close_matches(name, METHODS, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else "correct the name"
+        raise JobError(f"solve.method: got {name!r}; wanted one of {', '.join(METHODS)}: {hint}")
+    return METHODS[name]()
 
-    return progress
+
+def _share(told: Told, limit: int) -> Callable[[Step], None]:
+    """An optimizer's steps as a share of its iterations."""
+    return lambda step: told("light", step.iteration / limit)

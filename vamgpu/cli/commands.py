@@ -1,0 +1,193 @@
+"""The commands of ``vam``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+from rich.console import Console
+from rich.table import Table
+
+import vamgpu
+
+app = App(name="vam", help="Tomographic volumetric 3D printing: from a mesh to frames and a proof of the print.",
+          version=vamgpu.__version__)  # fmt: skip
+
+Settings = Annotated[list[str] | None, Parameter(name="--set", negative="", help="key=value that replaces the file's")]
+Overwrite = Annotated[bool, Parameter(name="--overwrite", negative="", help="replace a job that stands there")]
+
+
+def console() -> Console:
+    """Where commands write."""
+    return Console(highlight=False, soft_wrap=True)
+
+
+@app.command
+def demo(*, out: Path = Path("vamgpu-demo"), settings: Settings = None) -> None:
+    """Print the bundled boat in simulation and draw a report.
+
+    Parameters
+    ----------
+    out: folder of the demo's files
+    """
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.demo import demo as run
+
+    screen = console()
+    with shown(screen) as told:
+        done = run(out, settings or (), told=told)
+    _scores(screen, done.proven)
+    screen.print(f"job     {done.file}\nframes  {done.folder}\nreport  [bold]{done.report.resolve()}[/]")
+
+
+@app.command
+def solve(job: Path, *, out: Path | None = None, settings: Settings = None, overwrite: Overwrite = False) -> None:
+    """Find light for a TOML job file and write its frames to a job folder.
+
+    Parameters
+    ----------
+    job: the TOML file
+    out: the folder; the file's name with .vam by default
+    """
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.read import read_job
+    from vamgpu.jobs.run import solve as run
+
+    place = out if out is not None else job.with_suffix(".vam")
+    wanted = read_job(job, settings or ())
+    screen = console()
+    with shown(screen) as told:
+        folder = run(wanted, place, overwrite=overwrite, told=told)
+    screen.print(f"wrote [bold]{folder.path}[/]; prove it with: vam prove {folder.path}")
+
+
+@app.command
+def prove(job: Path, *, report: Path | None = None, device: str | None = None) -> None:
+    """Simulate a written job from its frames alone and draw a report.
+
+    Parameters
+    ----------
+    job: the job folder
+    report: the HTML file; the folder's name with .html by default
+    device: where to compute; the best device here by default
+    """
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.run import prove as run
+
+    screen = console()
+    with shown(screen) as told:
+        told("proof", 0.0)
+        proven = run(job, device)
+        told("report", 0.0)
+        page = proven.report(report if report is not None else job.with_suffix(".html"))
+    _scores(screen, proven)
+    screen.print(f"report  [bold]{page.resolve()}[/]")
+
+
+@app.command
+def export(
+    job: Path,
+    *,
+    png: Path | None = None,
+    tiff: Path | None = None,
+    npz: Path | None = None,
+    mp4: Path | None = None,
+    fps: float = 30.0,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write the frames of a job as files that other programs read.
+
+    Parameters
+    ----------
+    job: the job folder
+    png: a folder of PNG pictures
+    tiff: one file, a page a frame
+    npz: bytes, curve and settings for NumPy
+    mp4: a lossless film
+    fps: frames a second of the film
+    """
+    from vamgpu.errors import BadInput
+    from vamgpu.printing.export import export as write
+    from vamgpu.printing.folder import load_frames
+
+    wanted = {"": png, ".tiff": tiff, ".npz": npz, ".mp4": mp4}
+    places = {ending: place for ending, place in wanted.items() if place is not None}
+    if not places:
+        raise BadInput("no format was given; wanted at least one of --png, --tiff, --npz, --mp4 with a path")
+    for ending, place in places.items():
+        if place.suffix.lower() not in {ending, ending.replace("tiff", "tif")}:
+            raise BadInput(f"got {str(place)!r}; wanted a path with {f'ending {ending}' if ending else 'no ending'}")
+    frames = load_frames(job, "numpy")
+    screen = console()
+    for place in places.values():
+        screen.print(f"wrote [bold]{write(frames, place, fps=fps, overwrite=overwrite)}[/]")
+
+
+@app.command
+def devices() -> None:
+    """List the devices that work here, the best first."""
+    screen = console()
+    for name in vamgpu.devices():
+        screen.print(name)
+
+
+@app.command
+def doctor(*, limit: float = 120.0) -> int:
+    """Run a kernel on every device here, and say why one is missing and what to install.
+
+    Parameters
+    ----------
+    limit: seconds a driver gets to answer
+    """
+    from vamgpu.cli.doctor import examine
+
+    screen = console()
+    found = examine(limit)
+    for finding in found:
+        mark = "[green]works  [/]" if finding.works else "[yellow]missing[/]"
+        screen.print(f"{mark} [bold]{finding.name}[/]  {finding.description}")
+        if finding.remedy:
+            screen.print(f"        → {finding.remedy}")
+    return 0 if any(finding.works and finding.name != "numpy" for finding in found) else 1
+
+
+@app.command
+def bench(
+    *, size: int = 128, angles: int = 360, repeats: int = 5, device: list[str] | None = None, record: Path | None = None
+) -> None:
+    """Time the projectors on the devices here.
+
+    Parameters
+    ----------
+    size: voxels along each axis
+    angles: poses over a full turn
+    repeats: runs that a median is taken of
+    device: devices to time; all but the reference by default
+    record: JSON file to keep the table and the machine's description in
+    """
+    from vamgpu.jobs.bench import bench as run
+    from vamgpu.jobs.bench import machine
+    from vamgpu.jobs.bench import table as records
+    from vamgpu.storage.atomic import replacing
+
+    timings = list(run(size, angles, repeats, device))
+    sheet = Table("device", "projector", "forward [ms]", "back [ms]", title=f"{size}³ × {angles}, medians of {repeats}")
+    for timing in timings:
+        cells = (timing.device, timing.operator, f"{1e3 * timing.forward:.1f}", f"{1e3 * timing.back:.1f}")
+        sheet.add_row(*cells)
+    console().print(sheet)
+    if record is not None:
+        text = json.dumps({"machine": machine(), "timings": records(timings)}, indent=2) + "\n"
+        with replacing(record, overwrite=True) as draft:
+            draft.write_text(text, encoding="utf-8")
+
+
+def _scores(screen: Console, proven: object) -> None:
+    """The numbers of a proof."""
+    lines = proven.proof.lines()  # type: ignore[attr-defined]
+    sheet = Table.grid(padding=(0, 2))
+    for line in lines:
+        sheet.add_row(line.name, f"[bold]{line.value}[/]", f"[dim]{line.meaning}[/]")
+    screen.print(sheet)

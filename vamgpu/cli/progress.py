@@ -1,0 +1,55 @@
+"""What is being done, shown on the terminal."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from vamgpu.jobs.run import Told
+
+STAGES = {
+    "voxels": "voxelizing the part",
+    "light": "finding the light",
+    "frames": "packing the frames",
+    "folder": "writing the job",
+    "proof": "proving the print from its frames",
+    "report": "drawing the report",
+}
+
+
+@contextmanager
+def shown(console: Console) -> Iterator[Told]:
+    """A function that shows progress; stages that are over stay as lines with their seconds."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        now = _Now(bar, console)
+        yield now
+        now.finish()
+
+
+class _Now:
+    """The stage that is running."""
+
+    def __init__(self, bar: Progress, console: Console) -> None:
+        self._bar, self._console = bar, console
+        self._stage, self._began, self._task = "", 0.0, None
+
+    def __call__(self, stage: str, share: float) -> None:
+        if stage != self._stage:
+            self.finish()
+            self._stage, self._began = stage, time.perf_counter()
+            self._task = self._bar.add_task(STAGES.get(stage, stage), total=1.0 if stage == "light" else None)
+        if self._task is not None and stage == "light":
+            self._bar.update(self._task, completed=share)
+
+    def finish(self) -> None:
+        """Turn the running stage into a line."""
+        if self._task is not None:
+            self._bar.remove_task(self._task)
+            seconds = time.perf_counter() - self._began
+            self._console.print(f"[green]✓[/] {STAGES.get(self._stage, self._stage)} [dim]{seconds:.1f} s[/]")
+            self._task = None

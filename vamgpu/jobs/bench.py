@@ -1,0 +1,93 @@
+"""How fast the projectors and the main job run on the devices here."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
+from os import cpu_count
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend import devices, open_device
+from vamgpu.backend.device import Device
+from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.operators.projection import Projection
+from vamgpu.optics.vial import Vial
+
+RADIUS = 12.4
+"""Outer radius of the bench's vial [mm]."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Medians [s] of one projector on one device: a forward projection of n³ voxels to ``angles`` poses, and back."""
+
+    device: str
+    operator: str
+    n: int
+    angles: int
+    forward: float
+    back: float
+
+
+def machine() -> dict[str, Any]:
+    """What this machine is, in words."""
+    return {"system": platform.platform(), "processor": _processor(), "cores": cpu_count(), "python": platform.python_version()}
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            return next(line.split(":", 1)[1].strip() for line in file if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+def projectors(n: int, angles: int, device: Device) -> dict[str, Projection]:
+    """The operators that are timed: straight light, and light that a vial refracts and absorbs."""
+    pitch = 1.2 * RADIUS / n
+    vial = Vial(radius=RADIUS, wall=1.0, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.05)
+    grid, motion = Grid((n, n, n), pitch), Turntable(angles)
+    return {
+        "straight": Projection(grid, Beam((n, n), pitch), motion, None, device),
+        "vial": Projection(grid, Beam((n, n), 1.5 * pitch), motion, vial, device),
+    }
+
+
+def bench(n: int = 128, angles: int = 360, repeats: int = 5, names: Iterable[str] | None = None) -> Iterator[Timing]:
+    """Time the projectors on devices by name, by default every one but the reference. Raises `DeviceError`."""
+    chosen = tuple(names) if names is not None else tuple(name for name in devices() if name != "numpy")
+    for name in chosen:
+        device = open_device(name)
+        for kind, A in projectors(n, angles, device).items():
+            x, y = device.upload(_ball(n)), device.empty(A.range.shape)
+            back = device.empty(A.domain.shape)
+            forward = _median(lambda A=A, x=x, y=y: A(x, out=y), device, repeats)
+            yield Timing(name, kind, n, angles, forward, _median(lambda A=A, y=y, x=back: A.T(y, out=x), device, repeats))
+
+
+def table(timings: Iterable[Timing]) -> list[dict[str, Any]]:
+    """Timings as plain records, with voxel-rays a second: n³ · angles over the time."""
+    return [asdict(t) | {"giga_updates": t.n**3 * t.angles / t.forward / 1e9} for t in timings]
+
+
+def _ball(n: int) -> np.ndarray:
+    x = np.linspace(-1, 1, n)
+    return (x[:, None, None] ** 2 + x[None, :, None] ** 2 + x[None, None, :] ** 2 < 0.7).astype(np.float32)
+
+
+def _median(run: Callable[[], Any], device: Device, repeats: int) -> float:
+    """Median of repeats after one that compiles."""
+    run()
+    device.synchronize()
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        run()
+        device.synchronize()
+        seconds.append(time.perf_counter() - start)
+    return median(seconds)
