@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import warp as wp
 
+from vamgpu.kernels.wide_warp import Flat, read
+
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 STRIP = wp.constant(16)  # planes a group crosses at its two poses before it goes on
 ROWS = wp.constant(2)  # voxels of a thread along x and along y
-Flat = wp.array2d(dtype=wp.vec4)
 
 
 @wp.func
@@ -36,8 +37,8 @@ def march(field: Flat, slab: int, lane: int, lanes: int, strip: int, offset: flo
             cell = int(position)
             fraction = position - float(cell)
             index = plane * plane_stride + cell * cell_stride + lane
-            total += (1.0 - fraction) * field[slab, index]
-            total += fraction * field[slab, index + cell_stride]
+            total += (1.0 - fraction) * read(field, slab, index)
+            total += fraction * read(field, slab, index + cell_stride)
     else:
         for plane in range(first, last):
             position = origin + float(plane) * slope
@@ -45,9 +46,9 @@ def march(field: Flat, slab: int, lane: int, lanes: int, strip: int, offset: flo
             cell = int(below)
             index = plane * plane_stride + cell * cell_stride + lane
             if cell >= 0 and cell < cells:
-                total += (1.0 - (position - below)) * field[slab, index]
+                total += (1.0 - (position - below)) * read(field, slab, index)
             if cell >= -1 and cell + 1 < cells:
-                total += (position - below) * field[slab, index + cell_stride]
+                total += (position - below) * read(field, slab, index + cell_stride)
     return total
 
 
@@ -87,17 +88,27 @@ def forward_joseph(
 
 
 @wp.func
-def gather(field: Flat, slab: int, row: int, lanes: int, u: float, m: float, n_r: int):
-    """What a voxel that projects to column u receives from the pose that begins at sample `row`."""
+def gather(field: Flat, slab: int, row: int, lanes: int, u: float, m: float):
+    """What a voxel that projects between two columns, at u, receives from the pose that begins at sample `row`."""
+    column = int(u)
+    beyond = u - float(column)
+    index = row + column * lanes
+    near = wp.max(0.0, m - m * m * beyond)
+    far = wp.max(0.0, m - m * m * (1.0 - beyond))
+    return near * read(field, slab, index) + far * read(field, slab, index + lanes)
+
+
+@wp.func
+def gather_edge(field: Flat, slab: int, row: int, lanes: int, u: float, m: float, n_r: int):
+    """The same for a voxel that may project beyond the outermost columns."""
     below = wp.floor(u)
-    beyond = u - below
     column = int(below)
     index = row + column * lanes
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if column >= 0 and column < n_r:
-        total += wp.max(0.0, m - m * m * beyond) * field[slab, index]
+        total += wp.max(0.0, m - m * m * (u - below)) * read(field, slab, index)
     if column >= -1 and column + 1 < n_r:
-        total += wp.max(0.0, m - m * m * (1.0 - beyond)) * field[slab, index + lanes]
+        total += wp.max(0.0, m - m * m * (1.0 - (u - below))) * read(field, slab, index + lanes)
     return total
 
 
@@ -131,10 +142,18 @@ def back_joseph(
                 m = 1.0 / wp.max(wp.abs(c), wp.abs(s))
                 u = y * c - x * s + 0.5 * float(n_r - 1)
                 row = angle * n_r * lanes + lane
-                t00 += gather(sinogram, slab, row, lanes, u, m, n_r)
-                t01 += gather(sinogram, slab, row, lanes, u + c, m, n_r)
-                t10 += gather(sinogram, slab, row, lanes, u - s, m, n_r)
-                t11 += gather(sinogram, slab, row, lanes, u - s + c, m, n_r)
+                lowest = u + wp.min(c, 0.0) - wp.max(s, 0.0)
+                highest = u + wp.max(c, 0.0) - wp.min(s, 0.0)
+                if lowest > 0.01 and highest < float(n_r) - 1.01:
+                    t00 += gather(sinogram, slab, row, lanes, u, m)
+                    t01 += gather(sinogram, slab, row, lanes, u + c, m)
+                    t10 += gather(sinogram, slab, row, lanes, u - s, m)
+                    t11 += gather(sinogram, slab, row, lanes, u - s + c, m)
+                else:
+                    t00 += gather_edge(sinogram, slab, row, lanes, u, m, n_r)
+                    t01 += gather_edge(sinogram, slab, row, lanes, u + c, m, n_r)
+                    t10 += gather_edge(sinogram, slab, row, lanes, u - s, m, n_r)
+                    t11 += gather_edge(sinogram, slab, row, lanes, u - s + c, m, n_r)
             at = (i * n_y + j) * lanes + lane
             volume[slab, at] = t00 * pitch
             if j + 1 < n_y:

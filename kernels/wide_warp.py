@@ -1,0 +1,25 @@
+"""Reading four lanes at once in Warp.
+
+Warp aligns its vec4 to four bytes, so a plain read becomes four loads of one float each; fields are aligned to sixteen.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+Flat = wp.array2d(dtype=wp.vec4)  # a field, flat per slab: [slab, sample · lane]
+
+
+@wp.func_native("""
+    const char* at = (const char*)field.data + (size_t)slab * field.strides[0] + (size_t)index * 16;
+#if defined(__CUDA_ARCH__)
+    const float4 wide = *(const float4*)at;
+    return wp::vec4(wide.x, wide.y, wide.z, wide.w);
+#else
+    return *(const wp::vec4*)at;
+#endif
+""")
+def read(field: Flat, slab: int, index: int) -> wp.vec4:  # type: ignore[empty-body]
+    ...
