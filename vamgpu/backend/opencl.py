@@ -78,7 +78,7 @@ class OpenclDevice(Device):
 
     def _constants(self, kernel: Kernel, lanes: int) -> dict[str, int]:
         width = 4 if self.is_gpu else 16
-        threads = lanes // width if self.is_gpu else 1
+        threads = max(lanes // width, 1) if self.is_gpu else 1  # a kernel over tables alone has no lanes
         tiling = self._tiling(kernel)
         shape = {"LANES": lanes, "WIDTH": width, "THREADS": threads, "VECTORS": lanes // width // threads}
         tile = {"TILE_MAJOR": tiling.major, "TILE_MINOR": tiling.minor, "TILE_SLABS": tiling.slabs}
