@@ -48,11 +48,11 @@ def band_loss(
     slope = response[cell + 1] - response[cell]
     difference = response[cell] + slope * (position - cell) - (low + (high - low) * f)
     excess = np.abs(difference) - (slack_low + (slack_high - slack_low) * f)
-    gain = (gain_low + (gain_high - gain_low) * f) * disc(*dose.shape[:2], reach)[:, :, None]
+    gain = (gain_low + (gain_high - gain_low) * f) * disc(dose.shape[0], dose.shape[1], reach)[:, :, None]
     gain = np.where(excess > 0, gain * weight if weighted else gain, 0.0)
     excess = np.maximum(excess, 1e-30)
     parts[...] = 0.0
-    value, near = difference + low + (high - low) * f, disc(*dose.shape[:2], reach)[:, :, None]
+    value, near = difference + low + (high - low) * f, disc(dose.shape[0], dose.shape[1], reach)[:, :, None]
     parts[0] = np.sum(gain * excess**power + ridge * value**2 * near)
     pull = gain * power * excess ** (power - 1) * np.sign(difference) + 2.0 * ridge * value * near
     dose[...] = pull * slope * density

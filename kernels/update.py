@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from vamgpu.kernels.reduce import CPU, GPU as PARTIAL, Parts, disc
+from vamgpu.kernels.reduce import CPU, Parts, disc
+from vamgpu.kernels.reduce import GPU as PARTIAL
 from vamgpu.kernels.signature import Array, ArrayOut, Integer, Real, Tiling, kernel
 
 GPU = Tiling(major=1, minor=1)
@@ -20,8 +21,8 @@ def linear(a: Real, x: Array, b: Real, y: Array, floor: Real, out: ArrayOut) -> 
 def free_gradient(light: Array, weight: Real, power: Real, hold: Integer, gradient: ArrayOut, parts: Parts) -> None:
     """Add the derivative of weight·light^power to the gradient, then, with ``hold``, hold what cannot follow it.
 
-    Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where it would make dark light (≤ 0) negative: a filter or a
-    metric applied to what is left keeps it a direction of descent. Source: D. Bertsekas, SIAM J. Control Optim. 20
+    Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where it would make dark light (≤ 0) negative: a
+    filter or a metric applied to what is left keeps it a direction of descent. Source: D. Bertsekas, SIAM J. Control Optim. 20
     (1982) 221. power ≥ 1.
     """
     lit = np.maximum(light, 0.0)
@@ -35,7 +36,7 @@ def free_gradient(light: Array, weight: Real, power: Real, hold: Integer, gradie
 @kernel(over="model", cpu=CPU, gpu=GPU)
 def paint(target: Array, low: Real, high: Real, reach: Real, model: ArrayOut) -> None:
     """model = low + (high − low)·target within ``reach`` samples of the axis, 0 beyond."""
-    model[...] = (low + (high - low) * target) * disc(*model.shape[:2], reach)[:, :, None]
+    model[...] = (low + (high - low) * target) * disc(model.shape[0], model.shape[1], reach)[:, :, None]
 
 
 @kernel(over="model", cpu=CPU, gpu=GPU)
@@ -65,6 +66,6 @@ def correct_by_difference(
     Inside is a target of at least one half; dose is times scale, the differences times their gain.
     """
     inside = target >= 0.5
-    near = disc(*model.shape[:2], reach)[:, :, None]
+    near = disc(model.shape[0], model.shape[1], reach)[:, :, None]
     model += np.where(inside, gain_inside * np.maximum(0.0, high - dose * scale), 0.0) * near
     model -= np.where(inside, 0.0, gain_outside * np.maximum(0.0, dose * scale - low)) * near

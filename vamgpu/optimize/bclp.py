@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -10,6 +9,7 @@ from vamgpu.errors import BadInput
 from vamgpu.optimize.band import Band
 from vamgpu.optimize.descent import Descent
 from vamgpu.optimize.fbp import filtered_light
+from vamgpu.optimize.method import Steps
 from vamgpu.optimize.papers import BAND, ROLL_TO_ROLL
 from vamgpu.optimize.ramp import identity
 from vamgpu.optimize.response import Logistic, Response
@@ -57,7 +57,7 @@ class BCLP:
     def _band(self) -> Band:
         return Band((0.0, 1.0), self.slack, self.price, self.p, self.ridge, response=self.response)
 
-    def steps(self, work: Work) -> Iterator[tuple[float, float]]:
+    def steps(self, work: Work) -> Steps:
         if "light" not in work.memory:
             filtered_light(work, work.volume())
         order = self.q if self.q is not None and self.q != self.p else None

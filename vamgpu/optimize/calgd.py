@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,6 +9,7 @@ from vamgpu.errors import BadInput
 from vamgpu.optimize.band import Band
 from vamgpu.optimize.descent import Descent
 from vamgpu.optimize.fbp import filtered_light
+from vamgpu.optimize.method import Steps
 from vamgpu.optimize.papers import CAL
 from vamgpu.optimize.ramp import identity
 from vamgpu.optimize.response import Linear, Response
@@ -35,7 +35,7 @@ class GradientDescent:
         if not (self.share > 0 and self.growth >= 1 and 0 <= self.momentum < 1):
             raise BadInput(f"{self!r}: wanted share > 0, growth ≥ 1 and 0 ≤ momentum < 1")
 
-    def steps(self, work: Work) -> Iterator[tuple[float, float]]:
+    def steps(self, work: Work) -> Steps:
         if "light" not in work.memory:
             filtered_light(work, work.volume())
         band = Band((0.0, 1.0), (0.0, 0.0), (0.5, 0.5), response=self.response)

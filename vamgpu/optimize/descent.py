@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.operators.reductions import dot
 from vamgpu.optimize.band import Band
+from vamgpu.optimize.method import Steps
 from vamgpu.optimize.ramp import Taps
 from vamgpu.optimize.work import Work
 
@@ -30,7 +30,7 @@ class Descent:
     order: float | None = None
     weight: DeviceArray | None = None
 
-    def steps(self, work: Work) -> Iterator[tuple[float, float]]:
+    def steps(self, work: Work) -> Steps:
         """Steps for ever, or until the loss is zero: nothing is left to gain then."""
         memory = work.memory
         if "ahead" not in memory:

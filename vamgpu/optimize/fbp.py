@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.optimize.band import Band
+from vamgpu.optimize.method import Steps
 from vamgpu.optimize.papers import RAMP
 from vamgpu.optimize.ramp import ramp
 from vamgpu.optimize.work import Work
@@ -20,7 +20,7 @@ class FilteredBackProjection:
     papers: ClassVar[tuple[str, ...]] = (RAMP,)
     iterations: ClassVar[int] = 1
 
-    def steps(self, work: Work) -> Iterator[tuple[float, float]]:
+    def steps(self, work: Work) -> Steps:
         dose = work.volume()
         filtered_light(work, dose)
         window, _ = work.window(dose)

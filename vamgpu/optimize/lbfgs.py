@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -11,6 +10,7 @@ from vamgpu.errors import BadInput
 from vamgpu.operators.reductions import dot
 from vamgpu.optimize.band import Band
 from vamgpu.optimize.fbp import filtered_light
+from vamgpu.optimize.method import Steps
 from vamgpu.optimize.pairs import Pairs
 from vamgpu.optimize.papers import LIMITED_MEMORY, THRESHOLDS
 from vamgpu.optimize.work import Work
@@ -47,7 +47,7 @@ class LBFGS:
     def _band(self) -> Band:
         return Band.thresholds(self.outside, self.inside, self.most)
 
-    def steps(self, work: Work) -> Iterator[tuple[float, float]]:
+    def steps(self, work: Work) -> Steps:
         dose = work.volume()
         if "light" not in work.memory:
             filtered_light(work, dose)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
 if TYPE_CHECKING:
     from vamgpu.optimize.work import Work
+
+
+Steps = Generator[tuple[float, float], None, None]
+"""Loss and strict window after every step."""
 
 
 class Method(Protocol):
@@ -18,7 +22,7 @@ class Method(Protocol):
     papers: ClassVar[tuple[str, ...]]
     iterations: ClassVar[int]
 
-    def steps(self, work: Work) -> Iterator[tuple[float, float]]:
+    def steps(self, work: Work) -> Steps:
         """Improve ``work.light`` for ever, or until nothing is left to gain: (loss, strict window) after every step.
 
         Everything a later run needs to go on is in ``work.memory`` whenever it yields.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,6 +9,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.kernels.update import correct_by_difference
 from vamgpu.optimize.band import Band
+from vamgpu.optimize.method import Steps
 from vamgpu.optimize.papers import OBJECT_SPACE
 from vamgpu.optimize.ramp import Taps, ramp
 from vamgpu.optimize.work import Work
@@ -37,7 +37,7 @@ class OSMO:
         if not self.gain > 0:
             raise BadInput(f"{self!r}: wanted gain > 0")
 
-    def steps(self, work: Work) -> Iterator[tuple[float, float]]:
+    def steps(self, work: Work) -> Steps:
         dose, shadow, taps = work.volume(), work.sinogram(), ramp(work.operator)
         if "light" not in work.memory:
             work.memory["light"], model = work.sinogram(), work.volume()

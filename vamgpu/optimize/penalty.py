@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,6 +9,7 @@ from vamgpu.errors import BadInput
 from vamgpu.optimize.band import Band
 from vamgpu.optimize.descent import Descent
 from vamgpu.optimize.fbp import filtered_light
+from vamgpu.optimize.method import Steps
 from vamgpu.optimize.papers import PENALTY
 from vamgpu.optimize.ramp import identity
 from vamgpu.optimize.work import Work
@@ -37,10 +37,10 @@ class PenaltyMinimization:
         if min(self.price) < 0 or not (self.share > 0 and self.growth >= 1 and 0 <= self.momentum < 1):
             raise BadInput(f"{self!r}: wanted prices ≥ 0, share > 0, growth ≥ 1 and 0 ≤ momentum < 1")
 
-    def steps(self, work: Work) -> Iterator[tuple[float, float]]:
+    def steps(self, work: Work) -> Steps:
         if "light" not in work.memory:
             filtered_light(work, work.volume())
-        far = 1e6  # no ceiling for the part
+        far = 10.0  # a ceiling no dose reaches, low enough for float32
         center, slack = (0.5 * self.outside, 0.5 * (self.inside + far)), (0.5 * self.outside, 0.5 * (far - self.inside))
         band = Band(center, slack, self.price, 1.0, binary=True)
         taps = identity(work.operator)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,6 +9,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.kernels.update import correct_by_ratio
 from vamgpu.optimize.band import Band
+from vamgpu.optimize.method import Steps
 from vamgpu.optimize.papers import AUTOMATIC_EXPOSURE, RAMP
 from vamgpu.optimize.ramp import ramp
 from vamgpu.optimize.work import Work
@@ -32,7 +32,7 @@ class Recipe:
         if not 0.0 <= self.background < 1.0 or not self.most > 1.0:
             raise BadInput(f"{self!r}: wanted 0 ≤ background < 1 and most > 1")
 
-    def steps(self, work: Work) -> Iterator[tuple[float, float]]:
+    def steps(self, work: Work) -> Steps:
         if "light" not in work.memory:
             work.memory["light"], model = work.sinogram(), work.volume()
             work.paint(self.background, model)

@@ -100,7 +100,7 @@ class Interpolated:
         doses, values = np.asarray(self.doses, float), np.asarray(self.values, float)
         if doses.ndim != 1 or doses.shape != values.shape or len(doses) < 2 or (np.diff(doses) <= 0).any():
             raise BadInput(
-                f"Interpolated got {doses.shape} doses and {values.shape} values; wanted two or more pairs, doses rising"
+                f"Interpolated got {doses.shape} doses and {values.shape} values; wanted two pairs or more, rising"
             )
         if not (np.isfinite(doses).all() and np.isfinite(values).all()):
             raise BadInput("Interpolated got NaN or infinity; clean the measurement first")

@@ -101,7 +101,7 @@ class _Run:
         except KeyboardInterrupt:
             raise self._cancelled("interrupted") from None
         finally:
-            steps.close()  # type: ignore[attr-defined]
+            steps.close()
 
     def _cancelled(self, why: str) -> Cancelled:
         plan = self.plan() if self.history else None

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
 from vamgpu.errors import BadInput
 from vamgpu.optimize.band import Band
 from vamgpu.optimize.descent import Descent
+from vamgpu.optimize.method import Steps
 from vamgpu.optimize.papers import AUTOMATIC_EXPOSURE, NESTEROV, RAMP, RESTART, THRESHOLDS, TWO_METRIC
 from vamgpu.optimize.ramp import capped_ramp
 from vamgpu.optimize.recipe import Recipe
@@ -47,12 +47,12 @@ class ProcessWindow:
     def _band(self) -> Band:
         return Band.thresholds(self.outside, self.inside, self.most)
 
-    def steps(self, work: Work) -> Iterator[tuple[float, float]]:
+    def steps(self, work: Work) -> Steps:
         yield from self._warm(work)
         descent = Descent(self._band(), capped_ramp(work.operator, self.cap), step=self.step / work.number("gain", 1.0))
         yield from descent.steps(work)
 
-    def _warm(self, work: Work) -> Iterator[tuple[float, float]]:
+    def _warm(self, work: Work) -> Steps:
         recipe = Recipe(self.background).steps(work)
         while work.number("warm") < self.passes:
             record = next(recipe)
