@@ -6,6 +6,7 @@ OpenCL GPU, else OpenCL on the CPU, else Warp on the CPU, else NumPy.
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -22,16 +23,26 @@ __all__ = ["DeviceArray", "default_device", "devices", "open_device"]
 @lru_cache(maxsize=1)
 def devices() -> tuple[str, ...]:
     """Names of every device that works here, best first; an OpenCL device counts once it has run a kernel."""
-    cuda, cpu = _warp_names()
-    clever = _opencl_names()
-    gpus = [name for name, is_gpu in clever if is_gpu]
-    rest = [name for name, is_gpu in clever if not is_gpu]
-    return (*cuda, *gpus, *rest, *cpu, "numpy")
+    gpus, processors = _opencl_names()
+    working = [name for name in (*gpus, *processors) if _opencl_works(name)]
+    gpus, processors = [n for n in working if n in gpus], [n for n in working if n in processors]
+    warp = ["warp:cpu"] if importlib.util.find_spec("warp") else []
+    return (*_cuda_names(), *gpus, *processors, *warp, "numpy")
 
 
+@lru_cache(maxsize=1)
 def default_device() -> str:
-    """Name of the best device here."""
-    return devices()[0]
+    """Name of the best device here; looks no further than the first that works."""
+    gpus, processors = _opencl_names()
+    cuda = _cuda_names()
+    return cuda[0] if cuda else next((n for n in (*gpus, *processors) if _opencl_works(n)), None) or devices()[0]
+
+
+def open_device(name: str | Device | None = None) -> Device:
+    """The device of that name, opened once; None opens the default. Raises `DeviceError` naming what there is."""
+    if name is None:
+        name = default_device()
+    return _open(name) if isinstance(name, str) else name
 
 
 @lru_cache(maxsize=None)
@@ -41,47 +52,57 @@ def _open(name: str) -> Device:
         from vamgpu.backend.numpy import NumpyDevice
 
         return NumpyDevice()
-    if kind == "opencl":
+    if kind == "opencl" and name in (*_opencl_names()[0], *_opencl_names()[1]) and _opencl_works(name):
         from vamgpu.backend.opencl import OpenclDevice
         from vamgpu.backend.opencl_platforms import all_devices
 
         return OpenclDevice(name, all_devices()[name])
-    from vamgpu.backend.warp import WarpDevice
+    if kind == "warp" and (rest == "cpu" or name in _cuda_names()) and importlib.util.find_spec("warp"):
+        from vamgpu.backend.warp import WarpDevice
 
-    return WarpDevice(name, rest)
-
-
-def open_device(name: str | Device | None = None) -> Device:
-    """The device of that name, opened once; None opens the default. Raises `DeviceError` naming what there is."""
-    if name is None:
-        name = default_device()
-    if not isinstance(name, str):
-        return name
-    if name not in devices():
-        raise DeviceError(f"no device {name!r}; here there are: {', '.join(devices())} (`vam doctor` says why)")
-    return _open(name)
+        return WarpDevice(name, rest)
+    raise DeviceError(f"no device {name!r}; here there are: {', '.join(devices())} (`vam doctor` says why)")
 
 
-def _warp_names() -> tuple[list[str], list[str]]:
-    if importlib.util.find_spec("warp") is None:
-        return [], []
+def _has_cuda_driver() -> bool:
+    """Whether NVIDIA's driver can be loaded at all; Warp takes a second to start and complains where it cannot."""
+    for library in ("libcuda.so.1", "nvcuda.dll"):
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            continue
+        return True
+    return False
+
+
+@lru_cache(maxsize=1)
+def _cuda_names() -> tuple[str, ...]:
+    if importlib.util.find_spec("warp") is None or not _has_cuda_driver():
+        return ()
     import warp as wp
 
-    from vamgpu.backend.warp import quiet
+    from vamgpu.backend.warp import start
 
-    try:
-        quiet()
-    except RuntimeError:
-        return [], []
-    return [f"warp:{device.alias}" for device in wp.get_cuda_devices()], ["warp:cpu"]
+    start()
+    return tuple(f"warp:{device.alias}" for device in wp.get_cuda_devices())
 
 
-def _opencl_names() -> list[tuple[str, bool]]:
+@lru_cache(maxsize=1)
+def _opencl_names() -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """GPUs and processors that OpenCL lists, working or not."""
     if importlib.util.find_spec("pyopencl") is None:
-        return []
+        return (), ()
     import pyopencl as cl
 
+    from vamgpu.backend.opencl_platforms import all_devices
+
+    found = all_devices()
+    gpus = tuple(name for name, device in found.items() if device.type & cl.device_type.GPU)
+    return gpus, tuple(name for name in found if name not in gpus)
+
+
+@lru_cache(maxsize=None)
+def _opencl_works(name: str) -> bool:
     from vamgpu.backend.opencl_platforms import all_devices, complaint
 
-    found = all_devices().items()
-    return [(name, bool(device.type & cl.device_type.GPU)) for name, device in found if complaint(device) is None]
+    return complaint(all_devices()[name]) is None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -21,17 +23,31 @@ STRIDE_LIMIT = 2**31
 TYPES = {"float32": wp.float32, "int32": wp.int32, "uint8": wp.uint8, "uint32": wp.uint32}
 
 
-def quiet() -> None:
-    """Start Warp without its banner: libraries don't print."""
+def start() -> None:
+    """Start Warp without its banner, and without its word on a missing CUDA driver: libraries don't print."""
     wp.config.log_level = wp.LOG_ERROR
-    wp.init()
+    with _silent_stderr():
+        wp.init()
+
+
+@contextmanager
+def _silent_stderr() -> Iterator[None]:
+    """Native code writes to file descriptor 2 directly, so that is what must be turned away."""
+    with open(os.devnull, "w") as nowhere:
+        kept = os.dup(2)
+        os.dup2(nowhere.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
 
 
 class WarpDevice(Device):
     """One Warp device; fields are arrays ``[slab, major, minor, lanes / 4]`` of vec4."""
 
     def __init__(self, name: str, device: str) -> None:
-        quiet()
+        start()
         try:
             self._device = wp.get_device(device)
         except (RuntimeError, ValueError) as error:
