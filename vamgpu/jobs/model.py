@@ -97,7 +97,7 @@ class FramesSection(Section):
     flip_r: bool = False
     flip_z: bool = False
     shift: Annotated[tuple[float, float], Listed] = (0.0, 0.0)
-    quantile: Annotated[float, Field(gt=0, le=1)] = 0.9999
+    quantile: Annotated[float, Field(gt=0, le=1)] = 0.99999
     dither: Literal["round", "error-diffusion"] = "round"
 
 

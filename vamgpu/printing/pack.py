@@ -39,7 +39,7 @@ def pack(
     flip_r: bool = False,
     flip_z: bool = False,
     shift: tuple[float, float] = (0.0, 0.0),
-    quantile: float = 0.9999,
+    quantile: float = 0.99999,
     dither: str = "round",
     scale: float | None = None,
 ) -> Frames:
