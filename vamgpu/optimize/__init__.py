@@ -16,6 +16,7 @@ from vamgpu.optimize.lbfgs import LBFGS
 from vamgpu.optimize.osmo import OSMO
 from vamgpu.optimize.penalty import PenaltyMinimization
 from vamgpu.optimize.plan import Plan, Step
+from vamgpu.optimize.rebin import rebin
 from vamgpu.optimize.recipe import Recipe
 from vamgpu.optimize.response import GeneralizedLogistic, Interpolated, Linear, Logistic
 from vamgpu.optimize.run import METHODS, optimize
@@ -38,6 +39,7 @@ __all__ = [
     "Recipe",
     "Step",
     "optimize",
+    "rebin",
 ]
 
 

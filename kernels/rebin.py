@@ -1,0 +1,25 @@
+"""Rebinning of parallel light to the rays a vessel bends: (θ, r) → (θ', r')."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
+from vamgpu.kernels.signature import Field, SinogramOut, Tiling, kernel, table
+
+Rays = table("float32", "r", "3")  # angle and column in the parallel sinogram, in samples past (pose, 0); gain
+Parallel = Annotated[np.ndarray, Field(("angle", "column", "z"))]
+
+
+@kernel(over="light", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1))
+def rebin_rays(parallel: Parallel, rays: Rays, light: SinogramOut) -> None:
+    """light[a, r, z] = gain_r · parallel at angle a + turn_r (round the circle) and column_r, bilinear; 0 beyond."""
+    angles, columns = parallel.shape[:2]
+    light[...] = 0.0
+    for r, (turn, column, gain) in enumerate(rays):
+        first, near = int(np.floor(turn)), int(np.floor(column))
+        for k, share in ((0, 1.0 - (turn - first)), (1, turn - first)):
+            for c, part in ((near, 1.0 - (column - near)), (near + 1, column - near)):
+                if 0 <= c < columns:
+                    light[:, r] += gain * share * part * np.roll(parallel[:, c], -(first + k), axis=0)

@@ -1,0 +1,34 @@
+"""Warp sibling of `rebin`."""
+
+from __future__ import annotations
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+
+@wp.kernel
+def rebin_rays(
+    parallel: wp.array4d(dtype=wp.vec4),
+    rays: wp.array2d(dtype=float),
+    light: wp.array4d(dtype=wp.vec4),
+    n_angle: int,
+    n_column: int,
+    n_z: int,
+    n_r: int,
+):
+    slab, angle, r, lane = wp.tid()
+    turn = rays[r, 0]
+    column = rays[r, 1]
+    first = int(wp.floor(turn))
+    near = int(wp.floor(column))
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for k in range(4):
+        later = k // 2
+        right = k % 2
+        a = ((angle + first + later) % n_angle + n_angle) % n_angle
+        c = near + right
+        if c >= 0 and c < n_column:
+            weight = rays[r, 2] * (1.0 - wp.abs(turn - float(first + later))) * (1.0 - wp.abs(column - float(c)))
+            total += weight * parallel[slab, a, c, lane]
+    light[slab, angle, r, lane] = total
