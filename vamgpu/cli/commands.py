@@ -12,8 +12,12 @@ from rich.table import Table
 
 import vamgpu
 
-app = App(name="vam", help="Tomographic volumetric 3D printing: from a mesh to frames and a proof of the print.",
-          version=vamgpu.__version__)  # fmt: skip
+app = App(
+    name="vam",
+    help="Tomographic volumetric 3D printing: from a mesh to frames and a proof of the print.",
+    version=vamgpu.__version__,
+    suppress_keyboard_interrupt=False,
+)
 
 Settings = Annotated[list[str] | None, Parameter(name="--set", negative="", help="key=value that replaces the file's")]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative="", help="replace a job that stands there")]

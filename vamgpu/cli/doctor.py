@@ -110,9 +110,9 @@ def _warp() -> tuple[dict[str, str], list[tuple[str, str, str]]]:
     try:
         import warp as wp
 
-        from vamgpu.backend.warp import quiet
+        from vamgpu.backend.warp import start
 
-        quiet()
+        start()
     except (ImportError, RuntimeError) as error:
         return {}, [("warp", f"Warp does not start: {error}", "pip install --upgrade warp-lang")]
     found = {"warp:cpu": f"Warp {wp.config.version}"}

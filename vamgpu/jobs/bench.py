@@ -36,7 +36,12 @@ class Timing:
 
 def machine() -> dict[str, Any]:
     """What this machine is, in words."""
-    return {"system": platform.platform(), "processor": _processor(), "cores": cpu_count(), "python": platform.python_version()}
+    return {
+        "system": platform.platform(),
+        "processor": _processor(),
+        "cores": cpu_count(),
+        "python": platform.python_version(),
+    }
 
 
 def _processor() -> str:
@@ -67,7 +72,8 @@ def bench(n: int = 128, angles: int = 360, repeats: int = 5, names: Iterable[str
             x, y = device.upload(_ball(n)), device.empty(A.range.shape)
             back = device.empty(A.domain.shape)
             forward = _median(lambda A=A, x=x, y=y: A(x, out=y), device, repeats)
-            yield Timing(name, kind, n, angles, forward, _median(lambda A=A, y=y, x=back: A.T(y, out=x), device, repeats))
+            backward = _median(lambda A=A, y=y, x=back: A.T(y, out=x), device, repeats)
+            yield Timing(name, kind, n, angles, forward, backward)
 
 
 def table(timings: Iterable[Timing]) -> list[dict[str, Any]]:

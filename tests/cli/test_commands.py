@@ -1,0 +1,104 @@
+"""The command line: what it says and what it returns."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+import vamgpu
+from vamgpu.cli import main
+from vamgpu.cli.doctor import Finding, _ask, examine
+
+SMALL = {
+    "target.pitch": "500 um",
+    "beam.pitch": "700 um",
+    "turntable.angles": "24",
+    "solve.iterations": "3",
+    "frames.flip_r": "false",
+}
+SETTINGS = [word for key, value in SMALL.items() for word in ("--set", f"{key}={value}")]
+
+
+def test_demo_prove_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--out", str(tmp_path / "demo"), *SETTINGS]) == 0
+    assert str(tmp_path / "demo" / "report.html") in capsys.readouterr().out
+    job = str(tmp_path / "demo" / "boat.vam")
+    assert main(["prove", job]) == 0
+    assert (tmp_path / "demo" / "boat.html").exists()
+    formats = {"--png": "frames", "--tiff": "frames.tif", "--npz": "frames.npz", "--mp4": "frames.mp4"}
+    words = [word for flag, name in formats.items() for word in (flag, str(tmp_path / name))]
+    assert main(["export", job, *words]) == 0
+    assert len(list((tmp_path / "frames").glob("*.png"))) == 24
+    assert all((tmp_path / name).stat().st_size > 0 for name in formats.values())
+
+
+def test_solve_writes_beside_the_file_and_overwrites_only_when_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from vamgpu.jobs.demo import JOB
+
+    (tmp_path / "part.toml").write_text(JOB, encoding="utf-8")
+    command = ["solve", str(tmp_path / "part.toml"), *SETTINGS]
+    assert main(command) == 0
+    manifest = json.loads((tmp_path / "part.vam" / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["inputs"]["job"]["frames"]["flip_r"] is False
+    assert main(command) == 1
+    assert "--overwrite" in capsys.readouterr().err
+    assert main([*command, "--overwrite"]) == 0
+
+
+def test_errors_are_one_clear_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "part.toml").write_text('[target]\npitch = 3\nshape = "boat"\nheight = "9 mm"\n', encoding="utf-8")
+    assert main(["solve", str(tmp_path / "part.toml")]) == 1
+    said = capsys.readouterr().err
+    assert "part.toml, line 2: target.pitch: got 3" in said and "Traceback" not in said
+    assert "beam is missing; add the table [beam]" in said
+    assert main(["prove", str(tmp_path)]) == 1
+    assert main(["export", str(tmp_path)]) == 1
+    assert "--png" in capsys.readouterr().err
+
+
+def test_an_interrupt_is_no_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vamgpu.jobs.demo.demo", stop)
+    assert main(["demo"]) == 130
+    assert "stopped" in capsys.readouterr().err
+
+
+def test_devices_are_listed_best_first(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["devices"]) == 0
+    assert tuple(capsys.readouterr().out.split()) == vamgpu.devices()
+
+
+def test_the_doctor_finds_every_working_device() -> None:
+    found = examine()
+    assert {finding.name for finding in found if finding.works} == set(vamgpu.devices())
+    assert all(finding.remedy for finding in found if not finding.works)
+
+
+def test_the_doctor_survives_a_driver_that_hangs_or_dies(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert "no answer within" in _ask(["list"], 0.01)["error"]
+    fake = tmp_path / "python"
+    fake.write_text("#!/bin/sh\nkill -SEGV $$\n", encoding="utf-8")
+    fake.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(fake))
+    assert _ask(["probe", "opencl:bad:0"], 10.0)["error"] == "the driver ended its process with signal 11"
+    assert examine() == [
+        Finding(
+            "all devices", "the driver ended its process with signal 11", False,
+            "a driver breaks its process; remove it or update it",
+        )
+    ]  # fmt: skip
+
+
+def test_bench_keeps_a_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["bench", "--size", "8", "--angles", "6", "--repeats", "1", "--device", "numpy"]
+    assert main([*words, "--record", str(tmp_path / "bench.json")]) == 0
+    assert "straight" in capsys.readouterr().out
+    record = json.loads((tmp_path / "bench.json").read_text(encoding="utf-8"))
+    assert {row["operator"] for row in record["timings"]} == {"straight", "vial"}

@@ -1,0 +1,45 @@
+"""Numbers with units."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vamgpu.jobs.quantity import SPELLINGS, parse
+from vamgpu.units import NAMES
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "value"),
+    [
+        ("12.4 mm", "a length", 12.4),
+        ("67um", "a length", 0.067),
+        ("67 µm", "a length", 0.067),
+        ("1_000 um", "a length", 1.0),
+        (" 1.5e1 mm ", "a length", 15.0),
+        ("0.5 1/cm", "an absorption", 0.05),
+        ("0.05 /mm", "an absorption", 0.05),
+        ("5 mW/cm2", "an irradiance", 0.05),
+        ("40 mJ/cm³", "a dose", 0.04),
+    ],
+)
+def test_units_become_mm_s_and_mj(text: str, kind: str, value: float) -> None:
+    assert parse(text, kind) == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text", ["12.4", "mm", "", "12.4 s", "12.4 mm mm", "nan mm", "-1 mm", "0 mm", "1e400 mm", 12.4, True]
+)
+def test_what_is_no_length_is_refused_with_an_example(text: object) -> None:
+    with pytest.raises(ValueError, match=r"wanted a length.*12\.4 mm"):
+        parse(text, "a length")
+
+
+def test_nothing_is_allowed_where_it_makes_sense() -> None:
+    assert parse("0 1/mm", "an absorption", zero=True) == 0.0
+
+
+@given(st.floats(1e-6, 1e6), st.sampled_from(SPELLINGS["a length"]))
+def test_every_length_reads_back(value: float, unit: str) -> None:
+    assert parse(f"{value!r} {unit}", "a length") == pytest.approx(value * NAMES[unit], rel=1e-12)

@@ -1,0 +1,98 @@
+"""The main job from its file to its report, on every device, and what stops it on the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vamgpu.backend import devices, open_device
+from vamgpu.errors import BadInput, Cancelled, JobError, StorageError, TargetTooLarge
+from vamgpu.jobs.build import describe, projection_from, projection_of, target_of
+from vamgpu.jobs.demo import JOB, demo
+from vamgpu.jobs.read import parse_job
+from vamgpu.jobs.run import prove, solve
+from vamgpu.storage.folder import Folder
+
+SMALL = ["target.pitch=500 um", "beam.pitch=700 um", "turntable.angles=24", "solve.iterations=3"]
+
+
+@pytest.mark.parametrize("name", devices())
+def test_a_job_is_solved_written_and_proven(name: str, tmp_path: Path) -> None:
+    told: list[str] = []
+    job = parse_job(JOB, [*SMALL, f"solve.device={name}"])
+    folder = solve(job, tmp_path / "boat.vam", told=lambda stage, share: told.append(stage))
+    assert list(dict.fromkeys(told)) == ["voxels", "light", "frames", "folder"]
+    assert folder.manifest.inputs["job"]["vial"]["radius"] == "12.4 mm"
+    proven = prove(tmp_path / "boat.vam", name)
+    assert proven.proof.scores.in_voxels > 100
+    assert abs(proven.proof.scores.window - proven.plan.window) <= 1 / 255  # what eight bits may cost
+    assert proven.proof.seconds is not None and proven.proof.seconds > 0
+    losses = [step["loss"] for step in proven.plan.history]
+    assert len(losses) == 3 and losses[-1] < losses[0]
+    assert proven.plan.papers
+
+
+def test_a_proof_is_the_same_from_another_device(tmp_path: Path) -> None:
+    solve(parse_job(JOB, [*SMALL, "solve.device=numpy"]), tmp_path / "boat.vam")
+    here, there = prove(tmp_path / "boat.vam", "numpy").proof, prove(tmp_path / "boat.vam").proof
+    assert np.abs(here.dose.numpy() - there.dose.numpy()).max() <= 1e-5 * here.scores.peak
+
+
+def test_a_demo_leaves_a_job_frames_and_a_report(tmp_path: Path) -> None:
+    done = demo(tmp_path / "demo", SMALL)
+    page = done.report.read_text(encoding="utf-8")
+    assert "boat" in page and page.rstrip().endswith("</html>")
+    Folder.open(done.folder).verify()
+    again = demo(tmp_path / "demo", SMALL)
+    assert again.proven.proof.scores == done.proven.proof.scores
+    assert sorted(path.name for path in (tmp_path / "demo").iterdir()) == ["boat.toml", "boat.vam", "report.html"]
+
+
+def test_a_geometry_reads_back_from_its_description() -> None:
+    for vessel in ("", "\n[vat]\nwidth = \"30 mm\"\nabsorption = \"0.1 1/mm\"\n"):
+        text = JOB if not vessel else JOB.replace("[vial]", "[nothing]").split("[nothing]")[0] + vessel
+        job = parse_job(text, SMALL[:3])
+        device = open_device("numpy")
+        A = projection_of(job.wanted, target_of(job, device), device)
+        B = projection_from(describe(A), device)
+        assert (A.grid, A.beam, A.motion, A.vessel) == (B.grid, B.beam, B.motion, B.vessel)
+
+
+def test_an_interrupted_job_leaves_nothing(tmp_path: Path) -> None:
+    def stop(stage: str, share: float) -> None:
+        if stage == "light" and share > 0:
+            raise KeyboardInterrupt
+
+    with pytest.raises((KeyboardInterrupt, Cancelled)):
+        demo(tmp_path, SMALL, told=stop)
+    assert [path.name for path in tmp_path.iterdir()] == ["boat.toml"]
+
+
+@pytest.mark.parametrize(
+    ("setting", "error", "said"),
+    [
+        ("solve.method=osmoo", JobError, "did you mean 'osmo'"),
+        ("target.shape=ship", JobError, "target.shape: got 'ship'"),
+        ("frames.gray=missing.toml", StorageError, "missing.toml"),
+        ("target.height=30 mm", TargetTooLarge, "radius"),
+    ],
+)
+def test_what_cannot_be_done_is_refused(setting: str, error: type[BadInput], said: str, tmp_path: Path) -> None:
+    with pytest.raises(error, match=said):
+        solve(parse_job(JOB, [*SMALL, setting]), tmp_path / "boat.vam")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_place_that_is_taken_is_refused_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "boat.vam").mkdir()
+    told: list[str] = []
+    with pytest.raises(StorageError, match="overwrit"):
+        solve(parse_job(JOB, SMALL), tmp_path / "boat.vam", told=lambda stage, share: told.append(stage))
+    assert not told
+
+
+def test_a_folder_without_a_job_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="no finished job"):
+        prove(tmp_path)
