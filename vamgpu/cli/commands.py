@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 from rich.console import Console
 from rich.table import Table
 
 import vamgpu
+
+if TYPE_CHECKING:
+    from vamgpu.jobs.run import Proven
 
 app = App(
     name="vam",
@@ -188,10 +191,7 @@ def bench(
             draft.write_text(text, encoding="utf-8")
 
 
-def _scores(screen: Console, proven: object) -> None:
+def _scores(screen: Console, proven: Proven) -> None:
     """The numbers of a proof."""
-    lines = proven.proof.lines()  # type: ignore[attr-defined]
-    sheet = Table.grid(padding=(0, 2))
-    for line in lines:
-        sheet.add_row(line.name, f"[bold]{line.value}[/]", f"[dim]{line.meaning}[/]")
-    screen.print(sheet)
+    for line in proven.proof.lines():
+        screen.print(f"  {line.name:<27} [bold]{line.value:<22}[/] [dim]{line.meaning}[/]")

@@ -25,7 +25,7 @@ STAGES = {
 def shown(console: Console) -> Iterator[Told]:
     """A function that shows progress; stages that are over stay as lines with their seconds."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         now = _Now(bar, console)
         yield now
         now.finish()
