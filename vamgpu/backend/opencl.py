@@ -72,7 +72,8 @@ class OpenclDevice(Device):
             with warnings.catch_warnings():  # a compiler that merely talks is no news
                 warnings.simplefilter("ignore", cl.CompilerWarning)
                 program = cl.Program(self.context, kernel.source.read_text())
-                return cl.Kernel(program.build(options, cache_dir=None if cached else False), kernel.name)
+                cache: Any = None if cached else False
+                return cl.Kernel(program.build(options, cache_dir=cache), kernel.name)
         except (cl.Error, RuntimeError) as error:
             raise KernelError(f"{kernel.source.name} does not build on {self.name}: {error}") from error
 

@@ -117,12 +117,13 @@ class WarpDevice(Device):
         run()  # modules must be loaded before a capture begins
         with wp.ScopedCapture(self._device) as capture:
             run()
-        return lambda: wp.capture_launch(capture.graph)
+        graph: Any = capture.graph
+        return lambda: wp.capture_launch(graph)
 
     def adopt(self, foreign: Any) -> DeviceArray:
         try:
             if isinstance(foreign, wp.array):
-                array = foreign
+                array: Any = foreign
             elif hasattr(foreign, "__dlpack__"):
                 array = wp.from_dlpack(foreign)
             elif hasattr(foreign, "__cuda_array_interface__"):
