@@ -30,11 +30,18 @@ def ramp(operator: Projection) -> Taps:
     return Taps(operator.device.table(taps * _scale(operator)), 2)
 
 
-def capped_ramp(operator: Projection, cap: float) -> Taps:
-    """The ramp |ω| up to ``cap`` cycles a column, level beyond: a preconditioner that spares the finest detail."""
+def capped_ramp(operator: Projection, cap: float, span: float = 1.0) -> Taps:
+    """The ramp |ω| up to ``cap`` cycles a column, level beyond: a preconditioner that spares the finest detail.
+
+    span: share of the columns its taps reach over; below 1 they fade out, which costs little and saves most of the
+    work.
+    """
     columns = operator.beam.pixels[0]
     frequency = np.abs(np.fft.fftfreq(8 * columns))
     taps = np.real(np.fft.ifft(np.minimum(frequency, cap)))[:columns]
+    if span < 1.0:
+        count = min(columns, max(8, round(span * columns)))
+        taps = taps[:count] * np.cos(0.5 * np.pi * np.arange(count) / count) ** 2
     return Taps(operator.device.table(taps * _scale(operator)), 1)
 
 

@@ -14,6 +14,9 @@ from vamgpu.optimize.ramp import capped_ramp
 from vamgpu.optimize.recipe import Recipe
 from vamgpu.optimize.work import Work
 
+SPAN = 0.25
+"""Share of the columns that the preconditioner reaches over."""
+
 
 @dataclass(frozen=True)
 class ProcessWindow:
@@ -49,7 +52,8 @@ class ProcessWindow:
 
     def steps(self, work: Work) -> Steps:
         yield from self._warm(work)
-        descent = Descent(self._band(), capped_ramp(work.operator, self.cap), step=self.step / work.number("gain", 1.0))
+        step = self.step / work.number("gain", 1.0)
+        descent = Descent(self._band(), capped_ramp(work.operator, self.cap, SPAN), step=step)
         yield from descent.steps(work)
 
     def _warm(self, work: Work) -> Steps:
