@@ -16,8 +16,9 @@ static inline float2 look_up(__global const float2 *restrict light, int n_across
 // Half-integers below 2048 square exactly in float32, so both directions agree on every voxel.
 static inline bool within(float x, float y, float radius) { return x * x + y * y <= radius * radius; }
 
-static inline float tent(float distance, float inverse_width) {
-    return fmax(0.0f, 1.0f - fabs(distance) * inverse_width) * inverse_width;
+// How much of a voxel, 2 reach - 1 = 1 / inverse columns wide, lies in a column that far from it.
+static inline float overlap(float distance, float reach, float inverse) {
+    return clamp(reach - fabs(distance), 0.0f, 1.0f) * inverse;
 }
 
 #ifdef CPU
@@ -80,8 +81,8 @@ __kernel void back_refracted(__global const float *restrict sinogram, __global c
                              __global const float2 *restrict light, float width, float radius,
                              __global float *restrict volume,
                              int n_angle, int n_r, int n_z, int n_across, int n_along, int n_x, int n_y) {
-    const float inverse = 1.0f / width, x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1);
-    const int taps = (int)ceil(2.0f * width);
+    const float inverse = 1.0f / width, reach = 0.5f * (1.0f + width), x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1);
+    const int taps = (int)ceil(2.0f * reach);
     sinogram += slab_offset(n_angle, n_r);
     volume += slab_offset(n_x, n_y);
 #ifdef CPU
@@ -102,7 +103,7 @@ __kernel void back_refracted(__global const float *restrict sinogram, __global c
                 if (!within(row - x0, column - y0, radius)) continue;
                 for (int angle = block; angle < min(n_angle, block + ANGLES); angle++) {
                     const float2 ray = look_up(light, n_across, n_along, directions[angle], row - x0, column - y0);
-                    const int first = (int)ceil(ray.x - width);
+                    const int first = (int)ceil(ray.x - reach);
                     for (int tap = max(first, 0); tap < min(first + taps, n_r); tap++) {
                         if (own->count == CAPACITY) {
                             apply(own, 1, folds, slabs, sinogram, from_slab, volume, to_slab);
@@ -110,7 +111,7 @@ __kernel void back_refracted(__global const float *restrict sinogram, __global c
                         }
                         for (int fold = 0; fold < folds; fold++)
                             own->from[fold][own->count] = turned_column(fold, angle, tap, n_angle, n_r);
-                        own->weight[own->count++] = ray.y * tent(ray.x - tap, inverse);
+                        own->weight[own->count++] = ray.y * overlap(ray.x - tap, reach, inverse);
                     }
                 }
             }
@@ -123,10 +124,10 @@ __kernel void back_refracted(__global const float *restrict sinogram, __global c
     Vector sum = (Vector)(0.0f);
     if (within(x, y, radius)) for (int angle = 0; angle < n_angle; angle++) {
         const float2 ray = look_up(light, n_across, n_along, directions[angle], x, y);
-        const int first = (int)ceil(ray.x - width);
+        const int first = (int)ceil(ray.x - reach);
         __global const float *pose = sinogram + SAMPLE(angle, 0, n_r);
         for (int tap = max(first, 0); tap < min(first + taps, n_r); tap++)
-            sum += ray.y * tent(ray.x - tap, inverse) * LOAD(pose + (size_t)tap * LANES);
+            sum += ray.y * overlap(ray.x - tap, reach, inverse) * LOAD(pose + (size_t)tap * LANES);
     }
     STORE(volume + SAMPLE(row, column, n_y), sum);
 #endif
@@ -134,7 +135,7 @@ __kernel void back_refracted(__global const float *restrict sinogram, __global c
 #endif
 
 #ifdef COMPILE_forward_refracted
-// The cells of plane `plane` between which one column's tent may lie, from the chords on either side of it.
+// The cells of plane `plane` between which one column's light may fall, from the chords on either side of it.
 typedef struct {
     bool along_y;               // planes are of constant y
     int planes, cells;
@@ -174,7 +175,7 @@ __kernel void forward_refracted(__global const float *restrict volume, __global 
                                 __global const float2 *restrict light, __global const float8 *restrict edges,
                                 float width, float radius, __global float *restrict sinogram,
                                 int n_x, int n_y, int n_z, int n_angle, int n_across, int n_along, int n_r) {
-    const float inverse = 1.0f / width, x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1);
+    const float inverse = 1.0f / width, reach = 0.5f * (1.0f + width), x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1);
     volume += slab_offset(n_x, n_y);
     sinogram += slab_offset(n_angle, n_r);
 #ifdef CPU
@@ -200,7 +201,7 @@ __kernel void forward_refracted(__global const float *restrict volume, __global 
                         const int i = span.along_y ? cell : plane, j = span.along_y ? plane : cell;
                         if (!within(i - x0, j - y0, radius)) continue;
                         const float2 ray = look_up(light, n_across, n_along, direction, i - x0, j - y0);
-                        const float weight = ray.y * tent(ray.x - r, inverse);
+                        const float weight = ray.y * overlap(ray.x - r, reach, inverse);
                         if (weight == 0.0f) continue;
                         if (own->count == CAPACITY) {
                             apply(own, 1, folds, slabs, volume, from_slab, sinogram, to_slab);
@@ -226,7 +227,7 @@ __kernel void forward_refracted(__global const float *restrict volume, __global 
             const int i = span.along_y ? cell : plane, j = span.along_y ? plane : cell;
             if (!within(i - x0, j - y0, radius)) continue;
             const float2 ray = look_up(light, n_across, n_along, direction, i - x0, j - y0);
-            sum += ray.y * tent(ray.x - r, inverse) * LOAD(volume + SAMPLE(i, j, n_y));
+            sum += ray.y * overlap(ray.x - r, reach, inverse) * LOAD(volume + SAMPLE(i, j, n_y));
         }
     }
     STORE(sinogram + SAMPLE(angle, r, n_r), sum);

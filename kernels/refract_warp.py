@@ -23,8 +23,9 @@ def look_up(light: wp.array3d(dtype=float), n_across: int, n_along: int, c: floa
 
 
 @wp.func
-def tent(distance: float, inverse_width: float):
-    return wp.max(0.0, 1.0 - wp.abs(distance) * inverse_width) * inverse_width
+def overlap(distance: float, reach: float, inverse: float):
+    """How much of a voxel, 2 reach - 1 = 1 / inverse columns wide, lies in a column that far from it."""
+    return wp.clamp(reach - wp.abs(distance), 0.0, 1.0) * inverse
 
 
 @wp.kernel
@@ -49,12 +50,13 @@ def back_refracted(
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if x * x + y * y <= radius * radius:
         inverse = 1.0 / width
-        taps = int(wp.ceil(2.0 * width))
+        reach = 0.5 * (1.0 + width)
+        taps = int(wp.ceil(2.0 * reach))
         for angle in range(n_angle):
             ray = look_up(light, n_across, n_along, directions[angle, 0], directions[angle, 1], x, y)
-            first = int(wp.ceil(ray[0] - width))
+            first = int(wp.ceil(ray[0] - reach))
             for tap in range(wp.max(first, 0), wp.min(first + taps, n_r)):
-                total += (ray[1] * tent(ray[0] - float(tap), inverse)) * sinogram[slab, angle, tap, lane]
+                total += (ray[1] * overlap(ray[0] - float(tap), reach, inverse)) * sinogram[slab, angle, tap, lane]
     volume[slab, i, j, lane] = total
 
 
@@ -90,6 +92,7 @@ def forward_refracted(
     x0 = 0.5 * float(n_x - 1)
     y0 = 0.5 * float(n_y - 1)
     inverse = 1.0 / width
+    reach = 0.5 * (1.0 + width)
     c = directions[angle, 0]
     s = directions[angle, 1]
     along_y = int(0)
@@ -122,5 +125,5 @@ def forward_refracted(
             y = float(j) - y0
             if x * x + y * y <= radius * radius:
                 ray = look_up(light, n_across, n_along, c, s, x, y)
-                total += (ray[1] * tent(ray[0] - float(r), inverse)) * volume[slab, i, j, lane]
+                total += (ray[1] * overlap(ray[0] - float(r), reach, inverse)) * volume[slab, i, j, lane]
     sinogram[slab, angle, r, lane] = total

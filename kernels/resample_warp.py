@@ -11,7 +11,8 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 def resample(
     source: wp.array4d(dtype=wp.vec4),
     ratio: float,
-    width: float,
+    reach: float,
+    most: float,
     gain: float,
     lanes: int,
     target: wp.array4d(dtype=wp.vec4),
@@ -25,11 +26,11 @@ def resample(
     for k in range(4):
         z = 4 * (slab * target.shape[3] + lane) + k
         position = (float(z) - 0.5 * float(n_z - 1)) * ratio + 0.5 * float(n_source - 1)
-        first = wp.max(int(wp.ceil(position - width)), 0)
-        last = wp.min(int(wp.floor(position + width)), n_source - 1)
+        first = wp.max(int(wp.ceil(position - reach)), 0)
+        last = wp.min(int(wp.floor(position + reach)), n_source - 1)
         total = float(0.0)
         for s in range(first, last + 1):
             vector = source[s // lanes, i, j, (s % lanes) // 4]
-            total += gain * wp.max(0.0, 1.0 - wp.abs(float(s) - position) / width) * vector[s % 4]
+            total += gain * wp.clamp(reach - wp.abs(float(s) - position), 0.0, most) * vector[s % 4]
         result[k] = total
     target[slab, i, j, lane] = result

@@ -38,7 +38,7 @@ class OpenAir:
 class Light:
     """Tables of the refracting projector; lengths in voxels, columns counted from 0.
 
-    map: (n, n, 2) column index and weight.  edges: (columns, 8).  width: half-width of a column's tent in columns.
+    map: (n, n, 2) column index and weight.  edges: (columns, 8).  width: of a voxel in columns, at least 1.
     radius: of the lit disc in voxels.
     """
 
@@ -60,14 +60,14 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel) -> Light:
     u, weight = vessel.illuminate(*np.meshgrid(position, position, indexing="ij"))
     column = u / beam.pitch + 0.5 * (columns - 1)
     strength = weight * grid.pitch**2 / beam.pitch  # so that a row of the operator sums to the length of its ray
-    width = _tent_width(grid, beam, vessel)
+    width = _voxel_width(grid, beam, vessel)
     rays = _Rays(grid, beam, vessel, width)
     table = np.stack([column, strength], axis=-1)
     return Light(table, rays.edges(_slack(column, radius, rays)), width, radius)
 
 
-def _tent_width(grid: Grid, beam: Beam, vessel: Vessel) -> float:
-    """Columns finer than voxels need a tent as wide as a voxel, or rays would slip between voxels."""
+def _voxel_width(grid: Grid, beam: Beam, vessel: Vessel) -> float:
+    """A voxel's width in columns; 1 for columns as wide or wider, between which voxels interpolate."""
     center = vessel.chords(np.array([-1e-3, 1e-3]) * beam.pitch).p
     column_in_resin = float(center[1] - center[0]) / 2e-3
     ratio = grid.pitch / column_in_resin
@@ -78,8 +78,8 @@ class _Rays:
     """Chords in voxels by column index, kept to rays that enter the resin."""
 
     def __init__(self, grid: Grid, beam: Beam, vessel: Vessel, width: float) -> None:
-        self.columns, self.width = beam.pixels[0], width
-        self._fine = np.linspace(-width, self.columns - 1 + width, FINE)
+        self.columns, self.reach = beam.pixels[0], 0.5 * (1.0 + width)
+        self._fine = np.linspace(-self.reach, self.columns - 1 + self.reach, FINE)
         chords = vessel.chords((self._fine - 0.5 * (self.columns - 1)) * beam.pitch)
         entering = chords.transmittance > 0
         if not entering.any():
@@ -92,9 +92,9 @@ class _Rays:
         return np.interp(column, self._fine, self._p), np.interp(column, self._fine, self._angle)
 
     def edges(self, slack: np.ndarray) -> np.ndarray:
-        """(columns, 8): p, cos d, sin d, slack of the chords on either side of each column's tent."""
+        """(columns, 8): p, cos d, sin d, slack of the chords on either side of the light of each column."""
         sides = []
-        for side in (-self.width, self.width):
+        for side in (-self.reach, self.reach):
             p, angle = self.at(np.arange(self.columns) + side)
             sides += [p, np.cos(angle), np.sin(angle), slack]
         return np.stack(sides, axis=-1)
@@ -115,10 +115,10 @@ def _slack(column: np.ndarray, radius: float, rays: _Rays) -> np.ndarray:
         x, y = position[:-1, None] + a, position[None, :-1] + b
         p, angle = rays.at(u)
         stray = np.abs(x * np.cos(angle) + y * np.sin(angle) - p)
-        lit = (x**2 + y**2 <= (radius + 1.0) ** 2) & (u > -1 - rays.width) & (u < rays.columns + rays.width)
+        lit = (x**2 + y**2 <= (radius + 1.0) ** 2) & (u > -1 - rays.reach) & (u < rays.columns + rays.reach)
         index = np.clip(np.floor(u[lit]).astype(int) + 1, 0, rays.columns + 1)
         np.maximum.at(slack, index, stray[lit])
-    reach = int(np.ceil(rays.width)) + 1
+    reach = int(np.ceil(rays.reach)) + 1
     padded = np.pad(slack, reach)
     spread = np.max([padded[k : k + slack.size] for k in range(2 * reach + 1)], axis=0)
     return SAFETY * np.sqrt(2.0) * spread[1:-1] + ROUNDING

@@ -82,13 +82,13 @@ class Projection(LinearOperator):
         else:
             self.device.launch(forward_refracted, **common, **self._light)
         if rows is not out:
-            self._resample(rows, out, 1.0 / self._ratio, self._row_width / self._ratio)
+            self._resample(rows, out, 1.0 / self._ratio, row=1.0 / self._ratio)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         rows = y
         if not self._same_rows:
             rows = self.device.empty(self._slices)
-            self._resample(y, rows, self._ratio, self._row_width)
+            self._resample(y, rows, self._ratio, row=1.0)
         common = {"sinogram": rows, "directions": self._directions, "volume": out}
         if self._light is None:
             self.device.launch(back_joseph, **common, pitch=self.grid.pitch)
@@ -96,12 +96,16 @@ class Projection(LinearOperator):
             light = {name: value for name, value in self._light.items() if name != "edges"}
             self.device.launch(back_refracted, **common, **light)
 
-    @property
-    def _row_width(self) -> float:
-        return 1.0 if self._ratio <= EQUAL else self._ratio
-
-    def _resample(self, source: DeviceArray, target: DeviceArray, ratio: float, width: float) -> None:
-        gain = self._ratio / self._row_width
+    def _resample(self, source: DeviceArray, target: DeviceArray, ratio: float, row: float) -> None:
+        """Between rows and slices, a row being ``row`` samples of the source high: what a slice and a row overlap."""
+        width = 1.0 if self._ratio <= EQUAL else self._ratio  # of a slice, in rows
         self.device.launch(
-            resample, source=source, ratio=ratio, width=width, gain=gain, lanes=source.lanes, target=target
+            resample,
+            source=source,
+            ratio=ratio,
+            reach=0.5 * (1.0 + width) * row,
+            most=row,
+            gain=self._ratio / (width * row),
+            lanes=source.lanes,
+            target=target,
         )
