@@ -17,6 +17,9 @@ KINDS = {
 }
 """Beginning of a device name → why a machine must have one."""
 
+GPU_LAYOUT = " in GPU layout"
+"""Ending of the name of an OpenCL processor that is treated as a GPU: four lanes an item, and work-groups."""
+
 
 def _wanted() -> list[str]:
     try:
@@ -28,9 +31,26 @@ def _wanted() -> list[str]:
 
 @lru_cache(maxsize=1)
 def device_list() -> tuple[str, ...]:
-    """Working devices and, for each kind that is missing, the kind: a test that asks for it fails."""
+    """Working devices, a GPU's layout on a processor, and each kind that is missing: a test that asks for it fails."""
     working = vamgpu.devices()
-    return (*working, *(kind for kind in _wanted() if not any(name.startswith(kind) for name in working)))
+    missing = (kind for kind in _wanted() if not any(name.startswith(kind) for name in working))
+    clever = sorted((name for name in working if name.startswith("opencl")), key=lambda name: "pocl" not in name)
+    return (*working, *(f"{name}{GPU_LAYOUT}" for name in clever[:1]), *missing)
+
+
+@lru_cache(maxsize=None)
+def open_any(name: str) -> Device:
+    """The device of that name in the list; fails the test that asks for a missing kind."""
+    if name in KINDS and name not in vamgpu.devices():
+        pytest.fail(KINDS[name])
+    if not name.endswith(GPU_LAYOUT):
+        return vamgpu.open_device(name)
+    from vamgpu.backend.opencl import OpenclDevice
+    from vamgpu.backend.opencl_platforms import all_devices
+
+    device = OpenclDevice(name, all_devices()[name.removesuffix(GPU_LAYOUT)])
+    device.is_gpu = True
+    return device
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -38,32 +58,33 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     choices = {
         "device": device_list(),
         "fast_device": [name for name in device_list() if name != "numpy"],
-        "opencl_name": [name for name in device_list() if name.startswith("opencl")],
+        "opencl_device": [name for name in device_list() if name.startswith("opencl")],
+        "opencl_name": [name for name in device_list() if name.startswith("opencl") and GPU_LAYOUT not in name],
     }
     for fixture, names in choices.items():
         if fixture in metafunc.fixturenames:
             metafunc.parametrize(fixture, names, indirect=True)
 
 
-def _present(name: str) -> str:
-    if name in KINDS and name not in vamgpu.devices():
-        pytest.fail(KINDS[name])
-    return name
-
-
 @pytest.fixture
 def device(request: pytest.FixtureRequest) -> Device:
     """Every device, the float64 reference included."""
-    return vamgpu.open_device(_present(request.param))
+    return open_any(request.param)
 
 
 @pytest.fixture
 def fast_device(request: pytest.FixtureRequest) -> Device:
     """Every device but the reference, for tests at real size."""
-    return vamgpu.open_device(_present(request.param))
+    return open_any(request.param)
 
 
 @pytest.fixture
 def opencl_name(request: pytest.FixtureRequest) -> str:
     """Name of every OpenCL device."""
-    return _present(request.param)
+    return open_any(request.param).name
+
+
+@pytest.fixture
+def opencl_device(request: pytest.FixtureRequest) -> Device:
+    """Every OpenCL device, a GPU's layout included."""
+    return open_any(request.param)

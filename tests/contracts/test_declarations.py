@@ -6,7 +6,7 @@ import pyopencl as cl
 import pytest
 import warp as wp
 
-from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
 from vamgpu.backend.opencl import OpenclDevice
 from vamgpu.backend.warp import TYPES, sibling
 from vamgpu.kernels.catalog import FOLDER, concepts, kernels
@@ -35,10 +35,9 @@ def opencl_types(spec: Field | Table | Scalar) -> set[str]:
 
 
 @every_kernel
-def test_the_opencl_sibling_takes_the_declared_arguments(kernel: Kernel, opencl_name: str) -> None:
-    device = open_device(opencl_name)
-    assert isinstance(device, OpenclDevice)
-    compiled = device.compile(kernel, device.lanes_for(8), cached=False)
+def test_the_opencl_sibling_takes_the_declared_arguments(kernel: Kernel, opencl_device: Device) -> None:
+    assert isinstance(opencl_device, OpenclDevice)
+    compiled = opencl_device.compile(kernel, opencl_device.lanes_for(8), cached=False)
     reported_names = [compiled.get_arg_info(i, cl.kernel_arg_info.NAME) for i in range(compiled.num_args)]
     names = [name.removeprefix("_cl_") for name in reported_names]  # PoCL renames what collides with a built-in
     assert names == [*kernel.arguments, *(f"n_{axis}" for axis in kernel.axes)]
