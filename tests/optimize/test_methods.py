@@ -51,7 +51,7 @@ def part() -> np.ndarray:
 
 @cache
 def operator(name: str) -> Projection:
-    return Projection(Grid((SIZE,) * 3, 0.2), Beam((SIZE, SIZE), 0.2), Turntable(ANGLES), device=name)
+    return Projection(Grid((SIZE, SIZE, SIZE), 0.2), Beam((SIZE, SIZE), 0.2), Turntable(ANGLES), device=name)
 
 
 @cache
@@ -154,7 +154,7 @@ def test_the_stop_rule_ends_a_run_early() -> None:
 def test_the_package_is_the_function(capsys: pytest.CaptureFixture[str]) -> None:
     import vamgpu.optimize
 
-    plan = vamgpu.optimize(operator("numpy"), part(), "fbp")
+    plan = vamgpu.optimize(operator("numpy"), part(), "fbp")  # pyright: ignore[reportCallIssue]
     assert isinstance(plan, Plan) and plan.target_name == "target"
     assert capsys.readouterr().out == ""
     assert set(METHODS) >= {"default", "recipe", "osmo", "cal", "penalty", "bclp", "lbfgs", "fbp"}
@@ -187,3 +187,17 @@ def test_bad_input_is_named() -> None:
     ):
         with pytest.raises(BadInput, match="wanted"):
             wrong()
+
+
+def test_the_default_opens_a_window_where_the_others_leave_none(fast_device: str) -> None:
+    here, budget = operator(fast_device), 30
+    plan = optimize(here, part(), iterations=budget)
+    assert plan.pairs <= budget and isinstance(plan.method, ProcessWindow)
+    assert plan.window >= 0.1
+    for other in (Recipe(), GradientDescent(), FilteredBackProjection()):
+        assert optimize(here, part(), other, budget).window < plan.window - 0.1
+
+
+def test_every_method_names_its_papers_and_iterations() -> None:
+    assert {name for name in METHODS if METHODS[name].iterations < 1} == set()
+    assert all(METHODS[name].papers for name in METHODS)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -24,9 +26,9 @@ def cross() -> np.ndarray:
     )
 
 
-def solve(device: Device | str, vessel: object = None, method: object = None) -> Plan:
+def solve(device: Device | str, vessel: Any = None, method: Any = None) -> Plan:
     columns = int(2 * 8.0 / 0.18) if vessel else 56
-    operator = Projection(GRID, Beam((columns, 4), 0.18), POSES, vessel, device=device)  # type: ignore[arg-type]
+    operator = Projection(GRID, Beam((columns, 4), 0.18), POSES, vessel, device=device)
     return optimize(operator, cross(), method or ProcessWindow(), 20)
 
 

@@ -23,7 +23,8 @@ def test_sums_and_extremes(name: str, shape: tuple[int, int, int]) -> None:
         assert reductions.total(x) == pytest.approx(a.sum(dtype=np.float64), abs=1e-6 * size)
         assert reductions.dot(x, y) == pytest.approx(np.vdot(a.astype(float), b), abs=1e-6 * size)
         assert reductions.extent(x) == (a.min(), a.max())
-        distance = sum(np.meshgrid(*((np.arange(n) - 0.5 * (n - 1)) ** 2 for n in shape[:2]), indexing="ij"))
+        i, j = ((np.arange(n) - 0.5 * (n - 1)) ** 2 for n in shape[:2])
+        distance = i[:, None] + j
         chosen = (b >= -0.5) & (b < 0.75) & (distance <= 9.0**2)[:, :, None]
         wanted = (a[chosen].min(), a[chosen].max())
         assert reductions.extent(x, y, -0.5, 0.75, 9.0) == wanted
