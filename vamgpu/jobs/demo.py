@@ -11,7 +11,8 @@ from vamgpu.jobs.read import parse_job
 from vamgpu.jobs.run import Proven, Told, _quietly, prove, solve
 
 JOB = """\
-# A boat in a vial of 24.8 mm that turns in air. Lengths of the beam are measured in air.
+# A boat in a vial of 24.8 mm that turns in air. The pitch of the beam is measured in air: refraction narrows its
+# columns to 60 um in the resin, while its rows stay as high as the voxels.
 
 [target]
 shape = "boat"
@@ -19,7 +20,7 @@ height = "11.5 mm"
 pitch = "90 um"
 
 [beam]
-pitch = "134 um"
+pitch = "90 um"
 
 [turntable]
 angles = 360
