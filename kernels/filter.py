@@ -5,12 +5,14 @@ A step that filters as it goes needs no array for the filtered gradient.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
-from vamgpu.kernels.reduce import CPU, GPU, Parts
-from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, kernel, table
+from vamgpu.kernels.reduce import CPU, GPU
+from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, Table, kernel
 
-Taps = table("float32", "tap")
+Taps = Annotated[np.ndarray, Table("float32", ("tap",))]
 
 
 def convolve(rows: np.ndarray, taps: np.ndarray, stride: int) -> np.ndarray:
@@ -37,18 +39,13 @@ def filtered_step(
     momentum: Real,
     light: SinogramOut,
     ahead: SinogramOut,
-    parts: Parts,
 ) -> None:
     """One accelerated step that keeps light ≥ 0: new = max(0, ahead − step·filtered gradient), 0 where it is held.
 
     Light is held where ahead ≤ 0 and the gradient asks for no more (`free_gradient` leaves 0 there).
-    Then ahead = new + momentum·(new − light) and light = new. Σ parts = Σ (ahead − new)·(new − light) before that:
-    positive where the momentum points uphill. Source: Y. Nesterov, Soviet Math. Dokl. 27 (1983) 372;
-    B. O'Donoghue & E. Candès, Found. Comput. Math. 15 (2015) 715 for the test.
+    Then ahead = new + momentum·(new − light) and light = new. Source: Y. Nesterov, Soviet Math. Dokl. 27 (1983) 372.
     """
     new = np.maximum(0.0, ahead - step * convolve(gradient, taps, stride))
     new[(ahead <= 0) & (gradient >= 0)] = 0.0
-    parts[...] = 0.0
-    parts[0] = np.vdot(ahead - new, new - light)
     ahead[...] = new + momentum * (new - light)
     light[...] = new

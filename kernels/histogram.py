@@ -7,18 +7,21 @@ only columns within ``radius`` samples of the axis through the middle are counte
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from vamgpu.kernels.project import middle
-from vamgpu.kernels.signature import Array, Real, Tiling, kernel, table
+from vamgpu.kernels.signature import Array, Real, Table, Tiling, kernel
 
-Ranges = table("float32", "slice", "2", "3")  # low, high, bins per unit of each class; one slice serves all
-Partial = table("uint32", "strip", "z", "2", "bin")
-PartialOut = table("uint32", "strip", "z", "2", "bin", writes=True)
-CountsOut = table("uint32", "slice", "2", "bin", writes=True)
-Parts = table("float32", "strip", "z", "2", "3")  # least, greatest, sum
-PartsOut = table("float32", "strip", "z", "2", "3", writes=True)
-StatisticsOut = table("float32", "slice", "2", "3", writes=True)
+Ranges = Annotated[np.ndarray, Table("float32", ("slice", "2", "3"))]
+"""Low, high, bins per unit of each class; one slice serves all."""
+Partial = Annotated[np.ndarray, Table("uint32", ("strip", "z", "2", "bin"))]
+PartialOut = Annotated[np.ndarray, Table("uint32", ("strip", "z", "2", "bin"), writes=True)]
+CountsOut = Annotated[np.ndarray, Table("uint32", ("slice", "2", "bin"), writes=True)]
+Parts = Annotated[np.ndarray, Table("float32", ("strip", "z", "2", "3"))]  # least, greatest, sum
+PartsOut = Annotated[np.ndarray, Table("float32", ("strip", "z", "2", "3"), writes=True)]
+StatisticsOut = Annotated[np.ndarray, Table("float32", ("slice", "2", "3"), writes=True)]
 
 ROWS = Tiling(major=16, minor=0, group=(8, 8))
 GPU_ROWS = 8

@@ -6,12 +6,14 @@ identity as response it is the two-threshold loss.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from vamgpu.kernels.reduce import CPU, GPU, Parts, disc
-from vamgpu.kernels.signature import Array, ArrayOut, Integer, Real, kernel, table
+from vamgpu.kernels.signature import Array, ArrayOut, Integer, Real, Table, kernel
 
-Response = table("float32", "sample")
+Response = Annotated[np.ndarray, Table("float32", ("sample",))]
 
 
 @kernel(over="dose", cpu=CPU, gpu=GPU)

@@ -7,11 +7,13 @@ as far apart as voxels, and lengths inside are counted in voxels from the middle
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
-from vamgpu.kernels.signature import Real, Sinogram, SinogramOut, Tiling, Volume, VolumeOut, kernel, table
+from vamgpu.kernels.signature import Real, Sinogram, SinogramOut, Table, Tiling, Volume, VolumeOut, kernel
 
-Directions = table("float32", "angle", "2")  # cosθ, sinθ
+Directions = Annotated[np.ndarray, Table("float32", ("angle", "2"))]  # cosθ, sinθ
 
 
 def middle(n: int) -> float:

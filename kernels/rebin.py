@@ -6,9 +6,10 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.signature import Field, SinogramOut, Tiling, kernel, table
+from vamgpu.kernels.signature import Field, SinogramOut, Table, Tiling, kernel
 
-Rays = table("float32", "r", "3")  # angle and column in the parallel sinogram, in samples past (pose, 0); gain
+Rays = Annotated[np.ndarray, Table("float32", ("r", "3"))]
+"""Angle and column in the parallel sinogram, in samples past (pose, 0); gain."""
 Parallel = Annotated[np.ndarray, Field(("angle", "column", "z"))]
 
 

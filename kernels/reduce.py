@@ -5,13 +5,15 @@ Partial results are float32 of short runs; the host adds the last few hundred in
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
-from vamgpu.kernels.signature import Array, Integer, Real, Tiling, kernel, table
+from vamgpu.kernels.signature import Array, Integer, Real, Table, Tiling, kernel
 
-Parts = table("float32", "part", writes=True)
-Partial = table("float32", "part")
-Folded = table("float32", "folded", writes=True)
+Parts = Annotated[np.ndarray, Table("float32", ("part",), writes=True)]
+Partial = Annotated[np.ndarray, Table("float32", ("part",))]
+Folded = Annotated[np.ndarray, Table("float32", ("folded",), writes=True)]
 CPU = Tiling(major=1, minor=0)
 GPU = Tiling(major=32, minor=1)
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, get_type_hints
 
 import numpy as np
 
@@ -138,8 +138,3 @@ def kernel(
         return Kernel(definition, over, cpu, gpu, constants or {})
 
     return declare
-
-
-def table(dtype: str, *axes: str, writes: bool = False) -> Any:
-    """Annotation of a `Table` argument."""
-    return Annotated[np.ndarray, Table(dtype, axes, writes)]
