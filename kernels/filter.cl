@@ -31,12 +31,9 @@ __kernel void filter_rows(__global const float *restrict sinogram, __global cons
 #ifdef COMPILE_filtered_step
 __kernel void filtered_step(__global const float *restrict gradient, __global const float *restrict taps, int stride,
                             float step, float momentum, __global float *restrict light, __global float *restrict ahead,
-                            __global float *restrict parts, int n_angle, int n_r, int n_z, int n_tap, int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
+                            int n_angle, int n_r, int n_z, int n_tap) {
+    if (part_index(n_i, n_j, n_z) < 0) return;
     const size_t slab = slab_offset(n_i, n_j);
-    Vector uphill[VECTORS];
-    EACH_VECTOR uphill[v] = ZERO;
     EACH_SAMPLE {
         const size_t at = slab + SAMPLE(i, j, n_j);
         Vector sum[VECTORS];
@@ -45,13 +42,9 @@ __kernel void filtered_step(__global const float *restrict gradient, __global co
             const Vector before = LOAD(light + at), from = LOAD(ahead + at);
             const Lanes held = (from <= ZERO) & (LOAD(gradient + at) >= ZERO);
             const Vector new = select(fmax(ZERO, from - step * sum[v]), ZERO, held);
-            uphill[v] += MASKED(REAL_LANES, (from - new) * (new - before));
             STORE(ahead + at, new + momentum * (new - before));
             STORE(light + at, new);
         }
     }
-    float result = 0.0f;
-    EACH_VECTOR result += across_lanes(uphill[v], 0);
-    parts[part] = result;
 }
 #endif

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.partial_warp import ROWS, part_index, real_lanes
+from vamgpu.kernels.partial_warp import ROWS
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -51,17 +51,13 @@ def filtered_step(
     momentum: float,
     light: wp.array4d(dtype=wp.vec4),
     ahead: wp.array4d(dtype=wp.vec4),
-    parts: wp.array(dtype=float),
     n_angle: int,
     n_r: int,
     n_z: int,
     n_tap: int,
-    n_part: int,
 ):
     slab, tile, j, lane = wp.tid()
-    count = real_lanes(slab, lane, light.shape[3], n_z)
     dark = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    uphill = float(0.0)
     for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_angle)):
         before = light[slab, i, j, lane]
         start = ahead[slab, i, j, lane]
@@ -70,8 +66,5 @@ def filtered_step(
         for k in range(4):
             if start[k] <= 0.0 and slope[k] >= 0.0:
                 new[k] = 0.0
-        for k in range(count):
-            uphill += (start[k] - new[k]) * (new[k] - before[k])
         ahead[slab, i, j, lane] = new + momentum * (new - before)
         light[slab, i, j, lane] = new
-    parts[part_index(slab, tile, j, lane, n_angle, n_r, light.shape[3])] = uphill

@@ -141,7 +141,6 @@ class Work:
 
     def step(self, gradient: DeviceArray, taps: Taps, step: float, momentum: float) -> None:
         """One filtered, accelerated step of ``light`` and ``ahead`` in memory."""
-        light = self.held("light")
         self.device.launch(
             filtered_step,
             gradient=gradient,
@@ -149,7 +148,6 @@ class Work:
             stride=taps.stride,
             step=step,
             momentum=momentum,
-            light=light,
+            light=self.held("light"),
             ahead=self.held("ahead"),
-            parts=parts_for(filtered_step, light),
         )
