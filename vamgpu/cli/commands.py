@@ -133,6 +133,43 @@ def export(
 
 
 @app.command
+def gallery(
+    name: str | None = None,
+    *,
+    out: Path = Path("docs"),
+    device: str | None = None,
+    settings: Settings = None,
+    quick: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Draw the picture of one capability, or of every one, from parameters.
+
+    Parameters
+    ----------
+    name: which picture; all by default
+    out: folder of the index and of its gallery folder
+    device: where to compute; the best device here by default
+    quick: small sizes, for a fast look
+    """
+    from vamgpu import gallery as pictures
+    from vamgpu.backend import open_device
+    from vamgpu.errors import BadInput
+    from vamgpu.jobs.read import toml_value
+
+    pairs = [setting.partition("=") for setting in settings or ()]
+    if bad := [key for key, sign, _ in pairs if not sign]:
+        raise BadInput(f"--set {bad[0]}: wanted key=value")
+    if pairs and name is None:
+        raise BadInput("--set is for one picture; name it, such as: vam gallery vial --set key=value")
+    values = {key.strip(): toml_value(text.strip()) for key, _, text in pairs}
+    place, screen = open_device(device), console()
+    for entry in pictures.names() if name is None else (name,):
+        picture = pictures.draw(entry, place, quick=quick, **values)
+        image, _ = pictures.write_page(picture, entry, out, place.name, **values)
+        screen.print(f"drew [bold]{image}[/]")
+    screen.print(f"index [bold]{pictures.write_index(out)}[/]")
+
+
+@app.command
 def devices() -> None:
     """List the devices that work here, the best first."""
     screen = console()
