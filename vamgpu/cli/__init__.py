@@ -1,4 +1,4 @@
-"""The command line: ``vam demo | solve | prove | export | gallery | doctor | devices | bench``; the work is in `jobs`."""
+"""The command line: ``vam demo | solve | prove | export | gallery | doctor | devices | bench``; all thin."""
 
 from __future__ import annotations
 
