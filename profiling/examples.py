@@ -1,0 +1,276 @@
+"""Valid inputs for every declared kernel, at any size: what the profiler times and the contract of devices compares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.kernels.catalog import kernels
+from vamgpu.kernels.histogram import tally
+from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
+
+
+@dataclass(frozen=True)
+class Example:
+    """Inputs of a kernel.
+
+    sizes: of its named axes; 0 where the device decides.  given: tables and scalars by name, or a function of the
+    device and the arguments before it; what is not given is random.  combine: how partial results add up, by name.
+    """
+
+    sizes: dict[str, int]
+    given: dict[str, Any] = field(default_factory=dict)
+    combine: dict[str, Callable[[np.ndarray], Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A kernel with arrays on a device, ready to launch again and again."""
+
+    device: Device
+    kernel: Kernel
+    arguments: dict[str, Any]
+    combine: dict[str, Callable[[np.ndarray], Any]]
+
+    def launch(self) -> None:
+        self.device.launch(self.kernel, **self.arguments)
+
+    def written(self) -> dict[str, np.ndarray]:
+        """What the kernel wrote, partial results combined, in float64."""
+        out = {}
+        for name, spec in self.kernel.arguments.items():
+            if getattr(spec, "writes", False):
+                values = self.arguments[name].numpy().astype(np.float64)
+                out[name] = np.asarray(self.combine[name](values) if name in self.combine else values)
+        return out
+
+    def error(self, reference: Bound) -> float:
+        """Greatest difference from a reference over its greatest value; for counts, the share that differs."""
+        worst, wanted = 0.0, reference.written()
+        for name, values in self.written().items():
+            apart = np.abs(values - wanted[name])
+            whole = self.arguments[name].dtype.kind in "iu"
+            scale = np.abs(wanted[name]).sum() if whole else np.abs(wanted[name]).max()
+            worst = max(worst, float((apart.sum() if whole else apart.max()) / max(scale, 1e-30)))
+            if not np.isfinite(values).all() and np.isfinite(wanted[name]).all():
+                return float("inf")
+        return worst
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arguments, each counted once."""
+        return sum(value.nbytes for value in self.arguments.values() if isinstance(value, DeviceArray))
+
+
+def bind(device: Device, kernel: Kernel, size: int, seed: int = 0) -> Bound:
+    """The example of a kernel on a device; the same numbers on every device."""
+    example, rng = EXAMPLES[kernel.name](size), np.random.default_rng(seed)
+    over = kernel.arguments[kernel.over]
+    sizes = dict(example.sizes)
+    if "part" in sizes and isinstance(over, Field):
+        major, minor, z = (sizes[axis] for axis in over.axes)
+        sizes["part"] = device.items(kernel, (major, minor, z))
+    if sizes.get("strip") == 0:
+        sizes["strip"] = device.items(tally, (sizes["i"], 1, 1))
+    arguments: dict[str, Any] = {}
+    for name, spec in kernel.arguments.items():
+        if isinstance(spec, Scalar):
+            value = example.given[name]
+            arguments[name] = value(device, arguments) if callable(value) else value
+            continue
+        shape = tuple(sizes[axis] if not axis.isdigit() else int(axis) for axis in spec.axes)
+        arguments[name] = _array(device, spec, shape, name, example, rng)
+    return Bound(device, kernel, arguments, example.combine)
+
+
+def _array(
+    device: Device, spec: Field | Table, shape: tuple[int, ...], name: str, example: Example, rng: np.random.Generator
+) -> DeviceArray:
+    if isinstance(spec, Field):
+        return _field(device, rng.random(shape).astype(np.float32))
+    if name in example.given:
+        return device.table(np.asarray(example.given[name]), spec.dtype)
+    if spec.writes:
+        return device.table(np.zeros(shape), spec.dtype)
+    if spec.dtype == "float32":
+        return device.table(rng.random(shape).astype(np.float32), spec.dtype)
+    highest = 50 if spec.dtype != "uint8" else 256 if spec.axes[-1] == "byte" else 2
+    return device.table(rng.integers(0, highest, shape), spec.dtype)
+
+
+def _field(device: Device, values: np.ndarray) -> DeviceArray:
+    """A field whose padding is not a number: no kernel may let that reach a slice or a result."""
+    array = device.upload(values)
+    if array.lanes and values.shape[2] % array.lanes:
+        stored = np.full(device.stored_shape(values.shape, array.lanes), np.nan, np.float32)
+        for z in range(values.shape[2]):
+            stored[z // array.lanes, :, :, z % array.lanes] = values[:, :, z]
+        device._write(array.handle, stored)  # the padding is out of reach of upload
+    return array
+
+
+# ---- what the kernels take -----------------------------------------------------------------------------------------
+def _poses(count: int) -> np.ndarray:
+    angles = 2.0 * np.pi * np.arange(count) / count
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def _volume(n: int) -> dict[str, int]:
+    return {"x": n, "y": n - 1, "z": n // 2 + 1}
+
+
+def _straight(n: int) -> Example:
+    sizes = {**_volume(n), "angle": n + 1, "r": n + 2}
+    return Example(sizes, {"directions": _poses(n + 1), "pitch": 0.1})
+
+
+def _refracted(n: int) -> Example:
+    from vamgpu.geometry import Beam, Grid
+    from vamgpu.operators.light import tabulate
+    from vamgpu.optics.vial import Vial
+
+    pitch = 12.0 / n
+    vial = Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, absorption=0.05)
+    light = tabulate(Grid((n, n - 1, 1), pitch), Beam((n + 2, 1), 1.2 * pitch), vial)
+    across, along = light.map.shape[:2]
+    sizes = {**_volume(n), "angle": n + 1, "r": n + 2, "across": across, "along": along}
+    tables = {"light": light.map, "edges": light.edges, "directions": _poses(n + 1)}
+    return Example(sizes, {**tables, "width": light.width, "radius": light.radius})
+
+
+def _resampled(n: int) -> Example:
+    source = n // 2 + 1
+    given = {"ratio": source / n, "reach": 1.0, "most": 1.0, "gain": 0.7, "lanes": lambda _, a: a["source"].lanes}
+    return Example({"i": n, "j": n + 1, "source": source, "z": n}, given)
+
+
+def _array_sizes(n: int) -> dict[str, int]:
+    return {"i": n, "j": n + 1, "z": n // 2 + 1}
+
+
+def _partial(n: int, **given: Any) -> Example:
+    kinds = {"parts": np.sum, "lows": np.min, "highs": np.max}
+    return Example({**_array_sizes(n), "part": 0, "sample": 2}, given, combine=kinds)
+
+
+def _elementwise(n: int, **given: Any) -> Example:
+    return Example(_array_sizes(n), given)
+
+
+def _filtered(n: int, **given: Any) -> Example:
+    taps = np.cos(np.arange(n // 2)) / (1.0 + np.arange(n // 2))
+    sizes = {"angle": n, "r": n + 2, "z": n // 2 + 1, "tap": len(taps), "part": 0}
+    return Example(sizes, {"taps": taps, "stride": 1, **given}, combine={"parts": np.sum})
+
+
+def _band(n: int) -> Example:
+    response = np.tanh(np.linspace(-1.0, 2.0, 40))
+    given = {"weighted": 1, "response": response, "start": -1.0, "density": 13.0, "low": 0.2, "high": 0.9}
+    given |= {"slack_low": 0.1, "slack_high": 0.05, "gain_low": 0.7, "gain_high": 1.3, "power": 2.0, "ridge": 0.2}
+    example = _partial(n, **given, binary=0, reach=0.4 * n)
+    return Example({**example.sizes, "sample": 40}, example.given, combine=example.combine)
+
+
+def _counted(n: int) -> Example:
+    ranges = np.broadcast_to(np.array([0.05, 0.9, 62 / 0.85]), (1, 2, 3))
+    given = {"ranges": ranges, "level": 0.5, "radius": 0.45 * n}
+    sizes = {**_array_sizes(n), "slice": 1, "strip": 0, "bin": 64}
+    return Example(sizes, given, combine={"partial": lambda p: p.sum(axis=0)})
+
+
+def _surveyed(n: int) -> Example:
+    def over_strips(parts: np.ndarray) -> np.ndarray:
+        return np.stack([parts[..., 0].min(0), parts[..., 1].max(0), parts[..., 2].sum(0)], axis=-1)
+
+    sizes = {**_array_sizes(n), "strip": 0}
+    return Example(sizes, {"level": 0.5, "radius": 0.45 * n}, combine={"parts": over_strips})
+
+
+def _folded(n: int) -> Example:
+    return Example({"strip": n // 8 + 1, "z": n, "slice": n, "bin": 64})
+
+
+PLACE = {"shift_r": 2, "shift_z": -1, "part_r": 0.25, "part_z": 0.5, "flip_r": 1, "flip_z": 0}
+CURVE = np.linspace(0.01, 1.0, 256) ** 1.8
+
+
+def _frames(n: int, **given: Any) -> Example:
+    sizes = {"angle": n, "r": n + 3, "z": n // 2 + 1, "flat_row": 1, "flat_column": 1, "level": 256, "byte": n + 3}
+    bounds = np.append(0.5 * (CURVE[1:] + CURVE[:-1]), 1e30)
+    tables = {"flat": np.ones((1, 1)), "curve": CURVE, "bounds": bounds}
+    return Example(sizes, {**tables, **PLACE, **given})
+
+
+def _bits(n: int) -> Example:
+    return Example({"angle": n, "r": n + 3, "z": n // 2 + 1, "byte": -(-(n + 3) // 8)})
+
+
+def _rebinned(n: int) -> Example:
+    column = np.linspace(-1.0, n + 1.0, n + 2)
+    rays = np.stack([0.02 * (column - 0.5 * n), column, 1.0 - 0.3 * np.abs(column / n - 0.5)], axis=1)
+    return Example({"angle": n, "column": n, "z": n // 2 + 1, "r": n + 2}, {"rays": rays})
+
+
+def _solid(n: int) -> Example:
+    """A tilted cube, in one list of triangles for every tile."""
+    from vamgpu.geometry import Grid
+    from vamgpu.targets.solid import Solid
+    from vamgpu.targets.voxelize import binned, oriented, snapped
+
+    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))], np.int32)
+    turn = np.linalg.qr(np.array([[1.0, 0.3, 0.2], [0.1, 1.0, 0.4], [0.3, 0.2, 1.0]]))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    grid, tile = Grid((n, n - 1, n // 2 + 1), 1.0), 4
+    placed, bits = snapped(Solid(corners @ turn.T * 0.2 * n, faces, "cube"), grid)
+    triangles = oriented(placed, faces)
+    members, first, last = binned(triangles, grid, bits, tile)
+    sizes = {**_volume(n), "triangle": len(triangles), "member": len(members)}
+    sizes |= {"tile_x": first.shape[0], "tile_y": first.shape[1]}
+    tables = {"triangles": triangles, "members": members, "first": first, "last": last}
+    return Example(sizes, {**tables, "tile": tile, "bits": bits})
+
+
+EXAMPLES: dict[str, Callable[[int], Example]] = {
+    "forward_joseph": _straight,
+    "back_joseph": _straight,
+    "forward_refracted": _refracted,
+    "back_refracted": _refracted,
+    "resample": _resampled,
+    "partial_sum": _partial,
+    "partial_dot": _partial,
+    "partial_extent": lambda n: _partial(n, lower=0.2, upper=0.8, reach=0.4 * n),
+    "fold": lambda n: Example({"part": 64 * n, "folded": 512}, {"kind": 0}),
+    "linear": lambda n: _elementwise(n, a=0.5, b=-1.5, floor=-0.4),
+    "free_gradient": lambda n: _partial(n, weight=0.1, power=3.0, hold=1),
+    "paint": lambda n: _elementwise(n, low=0.6, high=1.0, reach=0.4 * n),
+    "correct_by_ratio": lambda n: _elementwise(n, scale=1.2, low=0.6, high=1.0, most=3.0),
+    "correct_by_difference": lambda n: _elementwise(
+        n, scale=1.1, low=0.3, high=0.9, gain_outside=1.0, gain_inside=0.5, reach=0.4 * n
+    ),
+    "filter_rows": lambda n: _filtered(n, floor=0.0),
+    "filtered_step": lambda n: _filtered(n, step=0.3, momentum=0.8),
+    "band_loss": _band,
+    "tally": _counted,
+    "fold_counts": _folded,
+    "survey": _surveyed,
+    "fold_survey": _folded,
+    "count_light": lambda n: _frames(n, drop=20, prefix=0),
+    "quantize": lambda n: _frames(n, gain=0.8, carry=0.0),
+    "fold_bits": _bits,
+    "unpack": lambda n: _frames(n, bits=8, scale=1.5),
+    "rebin_rays": _rebinned,
+    "voxelize": _solid,
+}
+"""Kernel → its example of about ``size`` samples along each axis."""
+
+
+def missing() -> list[str]:
+    """Declared kernels that have no example."""
+    return [kernel.name for kernel in kernels() if kernel.name not in EXAMPLES]

@@ -1,0 +1,51 @@
+"""Every declared kernel on every device against its NumPy definition, from the examples that the profiler times."""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import vamgpu
+from vamgpu.backend.device import Device
+from vamgpu.kernels.catalog import kernels
+from vamgpu.kernels.signature import Kernel
+
+COUNTS = 1e-3
+"""Share of counts and levels that may differ: a value on the edge of two bins falls to either."""
+
+
+def _examples() -> ModuleType:
+    path = Path(__file__).parents[2] / "profiling" / "examples.py"
+    spec = spec_from_file_location("kernel_examples", path)
+    assert spec and spec.loader
+    module = sys.modules["kernel_examples"] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+examples = _examples()
+
+
+@cache
+def reference(kernel: Kernel, size: int) -> object:
+    bound = examples.bind(vamgpu.open_device("numpy"), kernel, size)
+    bound.launch()
+    return bound
+
+
+def test_every_kernel_has_an_example() -> None:
+    assert not examples.missing()
+
+
+@pytest.mark.parametrize("size", [6, 25, 66])  # one, several and more than a slab's threads of four slices
+@pytest.mark.parametrize("kernel", kernels(), ids=lambda kernel: kernel.name)
+def test_devices_agree_with_the_definition(fast_device: Device, kernel: Kernel, size: int) -> None:
+    bound = examples.bind(fast_device, kernel, size)
+    bound.launch()
+    counts = any(a.dtype.kind in "iu" for n, a in bound.arguments.items() if getattr(kernel.arguments[n], "writes", 0))
+    assert bound.error(reference(kernel, size)) <= (COUNTS if counts else 1e-5)
