@@ -7,14 +7,19 @@ from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import numpy as np
+import pyopencl as cl
 import pytest
 
 import vamgpu
 from vamgpu.backend.device import Device
+from vamgpu.backend.opencl import OpenclDevice
 from vamgpu.kernels.catalog import kernels
 from vamgpu.kernels.signature import Kernel
 
+FENCE, MARK = 4096, 0x5A
 COUNTS = 1e-3
 """Share of counts and levels that may differ: a value on the edge of two bins falls to either."""
 
@@ -49,3 +54,37 @@ def test_devices_agree_with_the_definition(fast_device: Device, kernel: Kernel, 
     bound.launch()
     counts = any(a.dtype.kind in "iu" for n, a in bound.arguments.items() if getattr(kernel.arguments[n], "writes", 0))
     assert bound.error(reference(kernel, size)) <= (COUNTS if counts else 1e-5)
+
+
+class FencedDevice(OpenclDevice):
+    """An OpenCL device whose arrays are followed by a strip nobody may write to."""
+
+    def __init__(self, like: OpenclDevice) -> None:
+        super().__init__(f"{like.name}, fenced", like._device)
+        self.is_gpu = like.is_gpu
+        self.fenced: list[tuple[cl.Buffer, int]] = []
+
+    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> cl.Buffer:
+        nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+        buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, nbytes + FENCE)
+        cl.enqueue_copy(self.queue, buffer, np.full(FENCE, MARK, np.uint8), dst_offset=nbytes)
+        self.fenced.append((buffer, nbytes))
+        return buffer
+
+    def unharmed(self) -> bool:
+        """Whether every fence still stands."""
+        strip: Any = np.empty(FENCE, np.uint8)
+        for buffer, nbytes in self.fenced:
+            cl.enqueue_copy(self.queue, strip, buffer, src_offset=nbytes)
+            if (strip != MARK).any():
+                return False
+        return True
+
+
+@pytest.mark.parametrize("kernel", kernels(), ids=lambda kernel: kernel.name)
+def test_items_that_fill_up_a_group_write_nowhere(opencl_device: Device, kernel: Kernel) -> None:
+    assert isinstance(opencl_device, OpenclDevice)
+    fenced = FencedDevice(opencl_device)
+    for size in (6, 25):
+        examples.bind(fenced, kernel, size).launch()
+        assert fenced.unharmed()
