@@ -11,6 +11,7 @@ import time
 import warnings
 
 import numpy as np
+import scipy.sparse as sp
 from joseph import joseph_matrix
 from machine import emit, machine, median_seconds, peak_gb
 
@@ -22,19 +23,28 @@ def main() -> None:
     parser.add_argument("--angles", type=int, default=360)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--threads", type=int, default=None, help="default: torch's own choice")
+    parser.add_argument("--matrix", default=None, help="a CSR matrix saved by SciPy, not the straight one")
     args = parser.parse_args()
-    emit(measure(args.n, args.nz or args.n, args.angles, args.runs, args.threads))
+    emit(measure(args.n, args.nz or args.n, args.angles, args.runs, args.threads, args.matrix))
 
 
-def measure(n: int, nz: int, angles: int, runs: int, threads: int | None = None) -> dict[str, object]:
-    """Return the record: median seconds forward and back, build seconds, matrix bytes and two checks."""
+def measure(
+    n: int, nz: int, angles: int, runs: int, threads: int | None = None, file: str | None = None
+) -> dict[str, object]:
+    """Return the record: median seconds forward and back, build or load seconds, matrix bytes and two checks.
+
+    file: rows (angle, column) and columns (x, y), saved with scipy.sparse.save_npz; None builds the straight one.
+    Raises ValueError for a matrix of another size.
+    """
     import torch
 
     warnings.filterwarnings("ignore", message="Sparse CSR tensor support")
     if threads:
         torch.set_num_threads(threads)
     start = time.perf_counter()
-    matrix = joseph_matrix(n, angles)
+    matrix = joseph_matrix(n, angles) if file is None else sp.load_npz(file).tocsr()
+    if matrix.shape != (angles * n, n * n):
+        raise ValueError(f"the matrix has shape {matrix.shape}; wanted {(angles * n, n * n)}")
     forward, back = _tensor(matrix), _tensor(matrix.T.tocsr())
     built = time.perf_counter() - start
     rng = np.random.default_rng(0)
@@ -44,7 +54,7 @@ def measure(n: int, nz: int, angles: int, runs: int, threads: int | None = None)
     back_s, back_all = median_seconds(lambda: back @ sinogram, runs)
     bytes_each = matrix.nnz * (4 + forward.col_indices().element_size())
     return {
-        "peer": "torch sparse CSR, prebuilt Joseph matrix",
+        "peer": f"torch sparse CSR, prebuilt {'Joseph' if file is None else 'given'} matrix",
         "size": {"n": n, "nz": nz, "angles": angles, "bins": n},
         "forward_s": round(forward_s, 5),
         "back_s": round(back_s, 5),

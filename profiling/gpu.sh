@@ -1,0 +1,48 @@
+#!/usr/bin/env bash
+# Everything that is measured on a machine with a GPU, in one go of less than eight minutes.
+#   DEVICES="warp:cuda:0" and SIZES="256 512" choose other devices and sizes; TAIL=lines of each log that are shown.
+#   OUT=folder MESH=benchy.stl LABEL=name bash profiling/gpu.sh [step ...]     steps: tests kernels projectors drtvam main
+# Wants vamgpu's dependencies on PYTHONPATH (and pytest for the tests); ASTRA and torch beside them are timed where they
+# are there. Logs and records end up in OUT/all.tar.gz, written anew after every step; one that fails or takes too long
+# does not stop the next.
+set -u
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+export PYTHONPATH="${PYTHONPATH:+$PYTHONPATH:}$PWD" PYTHONUNBUFFERED=1
+python=${PYTHON:-python3}
+export VAM_PEERS_PYTHON=${VAM_PEERS_PYTHON:-$python}
+out=${OUT:-out}
+mesh=${MESH:-../shared/data/benchy.stl}
+label=${LABEL:-gpu}
+mkdir -p "$out"
+parts=$(mktemp -d)
+trap 'rm -rf "$parts"' EXIT
+steps=${*:-tests kernels projectors drtvam main}
+
+# step NAME SECONDS COMMAND...: run it if it was asked for; the log comes whole, its end is shown
+step() {
+    local name=$1 limit=$2 start=$SECONDS
+    shift 2
+    case " $steps " in *" ${name%%-*} "*) ;; *) return ;; esac
+    timeout "$limit" "$@" >"$parts/$name.log" 2>&1
+    echo "== $name: exit $?, $((SECONDS - start)) s"
+    tail -n "${TAIL:-25}" "$parts/$name.log"
+    tar -C "$parts" -czf "$out/all.tar.gz" .
+}
+
+gpus=${DEVICES:-$("$python" - <<'PY'
+import vamgpu
+names = [name for name in vamgpu.devices() if name != "numpy"]
+gpu = [n for n in names if "cuda" in n or getattr(vamgpu.open_device(n), "is_gpu", False)]
+print(" ".join(gpu))
+PY
+)}
+echo "GPUs: ${gpus:-none}"
+[ -n "$gpus" ] || exit 1
+
+for n in ${SIZES:-256 512}; do
+    step "projectors-$n" 80 "$python" profiling/projectors.py --n "$n" --devices $gpus --records "$parts" --label "$label"
+done
+step drtvam 90 "$python" profiling/jobs.py --job drtvam --device $gpus --mesh "$mesh" --records "$parts" --label "$label"
+step main 60 "$python" profiling/jobs.py --job main --device $gpus --mesh "$mesh" --records "$parts" --label "$label"
+[ -f profiling/kernels.py ] && step kernels 40 "$python" profiling/kernels.py
+step tests 120 "$python" -m pytest -q -p no:cacheprovider tests -k "cuda or nvidia"

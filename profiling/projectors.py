@@ -1,0 +1,180 @@
+"""Time projector pairs on devices, and the peers beside them in the same run.
+
+Straight: Joseph in air. Refracted: a vial in air that also absorbs, columns 1.5 voxels apart in air and so one voxel
+apart in the resin, where they cover the grid's inscribed disc. "refracted" has one row of light a slice, as a sparse
+matrix has; "vial" is the whole operator, the pixels' rows resampled to slices. Peers: torch's CSR product with a prebuilt matrix of the same operator
+where a processor is timed, ASTRA's CUDA projector where a GPU is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import HERE, chosen_devices, is_gpu, machine, peer, timed, write_record
+
+from vamgpu.backend.device import Device
+from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.kernels.refract import back_refracted, forward_refracted
+from vamgpu.operators.light import tabulate
+from vamgpu.operators.projection import Projection
+from vamgpu.optics.vial import Vial
+
+VIAL = Vial(radius=12.4, wall=1.0, resin_index=1.5, wall_index=1.473, bath_index=1.0, absorption=0.05)
+WIDTH = 14.8
+"""Of the grid [mm]: its inscribed disc lies inside the printable radius of 8.27 mm."""
+
+Pair = tuple[Callable[[], Any], Callable[[], Any]]
+
+
+class Bench:
+    """Arrays and operators of one size on one device."""
+
+    def __init__(self, n: int, angles: int, device: Device) -> None:
+        self.device, pitch, motion = device, WIDTH / n, Turntable(angles)
+        grid, self.beam = Grid((n, n, n), pitch), Beam((n, n), 1.5 * pitch)
+        rng = np.random.default_rng(0)
+        self.volume = device.upload(rng.random(grid.shape, np.float32))
+        self.light = device.upload(rng.random((angles, n, n), np.float32))
+        self.shadow, self.dose = device.empty(self.light.shape), device.empty(self.volume.shape)
+        self.straight = Projection(grid, Beam((n, n), pitch), motion, None, device)
+        self.vial = Projection(grid, self.beam, motion, VIAL, device)
+        self.tables = tabulate(grid, self.beam, VIAL)
+        self.poses = motion.poses
+
+    def pairs(self) -> Iterator[tuple[str, Pair]]:
+        """Name, and forward and back projection without arguments."""
+        for name, A in (("straight", self.straight), ("vial", self.vial)):
+            yield name, (lambda A=A: A(self.volume, out=self.shadow), lambda A=A: A.T(self.light, out=self.dose))
+        yield "refracted", self._refracted()
+
+    def _refracted(self) -> Pair:
+        device, tables = self.device, self.tables
+        shared = {
+            "directions": device.table(np.stack([np.cos(self.poses), np.sin(self.poses)], axis=1)),
+            "light": device.table(tables.map),
+            "width": tables.width,
+            "radius": tables.radius,
+        }
+        edges = device.table(tables.edges)
+
+        def forward() -> None:
+            device.launch(forward_refracted, volume=self.volume, edges=edges, sinogram=self.shadow, **shared)
+
+        def back() -> None:
+            device.launch(back_refracted, sinogram=self.light, volume=self.dose, **shared)
+
+        return forward, back
+
+
+def ours(n: int, angles: int, device: Device, runs: int) -> dict[str, Any]:
+    """Forward and back times of every operator on a device."""
+    bench = Bench(n, angles, device)
+    out: dict[str, Any] = {}
+    for name, (forward, back) in bench.pairs():
+        out[name] = {"forward": timed(forward, device.synchronize, runs), "back": timed(back, device.synchronize, runs)}
+    return out
+
+
+def csr_peers(n: int, angles: int, runs: int, device: Device) -> dict[str, Any]:
+    """torch's CSR product with the straight and with the refracted matrix of the sizes timed here.
+
+    "disagreement" is how far one slice of the matrix product is from the operator on ``device``, over the maximum.
+    """
+    from refracted_matrix import refracted_matrix, save_matrix  # SciPy, wanted nowhere else
+
+    size = ("--n", n, "--angles", angles, "--runs", runs)
+    straight = peer("torch_csr.py", *size)
+    with tempfile.TemporaryDirectory() as folder:
+        bench, file = Bench(n, angles, device), Path(folder) / "refracted.npz"
+        matrix = refracted_matrix(n, n, bench.poses, bench.tables)
+        error = _disagreement(bench, matrix)
+        save_matrix(file, matrix)
+        del bench, matrix
+        refracted = peer("torch_csr.py", *size, "--matrix", file) | {"disagreement": error}
+    return {"torch CSR": {"straight": straight, "refracted": refracted, "vial": refracted}}
+
+
+def _disagreement(bench: Bench, matrix: Any) -> float:
+    forward, _ = dict(bench.pairs())["refracted"]
+    forward()
+    found = bench.shadow.numpy()[:, :, 0]
+    wanted = (matrix @ bench.volume.numpy()[:, :, 0].astype(np.float64).ravel()).reshape(found.shape)
+    return float(np.abs(found - wanted).max() / np.abs(wanted).max())
+
+
+def astra_peer(n: int, angles: int, runs: int) -> dict[str, Any]:
+    """ASTRA's CUDA projector: straight rays only, so it stands beside every operator."""
+    record = peer("astra_cuda.py", "--n", n, "--angles", angles, "--runs", runs)
+    return {"ASTRA CUDA": dict.fromkeys(("straight", "refracted", "vial"), record)}
+
+
+def ratios(times: dict[str, Any], peers: dict[str, Any]) -> dict[str, Any]:
+    """device → operator → peer → (forward, back): the peer's seconds over ours."""
+    out: dict[str, Any] = {}
+    for device, operators in times.items():
+        for name, pair in operators.items():
+            for who, records in peers.items():
+                if "missing" in records[name]:
+                    continue
+                both = [records[name][f"{way}_s"] / pair[way]["median_s"] for way in ("forward", "back")]
+                out.setdefault(device, {}).setdefault(name, {})[who] = [round(ratio, 2) for ratio in both]
+    return out
+
+
+def show(record: dict[str, Any]) -> None:
+    """Print the times and the ratios."""
+    print(f"{record['n']}^3 x {record['angles']}: forward / back [ms], medians of {record['runs']}")
+    for device, operators in record["vamgpu"].items():
+        for name, pair in operators.items():
+            cells = " / ".join(f"{1e3 * pair[way]['median_s']:9.3f}" for way in ("forward", "back"))
+            beside = record["ratios"].get(device, {}).get(name, {})
+            times = "  ".join(f"{f:g} / {b:g} x {who}" for who, (f, b) in beside.items())
+            print(f"  {device:18} {name:10} {cells}   {times}")
+    for who, records in record["peers"].items():
+        for name in ("straight", "refracted"):
+            found = records[name]
+            if "missing" in found:
+                print(f"  {who:18} {name:10} missing: {found['missing']}")
+            else:
+                error = f"   off by {found['disagreement']:.1e} of ours" if "disagreement" in found else ""
+                print(f"  {who:18} {name:10} {1e3 * found['forward_s']:9.3f} / {1e3 * found['back_s']:9.3f}{error}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--n", type=int, nargs="+", default=[256], help="voxels along each axis, columns and rows")
+    parser.add_argument("--angles", type=int, default=360)
+    parser.add_argument("--runs", type=int, default=7)
+    parser.add_argument("--devices", nargs="+", default=["gpu", "cpu"], help="names, or cpu and gpu for all of a kind")
+    parser.add_argument("--no-peers", action="store_true")
+    parser.add_argument("--records", type=Path, default=HERE / "records")
+    parser.add_argument("--label", default="here", help="of the machine, part of the record's name")
+    args = parser.parse_args()
+    devices = chosen_devices(args.devices)
+    for n in args.n:
+        record = measure(n, args.angles, args.runs, devices, not args.no_peers)
+        show(record)
+        print(f"  {write_record(args.records, f'projectors-{n}-{args.label}', record)}", flush=True)
+
+
+def measure(n: int, angles: int, runs: int, devices: list[Device], beside: bool) -> dict[str, Any]:
+    """The record of one size: ours, then the peers, on an otherwise idle machine."""
+    before = machine(*devices)
+    times = {device.name: ours(n, angles, device, runs) for device in devices}
+    peers: dict[str, Any] = {}
+    if beside and any(not is_gpu(device) for device in devices):
+        processor = next(device for device in devices if not is_gpu(device))
+        peers |= csr_peers(n, angles, runs, processor)
+    if beside and any(is_gpu(device) for device in devices):
+        peers |= astra_peer(n, angles, runs)
+    shared = {"n": n, "angles": angles, "runs": runs, "machine": before}
+    return {**shared, "vamgpu": times, "peers": peers, "ratios": ratios(times, peers)}
+
+
+if __name__ == "__main__":
+    main()
