@@ -2,8 +2,8 @@
 
 Straight: Joseph in air. Refracted: a vial in air that also absorbs, columns 1.5 voxels apart in air and so one voxel
 apart in the resin, where they cover the grid's inscribed disc. "refracted" has one row of light a slice, as a sparse
-matrix has; "vial" is the whole operator, the pixels' rows resampled to slices. Peers: torch's CSR product with a prebuilt matrix of the same operator
-where a processor is timed, ASTRA's CUDA projector where a GPU is.
+matrix has; "vial" is the whole operator, the pixels' rows resampled to slices. Peers: torch's CSR product with a
+prebuilt matrix of the same operator where a processor is timed, ASTRA's CUDA projector where a GPU is.
 """
 
 from __future__ import annotations

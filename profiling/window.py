@@ -134,13 +134,13 @@ def plot(record: dict[str, Any], path: Path) -> None:
         for point in found["points"]:
             axes.plot(point["pairs"], point["float"]["window"], "o", color=line.get_color(), ms=6)
     axes.axhline(0.0, color="0.3", lw=0.8)
-    axes.annotate("above: one threshold prints every voxel right", (0.99, 0.0), xycoords=("axes fraction", "data"),
-                  xytext=(0, 4), textcoords="offset points", ha="right", fontsize=8, color="0.3")  # fmt: skip
     axes.set(xlabel="projector pairs", ylabel="strict process window over the greatest dose", xlim=(0, None))
-    axes.set_ylim(bottom=max(-0.5, min(min(f["curve"]["window"]) for f in record["methods"].values()) - 0.02))
-    axes.set_title(f"Benchy, {record['n']}³ × {record['angles']}, straight light", fontsize=10)
+    ends = [point["float"]["window"] for found in record["methods"].values() for point in found["points"]]
+    axes.set_ylim(bottom=min(ends) - 0.05)
+    size = f"{record['n']}³ × {record['angles']}"
+    axes.set_title(f"Benchy, {size}, straight light; above zero one threshold prints every voxel right", fontsize=10)
     axes.grid(alpha=0.25)
-    axes.legend(fontsize=8, loc="lower right", ncols=2)
+    axes.legend(fontsize=8, loc="center right", bbox_to_anchor=(1.0, 0.27), ncols=2)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
 
