@@ -120,13 +120,21 @@ def _poses(count: int) -> np.ndarray:
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
+def _slices(n: int) -> int:
+    return n // 2 + 1 if n % 2 else n
+
+
 def _volume(n: int) -> dict[str, int]:
-    return {"x": n, "y": n - 1, "z": n // 2 + 1}
+    return {"x": n, "y": n - n % 2, "z": _slices(n)}
+
+
+def _light(n: int) -> dict[str, int]:
+    return {"angle": n + n % 2, "r": n + 2 * (n % 2), "z": _slices(n)}
 
 
 def _straight(n: int) -> Example:
-    sizes = {**_volume(n), "angle": n + 1, "r": n + 2}
-    return Example(sizes, {"directions": _poses(n + 1), "pitch": 0.1})
+    sizes = {**_volume(n), **_light(n)}
+    return Example(sizes, {"directions": _poses(sizes["angle"]), "pitch": 0.1})
 
 
 def _refracted(n: int) -> Example:
@@ -136,21 +144,21 @@ def _refracted(n: int) -> Example:
 
     pitch = 12.0 / n
     vial = Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, absorption=0.05)
-    light = tabulate(Grid((n, n - 1, 1), pitch), Beam((n + 2, 1), 1.2 * pitch), vial)
-    across, along = light.map.shape[:2]
-    sizes = {**_volume(n), "angle": n + 1, "r": n + 2, "across": across, "along": along}
-    tables = {"light": light.map, "edges": light.edges, "directions": _poses(n + 1)}
+    sizes = {**_volume(n), **_light(n)}
+    light = tabulate(Grid((n, sizes["y"], 1), pitch), Beam((sizes["r"], 1), 1.2 * pitch), vial)
+    sizes |= {"across": light.map.shape[0], "along": light.map.shape[1]}
+    tables = {"light": light.map, "edges": light.edges, "directions": _poses(sizes["angle"])}
     return Example(sizes, {**tables, "width": light.width, "radius": light.radius})
 
 
 def _resampled(n: int) -> Example:
-    source = n // 2 + 1
+    source = n - n // 3
     given = {"ratio": source / n, "reach": 1.0, "most": 1.0, "gain": 0.7, "lanes": lambda _, a: a["source"].lanes}
-    return Example({"i": n, "j": n + 1, "source": source, "z": n}, given)
+    return Example({"i": n, "j": n + n % 2, "source": source, "z": n}, given)
 
 
 def _array_sizes(n: int) -> dict[str, int]:
-    return {"i": n, "j": n + 1, "z": n // 2 + 1}
+    return {"i": n, "j": n + n % 2, "z": _slices(n)}
 
 
 def _partial(n: int, **given: Any) -> Example:
@@ -164,7 +172,7 @@ def _elementwise(n: int, **given: Any) -> Example:
 
 def _filtered(n: int, **given: Any) -> Example:
     taps = np.cos(np.arange(n // 2)) / (1.0 + np.arange(n // 2))
-    sizes = {"angle": n, "r": n + 2, "z": n // 2 + 1, "tap": len(taps), "part": 0}
+    sizes = {**_light(n), "tap": len(taps), "part": 0}
     return Example(sizes, {"taps": taps, "stride": 1, **given}, combine={"parts": np.sum})
 
 
@@ -200,20 +208,22 @@ CURVE = np.linspace(0.01, 1.0, 256) ** 1.8
 
 
 def _frames(n: int, **given: Any) -> Example:
-    sizes = {"angle": n, "r": n + 3, "z": n // 2 + 1, "flat_row": 1, "flat_column": 1, "level": 256, "byte": n + 3}
+    light = _light(n)
+    sizes = {**light, "flat_row": 1, "flat_column": 1, "level": 256, "byte": light["r"]}
     bounds = np.append(0.5 * (CURVE[1:] + CURVE[:-1]), 1e30)
     tables = {"flat": np.ones((1, 1)), "curve": CURVE, "bounds": bounds}
     return Example(sizes, {**tables, **PLACE, **given})
 
 
 def _bits(n: int) -> Example:
-    return Example({"angle": n, "r": n + 3, "z": n // 2 + 1, "byte": -(-(n + 3) // 8)})
+    light = _light(n)
+    return Example({**light, "byte": -(-light["r"] // 8)})
 
 
 def _rebinned(n: int) -> Example:
-    column = np.linspace(-1.0, n + 1.0, n + 2)
+    column = np.linspace(-1.0, n + 1.0, _light(n)["r"])
     rays = np.stack([0.02 * (column - 0.5 * n), column, 1.0 - 0.3 * np.abs(column / n - 0.5)], axis=1)
-    return Example({"angle": n, "column": n, "z": n // 2 + 1, "r": n + 2}, {"rays": rays})
+    return Example({**_light(n), "column": n}, {"rays": rays})
 
 
 def _solid(n: int) -> Example:
@@ -227,11 +237,12 @@ def _solid(n: int) -> Example:
     faces = np.array([t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))], np.int32)
     turn = np.linalg.qr(np.array([[1.0, 0.3, 0.2], [0.1, 1.0, 0.4], [0.3, 0.2, 1.0]]))[0]
     turn *= np.sign(np.linalg.det(turn))
-    grid, tile = Grid((n, n - 1, n // 2 + 1), 1.0), 4
+    sizes = _volume(n)
+    grid, tile = Grid((sizes["x"], sizes["y"], sizes["z"]), 1.0), 4
     placed, bits = snapped(Solid(corners @ turn.T * 0.2 * n, faces, "cube"), grid)
     triangles = oriented(placed, faces)
     members, first, last = binned(triangles, grid, bits, tile)
-    sizes = {**_volume(n), "triangle": len(triangles), "member": len(members)}
+    sizes |= {"triangle": len(triangles), "member": len(members)}
     sizes |= {"tile_x": first.shape[0], "tile_y": first.shape[1]}
     tables = {"triangles": triangles, "members": members, "first": first, "last": last}
     return Example(sizes, {**tables, "tile": tile, "bits": bits})
@@ -268,7 +279,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "rebin_rays": _rebinned,
     "voxelize": _solid,
 }
-"""Kernel → its example of about ``size`` samples along each axis."""
+"""Kernel → its example of ``size`` samples along each axis; odd sizes give axes that differ."""
 
 
 def missing() -> list[str]:

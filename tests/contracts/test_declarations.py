@@ -9,7 +9,7 @@ import warp as wp
 from vamgpu.backend.device import Device
 from vamgpu.backend.opencl import OpenclDevice
 from vamgpu.backend.warp import TYPES, sibling
-from vamgpu.kernels.catalog import FOLDER, concepts, kernels
+from vamgpu.kernels.catalog import FOLDER, concepts, kernels, markdown
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
 
 C_NAMES = {"float32": "float", "int32": "int", "uint8": "uchar", "uint32": "uint", "int64": "long"}
@@ -65,3 +65,7 @@ def test_the_definition_says_what_it_computes(kernel: Kernel) -> None:
     assert kernel.definition.__doc__
     assert kernel.over in kernel.arguments
     assert any(getattr(spec, "writes", False) for spec in kernel.arguments.values())
+
+
+def test_the_readme_lists_every_kernel_as_declared() -> None:
+    assert (FOLDER / "README.md").read_text(encoding="utf-8").endswith(markdown() + "\n")
