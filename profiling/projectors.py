@@ -113,17 +113,21 @@ def astra_peer(n: int, angles: int, runs: int) -> dict[str, Any]:
     return {"ASTRA CUDA": dict.fromkeys(("straight", "refracted", "vial"), record)}
 
 
-def ratios(times: dict[str, Any], peers: dict[str, Any]) -> dict[str, Any]:
-    """device → operator → peer → (forward, back): the peer's seconds over ours."""
+def ratios(times: dict[str, Any], peers: dict[str, Any], least: bool = False) -> dict[str, Any]:
+    """device → operator → peer → (forward, back): the peer's seconds over ours, medians or least times."""
     out: dict[str, Any] = {}
     for device, operators in times.items():
         for name, pair in operators.items():
             for who, records in peers.items():
                 if "missing" in records[name]:
                     continue
-                both = [records[name][f"{way}_s"] / pair[way]["median_s"] for way in ("forward", "back")]
+                both = [_ratio(records[name], pair[way], way, least) for way in ("forward", "back")]
                 out.setdefault(device, {}).setdefault(name, {})[who] = [round(ratio, 2) for ratio in both]
     return out
+
+
+def _ratio(record: dict[str, Any], time: dict[str, Any], way: str, least: bool) -> float:
+    return min(record[f"{way}_runs_s"]) / time["least_s"] if least else record[f"{way}_s"] / time["median_s"]
 
 
 def show(record: dict[str, Any]) -> None:
@@ -133,7 +137,11 @@ def show(record: dict[str, Any]) -> None:
         for name, pair in operators.items():
             cells = " / ".join(f"{1e3 * pair[way]['median_s']:9.3f}" for way in ("forward", "back"))
             beside = record["ratios"].get(device, {}).get(name, {})
-            times = "  ".join(f"{f:g} / {b:g} x {who}" for who, (f, b) in beside.items())
+            least = record["ratios_of_least"].get(device, {}).get(name, {})
+            times = "  ".join(
+                f"{f:g} / {b:g} x {who} (least times {least[who][0]:g} / {least[who][1]:g})"
+                for who, (f, b) in beside.items()
+            )
             print(f"  {device:18} {name:10} {cells}   {times}")
     for who, records in record["peers"].items():
         for name in ("straight", "refracted"):
@@ -173,7 +181,13 @@ def measure(n: int, angles: int, runs: int, devices: list[Device], beside: bool)
     if beside and any(is_gpu(device) for device in devices):
         peers |= astra_peer(n, angles, runs)
     shared = {"n": n, "angles": angles, "runs": runs, "machine": before}
-    return {**shared, "vamgpu": times, "peers": peers, "ratios": ratios(times, peers)}
+    return {
+        **shared,
+        "vamgpu": times,
+        "peers": peers,
+        "ratios": ratios(times, peers),
+        "ratios_of_least": ratios(times, peers, least=True),
+    }
 
 
 if __name__ == "__main__":

@@ -110,7 +110,8 @@ def measure(A: vamgpu.Projection, target: Any, args: argparse.Namespace) -> dict
     out: dict[str, Any] = {}
     for method in args.methods:
         judge = Judge(A, target, args.reference == "all" or (args.reference == "default" and method == "window"))
-        plan, points = None, []
+        plan: Any = None
+        points: list[dict[str, Any]] = []
         for budget in sorted({min(b, args.pairs) for b in BUDGETS}) if method == "window" else (args.pairs,):
             plan = run(A, target, method, budget, plan)
             points.append(judge.plan(plan))
