@@ -141,11 +141,11 @@ def gallery(
     settings: Settings = None,
     quick: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Draw the picture of one capability, or of every one, from parameters.
+    """Draw the picture of one capability from parameters; list them all where no name is given.
 
     Parameters
     ----------
-    name: which picture; all by default
+    name: which picture; "all" draws every one
     out: folder of the index and of its gallery folder
     device: where to compute; the best device here by default
     quick: small sizes, for a fast look
@@ -158,11 +158,15 @@ def gallery(
     pairs = [setting.partition("=") for setting in settings or ()]
     if bad := [key for key, sign, _ in pairs if not sign]:
         raise BadInput(f"--set {bad[0]}: wanted key=value")
-    if pairs and name is None:
+    if pairs and name in (None, "all"):
         raise BadInput("--set is for one picture; name it, such as: vam gallery vial --set key=value")
+    if name is None:
+        for entry, title in pictures.CATALOG.items():
+            console().print(f"[bold]{entry:<12}[/]{title}")
+        return
     values = {key.strip(): toml_value(text.strip()) for key, _, text in pairs}
     place, screen = open_device(device), console()
-    for entry in pictures.names() if name is None else (name,):
+    for entry in pictures.names() if name == "all" else (name,):
         picture = pictures.draw(entry, place, quick=quick, **values)
         image, _ = pictures.write_page(picture, entry, out, place.name, **values)
         screen.print(f"drew [bold]{image}[/]")

@@ -1,0 +1,60 @@
+"""The entries of the gallery, and how one is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from inspect import signature
+from types import MappingProxyType
+from typing import Any
+
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.gallery.picture import Picture
+from vamgpu.gallery.style import styled
+
+CATALOG: MappingProxyType[str, str] = MappingProxyType(
+    {
+        "vial": "Light in a vial that turns in air",
+        "projection": "A projection against its formula",
+        "transpose": "The back projector is the transpose, entry by entry",
+        "targets": "The bundled parts",
+        "voxels": "Voxels that are partly filled",
+        "optimizers": "Every optimizer on one part",
+        "recipe": "The recipe of automatic exposure, step by step",
+        "frames": "Frames of eight bits and of one",
+        "proof": "A print, proven from its frames",
+    }
+)
+"""Name → title. The picture of a name is made by the function of that name in the module of that name."""
+
+
+def names() -> tuple[str, ...]:
+    """Names of the entries."""
+    return tuple(CATALOG)
+
+
+def parameters(name: str) -> dict[str, Any]:
+    """Parameters of an entry and their defaults, in mm and units made of it. Raises `BadInput`."""
+    found = signature(_entry(name)).parameters.values()
+    return {p.name: p.default for p in found if p.name not in ("device", "quick")}
+
+
+def draw(name: str, device: str | Device | None = None, *, quick: bool = False, **values: Any) -> Picture:
+    """Make the picture of an entry; ``values`` replace its parameters. quick: small sizes, for a fast look.
+
+    Raises `BadInput` for a name or a parameter that does not exist, and what the parts raise.
+    """
+    entry, known = _entry(name), parameters(name)
+    for key in values:
+        if key not in known:
+            raise BadInput(f"{name} has no parameter {key!r}; it has {', '.join(known) or 'none'}")
+    with styled():
+        return entry(open_device(device), quick, **values)
+
+
+def _entry(name: str) -> Callable[..., Picture]:
+    if name not in CATALOG:
+        raise BadInput(f"the gallery has no {name!r}; it has {', '.join(CATALOG)}")
+    return getattr(import_module(f"vamgpu.gallery.{name}"), name)
