@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib import metadata
 
 import pytest
@@ -38,7 +38,7 @@ def device_list() -> tuple[str, ...]:
     return (*working, *(f"{name}{GPU_LAYOUT}" for name in clever[:1]), *missing)
 
 
-@lru_cache(maxsize=None)
+@cache
 def open_any(name: str) -> Device:
     """The device of that name in the list; fails the test that asks for a missing kind."""
     if name in KINDS and name not in vamgpu.devices():

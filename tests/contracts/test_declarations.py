@@ -48,7 +48,7 @@ def test_the_opencl_sibling_takes_the_declared_arguments(kernel: Kernel, opencl_
 
 @every_kernel
 def test_the_warp_sibling_takes_the_declared_arguments(kernel: Kernel) -> None:
-    arguments = sibling(kernel).adj.args
+    arguments = sibling(kernel).adj.args  # pyright: ignore[reportAttributeAccessIssue]
     assert [argument.label for argument in arguments] == [*kernel.arguments, *(f"n_{axis}" for axis in kernel.axes)]
     for argument in arguments[: len(kernel.arguments)]:
         spec = kernel.arguments[argument.label]

@@ -122,11 +122,12 @@ def ray_to(vessel: vam.Vial | vam.Vat | None, angle: np.ndarray, x: np.ndarray, 
         dx, dy = x - rays.start[..., 0], y - rays.start[..., 1]
         return rays.heading[..., 1] * dx - rays.heading[..., 0] * dy  # how far the point lies on the side of larger u
 
-    low, high = np.full(np.broadcast(angle, x).shape, -limit), np.full(np.broadcast(angle, x).shape, limit)
+    low = np.full(np.broadcast(angle, x).shape, -limit)
+    u, high = np.zeros_like(low), -low
     for _ in range(60):
-        u = 0.5 * (low + high)
         beyond = miss(u) > 0
         low, high = np.where(beyond, u, low), np.where(beyond, high, u)
+        u = 0.5 * (low + high)
     rays, h = trace(vessel, angle, u), 1e-5
     share = rays.power / np.abs((miss(u + h) - miss(u - h)) / (2 * h))
     if vessel is not None and vessel.absorption > 0:

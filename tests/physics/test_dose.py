@@ -23,7 +23,8 @@ def operator(case: str, device: Device) -> vam.Projection:
     pitch = 2.0 * vessel.printable_radius / N
     width = 25.0 if vessel is not WATER else 16.1
     pixels = (int(width / column), int(SLICES * pitch / column) + 2)
-    return vam.Projection(vam.Grid((N, N, SLICES), pitch), vam.Beam(pixels, column), vam.Turntable(POSES), vessel, device)
+    grid, motion = vam.Grid((N, N, SLICES), pitch), vam.Turntable(POSES)
+    return vam.Projection(grid, vam.Beam(pixels, column), motion, vessel, device)
 
 
 def irradiance(angle: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.ndarray:

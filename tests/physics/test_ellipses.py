@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
@@ -62,10 +62,13 @@ def some_ellipses(count: int = 32) -> list[Ellipse]:
     rng = np.random.default_rng(20)
     axes = rng.uniform(0.12, 0.27, (count, 2))
     places = rng.uniform(-0.15, 0.15, (count, 2))
-    return [Ellipse(*ab, *xy, tilt) for ab, xy, tilt in zip(axes, places, rng.uniform(0, np.pi, count), strict=True)]
+    return [
+        Ellipse(a, b, x, y, tilt)
+        for (a, b), (x, y), tilt in zip(axes, places, rng.uniform(0, np.pi, count), strict=True)
+    ]
 
 
-@lru_cache(maxsize=None)
+@cache
 def pictures(n: int) -> tuple[np.ndarray, np.ndarray]:
     """Volume [x, y, ellipse] and chords [angle, r, ellipse]: slices never mix."""
     angles = vam.Turntable(ANGLES).poses
@@ -77,8 +80,8 @@ def pictures(n: int) -> tuple[np.ndarray, np.ndarray]:
 def errors(device: Device, n: int) -> np.ndarray:
     """Relative L2 error of the sinogram of each ellipse."""
     volume, wanted = pictures(n)
-    slices = volume.shape[2]
-    A = vam.Projection(vam.Grid((n, n, slices), 1 / n), vam.Beam((n, slices), 1 / n), vam.Turntable(ANGLES), None, device)
+    grid, beam = vam.Grid((n, n, volume.shape[2]), 1 / n), vam.Beam((n, volume.shape[2]), 1 / n)
+    A = vam.Projection(grid, beam, vam.Turntable(ANGLES), None, device)
     return np.linalg.norm(A(volume) - wanted, axis=(0, 1)) / np.linalg.norm(wanted, axis=(0, 1))
 
 

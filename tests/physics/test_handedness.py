@@ -63,18 +63,23 @@ def test_light_comes_from_plus_cos_sin_and_fades(device: Device, vessel: str) ->
     assert image[0].sum() > 2.0 * image[6].sum()  # the ellipse lies towards +x, where light comes from at pose 0
 
 
+def around(dose: np.ndarray, place: np.ndarray) -> float:
+    """The dose of the four voxels whose common corner is ``place``."""
+    i, j = place
+    return float(dose[i - 1 : i + 1, j - 1 : j + 1].sum())
+
+
 @every_vessel
 def test_dose_falls_along_the_light(device: Device, vessel: str) -> None:
     A = vam.Projection(vam.Grid((N, N, 1), PITCH), vam.Beam((N, 1), PITCH), vam.Turntable(4), VESSELS[vessel], device)
-    for pose, (towards, across) in enumerate([((1, 0), (0, 1)), ((0, 1), (-1, 0)), ((-1, 0), (0, -1)), ((0, -1), (1, 0))]):
+    source, side = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)]), np.array([(0, 1), (-1, 0), (0, -1), (1, 0)])
+    for pose in range(4):
         light = np.zeros(A.range.shape)
-        light[pose, N // 2 + 10] = 1.0
+        light[pose, N // 2 + 9 : N // 2 + 12] = 1.0
         dose = A.T(light)[..., 0]
-
-        def at(depth: int, side: int, towards: tuple = towards, across: tuple = across, dose: np.ndarray = dose) -> float:
-            place = [N // 2 + depth * t + side * a for t, a in zip(towards, across, strict=True)]
-            near = dose[place[0] - 1 : place[0] + 1, place[1] - 1 : place[1] + 1]
-            return float(near.sum())
-
-        assert at(20, 10) / at(-20, 10) == pytest.approx(np.exp(ALPHA * 40 * PITCH), rel=1e-3)
-        assert at(20, -10) == 0.0
+        near, far, beside = (
+            around(dose, N // 2 + depth * source[pose] + across * side[pose])
+            for depth, across in ((20, 10), (-20, 10), (20, -10))
+        )
+        assert near / far == pytest.approx(np.exp(ALPHA * 40 * PITCH), rel=1e-3)
+        assert beside == 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
@@ -44,8 +44,8 @@ WATER = vam.Vial(radius=9.0, wall=0.6, resin_index=1.48, wall_index=1.52, bath_i
 VAT = vam.Vat(width=16.0, absorption=0.15, resin_index=1.49, wall_index=1.52, bath_index=1.0)
 ROUND = vam.Vat(width=16.0, radius=7.0, absorption=0.15)
 
-# vessel, columns and rows, their pitch [mm], relative L2 error allowed forward and back. The transpose of Joseph ripples
-# from pose to pose; voxels of a grid that lies askew to fine columns do so forward; coarse columns blur.
+# Vessel, columns and rows, their pitch [mm], relative L2 error allowed forward and back. The transpose of Joseph
+# ripples from pose to pose; voxels of a grid that lies askew to fine columns do so forward; coarse columns blur.
 CASES = {
     "straight": (None, (N, SLICES), PITCH, 2e-3, 1.2e-2),
     "straight, wider and lower": (None, (N + 11, SLICES - 1), PITCH, 5e-3, 1e-2),
@@ -63,7 +63,8 @@ every_case = pytest.mark.parametrize("case", CASES)
 
 def operator(case: str, device: Device | str, angles: int) -> vam.Projection:
     vessel, pixels, pitch, *_ = CASES[case]
-    return vam.Projection(vam.Grid((N, N, SLICES), PITCH), vam.Beam(pixels, pitch), vam.Turntable(angles), vessel, device)
+    grid = vam.Grid((N, N, SLICES), PITCH)
+    return vam.Projection(grid, vam.Beam(pixels, pitch), vam.Turntable(angles), vessel, device)
 
 
 def some_voxels() -> tuple[np.ndarray, np.ndarray]:
@@ -73,13 +74,13 @@ def some_voxels() -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.rint(0.5 * N + radius * side(around)).astype(int) for side in (np.cos, np.sin))  # type: ignore[return-value]
 
 
-@lru_cache(maxsize=None)
+@cache
 def traced_integrals(case: str) -> np.ndarray:
     """The sinogram of the phantom, ray by ray; the same for every device."""
     return projected(operator(case, "numpy", 21), phantom, RADIUS, 0.5 * PITCH)
 
 
-@lru_cache(maxsize=None)
+@cache
 def traced_light(case: str) -> np.ndarray:
     """The back projection of the light at some voxels, ray by ray; the same for every device."""
     A = operator(case, "numpy", 180)
