@@ -9,14 +9,15 @@ import warp as wp
 
 from vamgpu.kernels.wide_warp import Flat, read
 
-wp.set_module_options({"enable_backward": False, "fast_math": False})
+wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 STRIP = wp.constant(16)  # planes a group crosses at its two poses before it goes on
-ROWS = wp.constant(2)  # voxels of a thread along x and along y
 
 
 @wp.func
-def march(field: Flat, slab: int, lane: int, lanes: int, strip: int, offset: float, c: float, s: float, n_x: int, n_y: int):
+def march(
+    field: Flat, slab: int, lane: int, lanes: int, strip: int, offset: float, c: float, s: float, n_x: int, n_y: int
+):
     """What the ray at `offset` columns from the middle meets in planes [strip, strip + STRIP)."""
     across_y = wp.abs(c) >= wp.abs(s)
     planes = wp.where(across_y, n_x, n_y)
@@ -112,6 +113,12 @@ def gather_edge(field: Flat, slab: int, row: int, lanes: int, u: float, m: float
     return total
 
 
+@wp.func
+def put(field: Flat, slab: int, i: int, j: int, lane: int, lanes: int, n_i: int, n_j: int, value: wp.vec4):
+    if i < n_i and j < n_j:
+        field[slab, (i * n_j + j) * lanes + lane] = value
+
+
 @wp.kernel
 def back_joseph(
     sinogram: wp.array2d(dtype=wp.vec4),
@@ -126,39 +133,49 @@ def back_joseph(
 ):
     slab, block_x, block_y, lane = wp.tid()
     lanes = volume.shape[1] // (n_x * n_y)
-    i0 = 4 * block_x
-    j0 = 4 * block_y
-    for i in range(i0, wp.min(i0 + 4, n_x), ROWS):
-        for j in range(j0, wp.min(j0 + 4, n_y), ROWS):
-            x = float(i) - 0.5 * float(n_x - 1)
-            y = float(j) - 0.5 * float(n_y - 1)
-            t00 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-            t01 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-            t10 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-            t11 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-            for angle in range(n_angle):
-                c = directions[angle, 0]
-                s = directions[angle, 1]
-                m = 1.0 / wp.max(wp.abs(c), wp.abs(s))
-                u = y * c - x * s + 0.5 * float(n_r - 1)
-                row = angle * n_r * lanes + lane
-                lowest = u + wp.min(c, 0.0) - wp.max(s, 0.0)
-                highest = u + wp.max(c, 0.0) - wp.min(s, 0.0)
-                if lowest > 0.01 and highest < float(n_r) - 1.01:
-                    t00 += gather(sinogram, slab, row, lanes, u, m)
-                    t01 += gather(sinogram, slab, row, lanes, u + c, m)
-                    t10 += gather(sinogram, slab, row, lanes, u - s, m)
-                    t11 += gather(sinogram, slab, row, lanes, u - s + c, m)
-                else:
-                    t00 += gather_edge(sinogram, slab, row, lanes, u, m, n_r)
-                    t01 += gather_edge(sinogram, slab, row, lanes, u + c, m, n_r)
-                    t10 += gather_edge(sinogram, slab, row, lanes, u - s, m, n_r)
-                    t11 += gather_edge(sinogram, slab, row, lanes, u - s + c, m, n_r)
-            at = (i * n_y + j) * lanes + lane
-            volume[slab, at] = t00 * pitch
-            if j + 1 < n_y:
-                volume[slab, at + lanes] = t01 * pitch
-            if i + 1 < n_x:
-                volume[slab, at + n_y * lanes] = t10 * pitch
-                if j + 1 < n_y:
-                    volume[slab, at + n_y * lanes + lanes] = t11 * pitch
+    j = 4 * block_y
+    y = float(j) - 0.5 * float(n_y - 1)
+    for i in range(4 * block_x, wp.min(4 * block_x + 4, n_x), 2):
+        x = float(i) - 0.5 * float(n_x - 1)
+        t00 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        t01 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        t02 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        t03 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        t10 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        t11 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        t12 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        t13 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        for angle in range(n_angle):
+            c = directions[angle, 0]
+            s = directions[angle, 1]
+            m = 1.0 / wp.max(wp.abs(c), wp.abs(s))
+            u = y * c - x * s + 0.5 * float(n_r - 1)
+            row = angle * n_r * lanes + lane
+            lowest = u + wp.min(3.0 * c, 0.0) - wp.max(s, 0.0)
+            highest = u + wp.max(3.0 * c, 0.0) - wp.min(s, 0.0)
+            if lowest > 0.01 and highest < float(n_r) - 1.01:
+                t00 += gather(sinogram, slab, row, lanes, u, m)
+                t01 += gather(sinogram, slab, row, lanes, u + c, m)
+                t02 += gather(sinogram, slab, row, lanes, u + 2.0 * c, m)
+                t03 += gather(sinogram, slab, row, lanes, u + 3.0 * c, m)
+                t10 += gather(sinogram, slab, row, lanes, u - s, m)
+                t11 += gather(sinogram, slab, row, lanes, u - s + c, m)
+                t12 += gather(sinogram, slab, row, lanes, u - s + 2.0 * c, m)
+                t13 += gather(sinogram, slab, row, lanes, u - s + 3.0 * c, m)
+            else:
+                t00 += gather_edge(sinogram, slab, row, lanes, u, m, n_r)
+                t01 += gather_edge(sinogram, slab, row, lanes, u + c, m, n_r)
+                t02 += gather_edge(sinogram, slab, row, lanes, u + 2.0 * c, m, n_r)
+                t03 += gather_edge(sinogram, slab, row, lanes, u + 3.0 * c, m, n_r)
+                t10 += gather_edge(sinogram, slab, row, lanes, u - s, m, n_r)
+                t11 += gather_edge(sinogram, slab, row, lanes, u - s + c, m, n_r)
+                t12 += gather_edge(sinogram, slab, row, lanes, u - s + 2.0 * c, m, n_r)
+                t13 += gather_edge(sinogram, slab, row, lanes, u - s + 3.0 * c, m, n_r)
+        put(volume, slab, i, j, lane, lanes, n_x, n_y, t00 * pitch)
+        put(volume, slab, i, j + 1, lane, lanes, n_x, n_y, t01 * pitch)
+        put(volume, slab, i, j + 2, lane, lanes, n_x, n_y, t02 * pitch)
+        put(volume, slab, i, j + 3, lane, lanes, n_x, n_y, t03 * pitch)
+        put(volume, slab, i + 1, j, lane, lanes, n_x, n_y, t10 * pitch)
+        put(volume, slab, i + 1, j + 1, lane, lanes, n_x, n_y, t11 * pitch)
+        put(volume, slab, i + 1, j + 2, lane, lanes, n_x, n_y, t12 * pitch)
+        put(volume, slab, i + 1, j + 3, lane, lanes, n_x, n_y, t13 * pitch)

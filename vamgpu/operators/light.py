@@ -57,13 +57,35 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel) -> Light:
     radius = min(vessel.lit_radius / grid.pitch, corner + 1.0)
     samples = 2 * (ceil(min(radius, corner)) + 2)
     position = (np.arange(samples) - 0.5 * (samples - 1)) * grid.pitch
-    u, weight = vessel.illuminate(*np.meshgrid(position, position, indexing="ij"))
+    u, weight = _continued(vessel, radius * grid.pitch, *np.meshgrid(position, position, indexing="ij"))
     column = u / beam.pitch + 0.5 * (columns - 1)
     strength = weight * grid.pitch**2 / beam.pitch  # so that a row of the operator sums to the length of its ray
     width = _voxel_width(grid, beam, vessel)
     rays = _Rays(grid, beam, vessel, width)
     table = np.stack([column, strength], axis=-1)
     return Light(table, rays.edges(_slack(column, radius, rays)), width, radius)
+
+
+def _continued(
+    vessel: Vessel, radius: float, across: np.ndarray, along: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The light at each point, continued in a straight line beyond ``radius`` [mm] where it ends there.
+
+    Voxels at the rim interpolate between samples on both sides of it: a map that broke off would halve their light
+    and send them to a wrong column.
+    """
+    u, weight = (np.array(value) for value in vessel.illuminate(across, along))
+    distance = np.hypot(across, along)
+    beyond = (distance > radius) & (distance < 2.0 * radius) & (weight == 0.0)
+    if not beyond.any():
+        return u, weight
+    x, y, far = across[beyond], along[beyond], distance[beyond]
+    rim, mirror = radius * (1.0 - 1e-9) / far, (2.0 * radius - far) / far
+    rim_u, rim_weight = vessel.illuminate(x * rim, y * rim)
+    inner_u, inner_weight = vessel.illuminate(x * mirror, y * mirror)
+    u[beyond] = 2.0 * rim_u - inner_u
+    weight[beyond] = np.maximum(2.0 * rim_weight - inner_weight, 0.0)
+    return u, weight
 
 
 def _voxel_width(grid: Grid, beam: Beam, vessel: Vessel) -> float:
