@@ -85,12 +85,14 @@ def projection(
     facts = [Fact(f"relative error on {n}²", e, "%", 3) for n, e in zip(sizes, errors, strict=True)]
     if not quick:
         facts[2] = Fact("relative error on 256²", errors[2], "%", 3, LIMIT, bound="≤")
-    facts.append(Fact("error from one size over that of twice the size, least", min(ratios), "", 3, 2.0, bound="≥"))
+    mean = float(np.prod(ratios)) ** (1.0 / len(ratios))
+    facts.append(Fact("fall of the error with each doubling, mean", mean, "", 3, 2.0, "halving"))
+    facts.append(Fact("fall of the error with each doubling, least", min(ratios), "", 3, 2.0, "halving"))
     caption = (
         "A tilted ellipse off the axis, voxels filled in part, projected by Joseph's rule, beside the lengths of its "
         "chords by formula, averaged over each bin. An ellipse of unequal axes tells the handedness "
         "r = y·cosθ − x·sinθ from its mirror image. The error is the norm of the difference over the norm of the "
-        "chords; it more than halves with each doubling of the grid."
+        "chords; it falls by about one half with each doubling of the grid."
     )
     return Picture(figure, caption, tuple(facts))
 

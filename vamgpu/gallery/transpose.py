@@ -33,8 +33,9 @@ def transpose(device: Device, quick: bool = False, voxels: int = 8, angles: int 
                            vmax=1e6 * reach)  # fmt: skip
         style.bar(first, [axes[letters[0]], axes[letters[1]]], "length in the voxel [mm]" if kind == "straight"
                   else "absorbed share", fraction=0.025)  # fmt: skip
-        style.bar(last, axes[letters[2]], "10⁻⁶ of the largest entry")
-        if not gap.any():
+        if gap.any():
+            style.bar(last, axes[letters[2]], "10⁻⁶ of the largest entry")
+        else:
             axes[letters[2]].text(0.5, 0.5, "zero everywhere", transform=axes[letters[2]].transAxes, ha="center")
         axes[letters[0]].set(xlabel=f"voxel (x, y): {n}²", ylabel=f"ray (θ, r): {poses} × {A.range.shape[1]}")
         facts.append(Fact(f"largest difference, {kind}, over the largest entry", float(np.abs(gap).max()), "", 2,

@@ -40,7 +40,7 @@ def vial(
         Fact("printable radius, by scanning for points lit at every pose", lit, "mm",
              expected=PAPER_RADIUS, source="paper: 24.8 mm vial, n = 1.49962, no bath"),
         Fact("lateral voxel of a pixel in the resin", 1e3 * lateral, "µm", 3,
-             expected=1e3 * PAPER_LATERAL, source="67 µm / 1.49962"),
+             expected=1e3 * PAPER_LATERAL, source="67 µm / 1.49962, rounded"),
         *loss, *crowd, *dose,
     )  # fmt: skip
     caption = (
