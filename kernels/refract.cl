@@ -21,6 +21,13 @@ static inline float overlap(float distance, float reach, float inverse) {
     return clamp(reach - fabs(distance), 0.0f, 1.0f) * inverse;
 }
 
+#ifdef GPU
+// How far slab `s` of this item lies beyond its first; the surplus slabs of the last item repeat the last one there is.
+static inline size_t slab_beyond(int s, int n_major, int n_minor, int n_z) {
+    return (size_t)(min(ITEM_SLAB + s, (n_z - 1) / LANES) - ITEM_SLAB) * n_major * n_minor * LANES;
+}
+#endif
+
 #ifdef CPU
 // On a CPU core a look-up costs as much as the lanes it serves, so it is made once and noted, then applied to every slab
 // and, where a quarter turn maps grid and poses onto themselves, to all four quarters (folds). TOGETHER neighbours are
@@ -118,18 +125,23 @@ __kernel void back_refracted(__global const float *restrict sinogram, __global c
             apply(notes, members, folds, slabs, sinogram, from_slab, volume, to_slab);
         }
 #else
-    const int row = ITEM_MAJOR, column = ITEM_MINOR, v = 0;
+    const int row = ITEM_MAJOR, column = ITEM_MINOR;
     if (row >= n_x || column >= n_y) return;
     const float x = row - x0, y = column - y0;
-    Vector sum = (Vector)(0.0f);
+    Vector sum[TILE_SLABS];
+    UNROLL for (int s = 0; s < TILE_SLABS; s++) sum[s] = (Vector)(0.0f);
     if (within(x, y, radius)) for (int angle = 0; angle < n_angle; angle++) {
         const float2 ray = look_up(light, n_across, n_along, directions[angle], x, y);
         const int first = (int)ceil(ray.x - reach);
-        __global const float *pose = sinogram + SAMPLE(angle, 0, n_r);
-        for (int tap = max(first, 0); tap < min(first + taps, n_r); tap++)
-            sum += ray.y * overlap(ray.x - tap, reach, inverse) * LOAD(pose + (size_t)tap * LANES);
+        for (int tap = max(first, 0); tap < min(first + taps, n_r); tap++) {
+            const float weight = ray.y * overlap(ray.x - tap, reach, inverse);
+            __global const float *sample = sinogram + SAMPLE(angle, tap, n_r);
+            UNROLL for (int s = 0; s < TILE_SLABS; s++)
+                sum[s] += weight * *(__global const Vector *)(sample + slab_beyond(s, n_angle, n_r, n_z));
+        }
     }
-    STORE(volume + SAMPLE(row, column, n_y), sum);
+    UNROLL for (int s = 0; s < TILE_SLABS; s++)
+        *(__global Vector *)(volume + SAMPLE(row, column, n_y) + slab_beyond(s, n_x, n_y, n_z)) = sum[s];
 #endif
 }
 #endif
@@ -216,21 +228,26 @@ __kernel void forward_refracted(__global const float *restrict volume, __global 
             apply(notes, members, folds, slabs, volume, from_slab, sinogram, to_slab);
         }
 #else
-    const int angle = ITEM_MAJOR, r = ITEM_MINOR, v = 0;
+    const int angle = ITEM_MAJOR, r = ITEM_MINOR;
     if (angle >= n_angle || r >= n_r) return;
     const float2 direction = directions[angle];
     const Span span = span_of(edges[r], direction, n_x, n_y);
-    Vector sum = (Vector)(0.0f);
+    Vector sum[TILE_SLABS];
+    UNROLL for (int s = 0; s < TILE_SLABS; s++) sum[s] = (Vector)(0.0f);
     for (int plane = 0; plane < span.planes; plane++) {
         const int2 cells = cells_of(&span, plane);
         for (int cell = cells.x; cell <= cells.y; cell++) {
             const int i = span.along_y ? cell : plane, j = span.along_y ? plane : cell;
             if (!within(i - x0, j - y0, radius)) continue;
             const float2 ray = look_up(light, n_across, n_along, direction, i - x0, j - y0);
-            sum += ray.y * overlap(ray.x - r, reach, inverse) * LOAD(volume + SAMPLE(i, j, n_y));
+            const float weight = ray.y * overlap(ray.x - r, reach, inverse);
+            __global const float *sample = volume + SAMPLE(i, j, n_y);
+            if (weight > 0.0f) UNROLL for (int s = 0; s < TILE_SLABS; s++)
+                sum[s] += weight * *(__global const Vector *)(sample + slab_beyond(s, n_x, n_y, n_z));
         }
     }
-    STORE(sinogram + SAMPLE(angle, r, n_r), sum);
+    UNROLL for (int s = 0; s < TILE_SLABS; s++)
+        *(__global Vector *)(sinogram + SAMPLE(angle, r, n_r) + slab_beyond(s, n_angle, n_r, n_z)) = sum[s];
 #endif
 }
 #endif

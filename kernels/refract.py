@@ -46,7 +46,7 @@ def _lit(
 @kernel(
     over="sinogram",
     cpu=Tiling(major=20, minor=0, slabs=4),
-    gpu=Tiling(major=1, minor=1, group=(256, 1)),
+    gpu=Tiling(major=1, minor=1, slabs=4, group=(256, 1)),
     constants={"cpu": {"STRIP": 8, "TOGETHER": 16, "CAPACITY": 32}},
 )
 def forward_refracted(
@@ -65,7 +65,7 @@ def forward_refracted(
 @kernel(
     over="volume",
     cpu=Tiling(major=16, minor=0, slabs=4),
-    gpu=Tiling(major=1, minor=1, group=(64, 4)),
+    gpu=Tiling(major=1, minor=1, slabs=4, group=(64, 4)),
     constants={"cpu": {"ANGLES": 12, "TOGETHER": 16, "CAPACITY": 32}},
 )
 def back_refracted(

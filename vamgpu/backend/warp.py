@@ -93,7 +93,7 @@ class WarpDevice(Device):
         lanes, tiling = self.lanes_for(shape[2]), kernel.gpu
         minor = -(-shape[1] // tiling.minor) if tiling.minor else 1
         major = -(-shape[0] // tiling.major) if tiling.major else 1
-        return (-(-shape[2] // lanes), major, minor, lanes // 4)
+        return (-(-shape[2] // (lanes * tiling.slabs)), major, minor, lanes // 4)
 
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
         return int(np.prod(self._grid(kernel, shape)))
