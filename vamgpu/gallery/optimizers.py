@@ -41,11 +41,10 @@ def optimizers(
         axis.step(*_until(spent, best, most), where="post", color=color, lw=thick, zorder=front)
         if len(spent) == 1:
             axis.plot(spent, best, "o", color=color, ms=5)
-        ends.append((best[-1], min(spent[-1], most), label, color))
+        ends.append((best[max(int((spent <= most).sum()) - 1, 0)], min(spent[-1], most), label, color))
         scores = score(plan.dose(), target.on(device))
-        early = best[spent <= soon]
-        rows.append((label, (early[-1] if early.size else best[0], best[-1], plan.pairs, scores.iou,
-                             1e6 * scores.error_rate)))  # fmt: skip
+        early, late = (best[max(int((spent <= limit).sum()) - 1, 0)] for limit in (soon, most))
+        rows.append((label, (early, late, plan.pairs, scores.iou, 1e6 * scores.error_rate)))
     _labels(axis, ends, most)
     axis.axhline(0, xmax=1 / 1.3, color=style.INK, lw=0.8)
     axis.set(xlabel="projector pairs", ylabel="strict process window, best so far", xlim=(0, most * 1.3),
