@@ -38,11 +38,11 @@ def opencl_types(spec: Field | Table | Scalar) -> set[str]:
 def test_the_opencl_sibling_takes_the_declared_arguments(kernel: Kernel, opencl_device: Device) -> None:
     assert isinstance(opencl_device, OpenclDevice)
     compiled = opencl_device.compile(kernel, opencl_device.lanes_for(8), cached=False)
-    reported_names = [compiled.get_arg_info(i, cl.kernel_arg_info.NAME) for i in range(compiled.num_args)]
+    reported_names = [str(compiled.get_arg_info(i, cl.kernel_arg_info.NAME)) for i in range(compiled.num_args)]
     names = [name.removeprefix("_cl_") for name in reported_names]  # PoCL renames what collides with a built-in
     assert names == [*kernel.arguments, *(f"n_{axis}" for axis in kernel.axes)]
     for index, (name, spec) in enumerate(kernel.arguments.items()):
-        reported = compiled.get_arg_info(index, cl.kernel_arg_info.TYPE_NAME).replace(" ", "")
+        reported = str(compiled.get_arg_info(index, cl.kernel_arg_info.TYPE_NAME)).replace(" ", "")
         assert reported in opencl_types(spec), name
 
 
