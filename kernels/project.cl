@@ -27,6 +27,7 @@ static int2 interior(const Crossing k, float origin, int first, int last) {
     const float low = origin + fmin(0.0f, (RAYS - 1) * k.step), high = origin + fmax(0.0f, (RAYS - 1) * k.step);
     if (fabs(k.slope) < 1e-6f)
         return low > 1.0f && high < k.cells - 2.0f ? (int2)(first, last) : (int2)(first, first);
+    if (high - low >= k.cells - 3.0f) return (int2)(first, first);
     const float enter = (1.0f - low) / k.slope, leave = (k.cells - 2.0f - high) / k.slope;
     const int begin = clamp((int)ceil(clamp(fmin(enter, leave), -1e6f, 1e6f)) + 1, first, last);
     const int end = clamp((int)floor(clamp(fmax(enter, leave), -1e6f, 1e6f)) - 1, begin, last);

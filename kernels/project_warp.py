@@ -89,34 +89,22 @@ def forward_joseph(
 
 
 @wp.func
-def gather(field: Flat, slab: int, row: int, lanes: int, u: float, m: float):
-    """What a voxel that projects between two columns, at u, receives from the pose that begins at sample `row`."""
-    column = int(u)
-    beyond = u - float(column)
+def gather(field: Flat, slab: int, row: int, lanes: int, u: float, m: float, n_r: int):
+    """What a voxel that projects to column u receives from the pose that begins at sample `row`.
+
+    Weights of columns further than 1 / m are zero, so clamping the pair of columns into the beam needs no branch.
+    """
+    column = wp.clamp(int(u), 0, n_r - 2)
     index = row + column * lanes
-    near = wp.max(0.0, m - m * m * beyond)
-    far = wp.max(0.0, m - m * m * (1.0 - beyond))
+    near = wp.max(0.0, m - m * m * wp.abs(u - float(column)))
+    far = wp.max(0.0, m - m * m * wp.abs(u - float(column + 1)))
     return near * read(field, slab, index) + far * read(field, slab, index + lanes)
 
 
 @wp.func
-def gather_edge(field: Flat, slab: int, row: int, lanes: int, u: float, m: float, n_r: int):
-    """The same for a voxel that may project beyond the outermost columns."""
-    below = wp.floor(u)
-    column = int(below)
-    index = row + column * lanes
-    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    if column >= 0 and column < n_r:
-        total += wp.max(0.0, m - m * m * (u - below)) * read(field, slab, index)
-    if column >= -1 and column + 1 < n_r:
-        total += wp.max(0.0, m - m * m * (1.0 - (u - below))) * read(field, slab, index + lanes)
-    return total
-
-
-@wp.func
-def put(field: Flat, slab: int, i: int, j: int, lane: int, lanes: int, n_i: int, n_j: int, value: wp.vec4):
-    if i < n_i and j < n_j:
-        field[slab, (i * n_j + j) * lanes + lane] = value
+def gather_one(field: Flat, slab: int, row: int, u: float, m: float):
+    """The same from a beam of a single column."""
+    return wp.max(0.0, m - m * m * wp.abs(u)) * read(field, slab, row)
 
 
 @wp.kernel
@@ -133,49 +121,35 @@ def back_joseph(
 ):
     slab, block_x, block_y, lane = wp.tid()
     lanes = volume.shape[1] // (n_x * n_y)
-    j = 4 * block_y
-    y = float(j) - 0.5 * float(n_y - 1)
     for i in range(4 * block_x, wp.min(4 * block_x + 4, n_x), 2):
-        x = float(i) - 0.5 * float(n_x - 1)
-        t00 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        t01 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        t02 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        t03 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        t10 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        t11 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        t12 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        t13 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        for angle in range(n_angle):
-            c = directions[angle, 0]
-            s = directions[angle, 1]
-            m = 1.0 / wp.max(wp.abs(c), wp.abs(s))
-            u = y * c - x * s + 0.5 * float(n_r - 1)
-            row = angle * n_r * lanes + lane
-            lowest = u + wp.min(3.0 * c, 0.0) - wp.max(s, 0.0)
-            highest = u + wp.max(3.0 * c, 0.0) - wp.min(s, 0.0)
-            if lowest > 0.01 and highest < float(n_r) - 1.01:
-                t00 += gather(sinogram, slab, row, lanes, u, m)
-                t01 += gather(sinogram, slab, row, lanes, u + c, m)
-                t02 += gather(sinogram, slab, row, lanes, u + 2.0 * c, m)
-                t03 += gather(sinogram, slab, row, lanes, u + 3.0 * c, m)
-                t10 += gather(sinogram, slab, row, lanes, u - s, m)
-                t11 += gather(sinogram, slab, row, lanes, u - s + c, m)
-                t12 += gather(sinogram, slab, row, lanes, u - s + 2.0 * c, m)
-                t13 += gather(sinogram, slab, row, lanes, u - s + 3.0 * c, m)
-            else:
-                t00 += gather_edge(sinogram, slab, row, lanes, u, m, n_r)
-                t01 += gather_edge(sinogram, slab, row, lanes, u + c, m, n_r)
-                t02 += gather_edge(sinogram, slab, row, lanes, u + 2.0 * c, m, n_r)
-                t03 += gather_edge(sinogram, slab, row, lanes, u + 3.0 * c, m, n_r)
-                t10 += gather_edge(sinogram, slab, row, lanes, u - s, m, n_r)
-                t11 += gather_edge(sinogram, slab, row, lanes, u - s + c, m, n_r)
-                t12 += gather_edge(sinogram, slab, row, lanes, u - s + 2.0 * c, m, n_r)
-                t13 += gather_edge(sinogram, slab, row, lanes, u - s + 3.0 * c, m, n_r)
-        put(volume, slab, i, j, lane, lanes, n_x, n_y, t00 * pitch)
-        put(volume, slab, i, j + 1, lane, lanes, n_x, n_y, t01 * pitch)
-        put(volume, slab, i, j + 2, lane, lanes, n_x, n_y, t02 * pitch)
-        put(volume, slab, i, j + 3, lane, lanes, n_x, n_y, t03 * pitch)
-        put(volume, slab, i + 1, j, lane, lanes, n_x, n_y, t10 * pitch)
-        put(volume, slab, i + 1, j + 1, lane, lanes, n_x, n_y, t11 * pitch)
-        put(volume, slab, i + 1, j + 2, lane, lanes, n_x, n_y, t12 * pitch)
-        put(volume, slab, i + 1, j + 3, lane, lanes, n_x, n_y, t13 * pitch)
+        for j in range(4 * block_y, wp.min(4 * block_y + 4, n_y), 2):
+            x = float(i) - 0.5 * float(n_x - 1)
+            y = float(j) - 0.5 * float(n_y - 1)
+            t00 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            t01 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            t10 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            t11 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            for angle in range(n_angle):
+                c = directions[angle, 0]
+                s = directions[angle, 1]
+                m = 1.0 / wp.max(wp.abs(c), wp.abs(s))
+                u = y * c - x * s + 0.5 * float(n_r - 1)
+                row = angle * n_r * lanes + lane
+                if n_r > 1:
+                    t00 += gather(sinogram, slab, row, lanes, u, m, n_r)
+                    t01 += gather(sinogram, slab, row, lanes, u + c, m, n_r)
+                    t10 += gather(sinogram, slab, row, lanes, u - s, m, n_r)
+                    t11 += gather(sinogram, slab, row, lanes, u - s + c, m, n_r)
+                else:
+                    t00 += gather_one(sinogram, slab, row, u, m)
+                    t01 += gather_one(sinogram, slab, row, u + c, m)
+                    t10 += gather_one(sinogram, slab, row, u - s, m)
+                    t11 += gather_one(sinogram, slab, row, u - s + c, m)
+            at = (i * n_y + j) * lanes + lane
+            volume[slab, at] = t00 * pitch
+            if j + 1 < n_y:
+                volume[slab, at + lanes] = t01 * pitch
+            if i + 1 < n_x:
+                volume[slab, at + n_y * lanes] = t10 * pitch
+                if j + 1 < n_y:
+                    volume[slab, at + n_y * lanes + lanes] = t11 * pitch

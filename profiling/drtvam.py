@@ -53,10 +53,10 @@ def projection(name: str, n: int, device: Any) -> vamgpu.Projection:
 
 
 def method(iterations: int | None, efficiency: float | None) -> tuple[Any, int]:
-    """The default method, or L-BFGS where light has a price; and how long it runs."""
-    if efficiency is None:
-        return vamgpu.ProcessWindow(), iterations or 20
-    return vamgpu.LBFGS(efficiency=efficiency), iterations or 40
+    """L-BFGS where light has a price (0.01 unless said), or the default method for a price of 0; and how long it runs."""
+    if efficiency == 0.0:
+        return vamgpu.ProcessWindow(), iterations or 40
+    return vamgpu.LBFGS(efficiency=0.01 if efficiency is None else efficiency), iterations or 30
 
 
 def solved(A: vamgpu.Projection, target: Any, how: tuple[Any, int], theirs: dict[str, float]) -> dict[str, Any]:

@@ -18,6 +18,8 @@ def glass_vial(absorption: float = 0.5) -> vam.Vial:
 
 GEOMETRIES = {
     "straight": (vam.Grid((9, 7, 3), 0.1), vam.Beam((11, 3), 0.1), None),
+    "tiny": (vam.Grid((3, 4, 2), 0.1), vam.Beam((5, 2), 0.1), None),
+    "one voxel, one column": (vam.Grid((1, 1, 1), 0.1), vam.Beam((1, 1), 0.1), None),
     "one slice": (vam.Grid((8, 8, 1), 0.1), vam.Beam((8, 1), 0.1), None),
     "more rows than slices": (vam.Grid((8, 9, 4), 0.1), vam.Beam((7, 6), 0.1), None),
     "fewer rows than slices": (vam.Grid((8, 9, 5), 0.1), vam.Beam((7, 2), 0.1), None),
