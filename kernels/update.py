@@ -22,8 +22,8 @@ def free_gradient(light: Array, weight: Real, power: Real, hold: Integer, gradie
     """Add the derivative of weight·light^power to the gradient, then, with ``hold``, hold what cannot follow it.
 
     Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where it would make dark light (≤ 0) negative: a
-    filter or a metric applied to what is left keeps it a direction of descent. Source: D. Bertsekas, SIAM J. Control Optim. 20
-    (1982) 221. power ≥ 1.
+    filter or a metric applied to what is left keeps it a direction of descent. power ≥ 1.
+    Source: D. Bertsekas, SIAM J. Control Optim. 20 (1982) 221.
     """
     lit = np.maximum(light, 0.0)
     parts[...] = 0.0

@@ -38,7 +38,7 @@ _PUBLIC = {
 """Public name → module that defines it."""
 
 __version__ = "0.1.0"
-__all__ = [*_PUBLIC, "__version__"]  # noqa: PLE0604 - the names are strings
+__all__ = [*_PUBLIC, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
-from functools import lru_cache
+from functools import cache
 from typing import TYPE_CHECKING
 
 from vamgpu.backend.array import DeviceArray
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["DeviceArray", "default_device", "devices", "open_device"]
 
 
-@lru_cache(maxsize=1)
+@cache
 def devices() -> tuple[str, ...]:
     """Names of every device that works here, best first; an OpenCL device counts once it has run a kernel."""
     gpus, processors = _opencl_names()
@@ -30,7 +30,7 @@ def devices() -> tuple[str, ...]:
     return (*_cuda_names(), *gpus, *processors, *warp, "numpy")
 
 
-@lru_cache(maxsize=1)
+@cache
 def default_device() -> str:
     """Name of the best device here; looks no further than the first that works."""
     gpus, processors = _opencl_names()
@@ -45,7 +45,7 @@ def open_device(name: str | Device | None = None) -> Device:
     return _open(name) if isinstance(name, str) else name
 
 
-@lru_cache(maxsize=None)
+@cache
 def _open(name: str) -> Device:
     kind, _, rest = name.partition(":")
     if name == "numpy":
@@ -75,7 +75,7 @@ def _has_cuda_driver() -> bool:
     return False
 
 
-@lru_cache(maxsize=1)
+@cache
 def _cuda_names() -> tuple[str, ...]:
     if importlib.util.find_spec("warp") is None or not _has_cuda_driver():
         return ()
@@ -87,7 +87,7 @@ def _cuda_names() -> tuple[str, ...]:
     return tuple(f"warp:{device.alias}" for device in wp.get_cuda_devices())
 
 
-@lru_cache(maxsize=1)
+@cache
 def _opencl_names() -> tuple[tuple[str, ...], tuple[str, ...]]:
     """GPUs and processors that OpenCL lists, working or not."""
     if importlib.util.find_spec("pyopencl") is None:
@@ -101,7 +101,7 @@ def _opencl_names() -> tuple[tuple[str, ...], tuple[str, ...]]:
     return gpus, tuple(name for name in found if name not in gpus)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _opencl_works(name: str) -> bool:
     from vamgpu.backend.opencl_platforms import all_devices, complaint
 

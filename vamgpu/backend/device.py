@@ -75,6 +75,7 @@ class Device(ABC):
     # ---- final -----------------------------------------------------------------------------------------------
     @final
     def stored_shape(self, shape: tuple[int, ...], lanes: int) -> tuple[int, ...]:
+        """Shape in memory: [slab, major, minor, lane] for a field, padding included; a table keeps its own."""
         if not lanes:
             return shape
         major, minor, nz = shape
@@ -82,6 +83,7 @@ class Device(ABC):
 
     @final
     def stored_bytes(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> int:
+        """Bytes in memory, padding included."""
         return int(np.prod(self.stored_shape(shape, lanes), dtype=np.int64)) * dtype.itemsize
 
     @final
@@ -159,6 +161,7 @@ class Device(ABC):
 
     @final
     def check_mine(self, array: DeviceArray) -> None:
+        """Raise `DeviceError` for an array of another device."""
         if array.device is not self:
             raise DeviceError(
                 f"the array lives on {array.device.name}, the work on {self.name}; download it and upload it here"

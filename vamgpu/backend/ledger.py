@@ -35,10 +35,12 @@ class Ledger:
         self.transfers.append((direction, nbytes))
 
     def take(self, nbytes: int) -> None:
+        """Book memory that was allocated."""
         self.allocated += nbytes
         self.peak = max(self.peak, self.allocated)
 
     def give(self, nbytes: int) -> None:
+        """Book memory that was freed."""
         self.allocated -= nbytes
 
     def reset_peak(self) -> None:
@@ -47,6 +49,7 @@ class Ledger:
 
     @contextmanager
     def forbid(self) -> Iterator[None]:
+        """Inside, large transfers are refused; may be nested."""
         self._forbidden += 1
         try:
             yield

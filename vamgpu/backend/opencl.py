@@ -66,7 +66,8 @@ class OpenclDevice(Device):
 
     def compile(self, kernel: Kernel, lanes: int, *, cached: bool = True) -> cl.Kernel:
         """The sibling of a kernel compiled for a layout of ``lanes``; not cached, it tells its arguments everywhere."""
-        options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info", f"-DCOMPILE_{kernel.name}", "-DGPU" if self.is_gpu else "-DCPU"]
+        options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info"]
+        options += [f"-DCOMPILE_{kernel.name}", "-DGPU" if self.is_gpu else "-DCPU"]
         options += [f"-D{key}={value}" for key, value in self._constants(kernel, lanes).items()]
         try:
             with warnings.catch_warnings():  # a compiler that merely talks is no news

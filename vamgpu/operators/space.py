@@ -20,6 +20,7 @@ class VolumeSpace:
 
     @property
     def shape(self) -> tuple[int, int, int]:
+        """Voxels along x, y and z."""
         return self.grid.shape
 
 
@@ -33,6 +34,7 @@ class SinogramSpace:
 
     @property
     def shape(self) -> tuple[int, int, int]:
+        """Poses, columns and rows."""
         return (self.motion.angles, *self.beam.pixels)
 
     @property
