@@ -1,6 +1,6 @@
 """How far a dose is from what a target asks, and which way is better: a band of doses each voxel should lie in.
 
-Source: the band constraint Lp norm, C. M. Li et al., Additive Manufacturing 82 (2024) 104043; with wide bands and the
+Source: the band constraint Lp norm, C. C. Li et al., Additive Manufacturing (2024) 104447; with wide bands and the
 identity as response it is the two-threshold loss.
 """
 
@@ -48,13 +48,14 @@ def band_loss(
     position = (dose - start) * density
     cell = np.clip(np.floor(position).astype(int), 0, len(response) - 2)
     slope = response[cell + 1] - response[cell]
-    difference = response[cell] + slope * (position - cell) - (low + (high - low) * f)
+    value = response[cell] + slope * (position - cell)
+    difference = value - (low + (high - low) * f)
     excess = np.abs(difference) - (slack_low + (slack_high - slack_low) * f)
-    gain = (gain_low + (gain_high - gain_low) * f) * disc(dose.shape[0], dose.shape[1], reach)[:, :, None]
+    near = disc(dose.shape[0], dose.shape[1], reach)[:, :, None]
+    gain = (gain_low + (gain_high - gain_low) * f) * near
     gain = np.where(excess > 0, gain * weight if weighted else gain, 0.0)
     excess = np.maximum(excess, 1e-30)
     parts[...] = 0.0
-    value, near = difference + low + (high - low) * f, disc(dose.shape[0], dose.shape[1], reach)[:, :, None]
     parts[0] = np.sum(gain * excess**power + ridge * value**2 * near)
     pull = gain * power * excess ** (power - 1) * np.sign(difference) + 2.0 * ridge * value * near
     dose[...] = pull * slope * density
