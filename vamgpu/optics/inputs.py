@@ -10,6 +10,9 @@ from vamgpu.geometry import positive
 
 Floats = NDArray[np.float64]
 
+LOW_TRANSMITTANCE = 0.8
+"""Share of the light below which a vessel warns: what lies there prints late."""
+
 
 def as_offsets(name: str, value: ArrayLike) -> Floats:
     """Return the value as float64; raises BadInput where it is not finite."""

@@ -10,10 +10,8 @@ from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
 from vamgpu.geometry import Chords, positive
-from vamgpu.optics.inputs import Floats, absorbed_share, as_offsets, index
+from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets, index
 from vamgpu.optics.interface import transmittance
-
-LOW_TRANSMITTANCE = 0.8
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
 from vamgpu.geometry import Chords, positive
 from vamgpu.optics.faces import Face, transmit, turn
-from vamgpu.optics.inputs import Floats, absorbed_share, as_offsets, index
+from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets, index
 from vamgpu.optics.interface import impact_after
 from vamgpu.optics.raymap import first_columns
 
-LOW_TRANSMITTANCE = 0.8
 # On the caustics outside the printable radius the density has no bound; a point there is at most this much denser.
 LARGEST_DENSITY = 100.0
 
