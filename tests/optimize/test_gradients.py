@@ -88,8 +88,9 @@ def test_responses_follow_their_formulas() -> None:
         assert np.abs(got - values).max() <= 1e-3
     with pytest.raises(BadInput, match="rising"):
         Interpolated((0.0, 0.0), (1.0, 2.0))
-    with pytest.raises(BadInput, match="low < high"):
-        GeneralizedLogistic(low=1.0, high=1.0)
+    for wrong in ({"low": 1.0, "high": 1.0}, {"middle": float("nan")}, {"high": float("inf")}):
+        with pytest.raises(BadInput, match="low < high"):
+            GeneralizedLogistic(**wrong)
 
 
 def test_the_ramp_inverts_a_projection(fast_device: Device) -> None:

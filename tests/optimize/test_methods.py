@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vamgpu.errors import BadInput, Cancelled, ShapeMismatch
+from vamgpu.errors import BadInput, Cancelled, ShapeMismatch, TargetTooLarge
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.operators.projection import Projection
 from vamgpu.optimize import (
@@ -25,6 +25,7 @@ from vamgpu.optimize import (
     Recipe,
     optimize,
 )
+from vamgpu.targets.target import Target
 
 SIZE, ANGLES = 24, 30
 ITERATIVE = [
@@ -187,6 +188,14 @@ def test_bad_input_is_named() -> None:
     ):
         with pytest.raises(BadInput, match="wanted"):
             wrong()
+
+
+@pytest.mark.parametrize(("pixels", "which"), [((16, 24), "radius"), ((24, 10), "height")])
+def test_a_part_that_sticks_out_of_the_light_is_refused(pixels: tuple[int, int], which: str) -> None:
+    narrow = Projection(Grid((SIZE, SIZE, SIZE), 0.2), Beam(pixels, 0.2), Turntable(4), device="numpy")
+    target = Target.from_array(part(), 0.2)
+    with pytest.raises(TargetTooLarge, match=f"{which} of .* mm, the light of .* mm"):
+        optimize(narrow, target, "fbp")
 
 
 def test_the_default_opens_a_window_where_the_others_leave_none(fast_device: str) -> None:

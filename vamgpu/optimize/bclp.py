@@ -51,7 +51,10 @@ class BCLP:
 
     @classmethod
     def paper_002(cls) -> BCLP:
-        """The choices of the roll-to-roll paper: p = 3, ε = 0.05 / 0.01, B = 10, momentum 0.5, λ = 0.04."""
+        """The choices of the roll-to-roll paper: p = 3, ε = 0.05 / 0.01, B = 10, momentum 0.5, λ = 0.04.
+
+        What it leaves open is ours: q = p, the logistic's middle at half the part's dose, and the size of a step.
+        """
         return cls(p=3.0, ridge=0.04, momentum=0.5)
 
     def _band(self) -> Band:

@@ -19,7 +19,10 @@ from vamgpu.optimize.work import Work
 class Recipe:
     """Filtered back projection of a target over a background, corrected multiplicatively after each pass.
 
-    One iteration is one pass and one projector pair. background: dose wanted around the part over that of the part,
+    One iteration is one pass and one projector pair. The paper's pre-compensation of diffusion is left to the target,
+    its correction for the vial to `rebin`; a vessel in the operator needs none.
+
+    background: dose wanted around the part over that of the part,
     room for light that should be negative.  most: largest correction of a voxel in one pass.  Raises `BadInput`.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf, isfinite
 from typing import Protocol
 
 import numpy as np
@@ -78,8 +79,10 @@ class GeneralizedLogistic:
     def __post_init__(self) -> None:
         positive("GeneralizedLogistic steepness", self.steepness)
         positive("GeneralizedLogistic skew", self.skew)
-        if not self.low < self.high:
-            raise BadInput(f"GeneralizedLogistic goes from {self.low} to {self.high}; wanted low < high")
+        if not -inf < self.low < self.high < inf or not isfinite(self.middle):
+            raise BadInput(
+                f"GeneralizedLogistic goes from {self.low} to {self.high} about {self.middle}; wanted finite low < high"
+            )
 
     def curve(self) -> Curve:
         def richards(dose: np.ndarray) -> np.ndarray:

@@ -8,8 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import BadInput, Cancelled
+from vamgpu.errors import BadInput, Cancelled, TargetTooLarge
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
 from vamgpu.optimize.bclp import BCLP
@@ -155,6 +157,7 @@ def _target(operator: Projection, target: Any) -> DeviceArray:
     check = getattr(operator.vessel, "check_fits", None)
     if radius is not None and check is not None:
         check(radius)
+    _check_beam(operator, radius, getattr(target, "height", None))
     if hasattr(target, "on"):
         require(operator.domain, target.fraction, "the target")
         return target.on(operator.device)
@@ -163,6 +166,20 @@ def _target(operator: Projection, target: Any) -> DeviceArray:
         operator.device.check_mine(target)
         return target
     return operator.device.upload(target)
+
+
+def _check_beam(operator: Projection, radius: float | None, height: float | None) -> None:
+    """Refuse a part [mm] that sticks out of the light, with `TargetTooLarge`."""
+    (columns, rows), pitch, vessel = operator.beam.pixels, operator.beam.pitch, operator.vessel
+    edge = np.array([0.5 * columns * pitch])
+    reach = float((edge if vessel is None else vessel.chords(edge).p)[0])
+    sizes = ((radius, reach, "radius", "columns"), (height, rows * pitch, "height", "rows"))
+    for size, lit, which, pixels in sizes:
+        if size is not None and size > lit * (1.0 + 1e-6):
+            raise TargetTooLarge(
+                f"the target has a {which} of {size:.4g} mm, the light of {operator.beam} one of {lit:.4g} mm in the "
+                f"resin; scale or center the target, or take a beam of more {pixels}"
+            )
 
 
 def _memory(operator: Projection, method: Method, resume: Plan | None) -> dict[str, Any]:
