@@ -47,7 +47,8 @@ def test_devices_agree_with_the_reference(fast_device: Device, case: str) -> Non
     assert frames.scale == pytest.approx(reference.scale, rel=1e-6)
     apart = np.abs(frames.levels().astype(int) - reference.levels())
     assert (apart > 0).mean() <= 1e-3  # light midway between two levels may round either way
-    assert np.array_equal(frames.irradiance("numpy").numpy(), reference.irradiance().numpy()) or apart.any()
+    shown, wanted = frames.irradiance("numpy").numpy(), reference.irradiance().numpy()
+    assert (np.abs(shown - wanted) > 1e-5 * wanted.max()).mean() <= 4e-3  # a level lies on up to four pixels
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -70,11 +70,15 @@ def pack(
     carry = float(np.diff(steps).max()) if dither == "error-diffusion" else 0.0
     tables = {"curve": device.table(steps), "bounds": device.table(bounds)}
     device.launch(quantize, **tables, gain=1.0 / full, carry=carry, images=images, **shared)
-    if bits == 1:
-        folded = device.empty((angles, rows, -(-columns // 8)), np.uint8, table=True)
-        device.launch(fold_bits, images=images, folded=folded)
-        images = folded
-    return Frames(images, bits, curve, full, columns, settings, flat)
+    return Frames(_folded(images) if bits == 1 else images, bits, curve, full, columns, settings, flat)
+
+
+def _folded(images: DeviceArray) -> DeviceArray:
+    """Pictures of 0 and 1, eight columns a byte."""
+    angles, rows, columns = images.shape
+    folded = images.device.empty((angles, rows, -(-columns // 8)), np.uint8, table=True)
+    images.device.launch(fold_bits, images=images, folded=folded)
+    return folded
 
 
 def _light(plan: Light) -> DeviceArray:

@@ -56,11 +56,7 @@ def simulate(
     dose = A.T(light)
     scores = score(dose, fraction, threshold=threshold)
     sent = light_sent(light)
-    exposure = None
-    if irradiance is not None and critical_dose is not None:
-        exposure = expose(
-            A, scores, sent, frames.scale, irradiance=irradiance, critical_dose=critical_dose, absorption=absorption
-        )
+    given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
     return Proof(
         operator=A,
         frames=frames,
@@ -71,7 +67,7 @@ def simulate(
         slices=score_slices(dose, fraction, scores),
         light_efficiency=light_efficiency(light, frames.scale),
         part_share=scores.total_in / sent if sent > 0 else 0.0,
-        exposure=exposure,
+        exposure=None if irradiance is None else expose(A, scores, sent, frames.scale, **given),  # type: ignore[arg-type]
     )
 
 
