@@ -1,4 +1,4 @@
-"""How fast the projectors and the main job run on the devices here."""
+"""How fast the projectors run on the devices here."""
 
 from __future__ import annotations
 
