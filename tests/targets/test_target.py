@@ -20,11 +20,10 @@ from vamgpu.targets.target import Target
 BENCHY = Path(__file__).parents[3] / "shared" / "data" / "benchy.stl"
 
 
-@pytest.fixture(scope="module")
-def benchy() -> Solid:
-    if not BENCHY.exists():
-        pytest.skip(f"there is no {BENCHY.name} beside the project")
-    return load_mesh(BENCHY)
+@pytest.fixture(scope="module", params=["boat", *(["benchy"] if BENCHY.exists() else [])])
+def boat(request: pytest.FixtureRequest) -> Solid:
+    """The bundled boat, and the 3DBenchy where it lies beside the project."""
+    return load_mesh(BENCHY) if request.param == "benchy" else shapes.build("boat")
 
 
 def wedge() -> Solid:
@@ -33,20 +32,20 @@ def wedge() -> Solid:
     return Solid(np.asarray(mesh.vertices), np.asarray(mesh.faces), "wedge")
 
 
-def test_benchy_fills_the_volume_of_its_mesh(benchy: Solid, fast_device: Device) -> None:
-    target = Target.from_mesh(benchy, height=11.5, pitch=11.5 / 128, device=fast_device)
+def test_a_boat_fills_the_volume_of_its_mesh(boat: Solid, fast_device: Device) -> None:
+    target = Target.from_mesh(boat, height=11.5, pitch=11.5 / 128, device=fast_device)
     assert target.grid.shape[2] == 128
-    assert target.volume == pytest.approx(benchy.scaled(11.5 / benchy.height).volume, rel=1e-3)
+    assert target.volume == pytest.approx(boat.scaled(11.5 / boat.height).volume, rel=1e-3)
     assert target.height == pytest.approx(11.5)
 
 
-def test_benchy_is_the_same_on_every_device(benchy: Solid, fast_device: Device) -> None:
-    got, wanted = (Target.from_mesh(benchy, 11.5, pitch=11.5 / 40, device=place) for place in (fast_device, "numpy"))
+def test_a_boat_is_the_same_on_every_device(boat: Solid, fast_device: Device) -> None:
+    got, wanted = (Target.from_mesh(boat, 11.5, pitch=11.5 / 40, device=place) for place in (fast_device, "numpy"))
     np.testing.assert_array_equal(got.numpy(), wanted.numpy())
 
 
-def test_a_moved_mesh_gives_the_same_voxels(benchy: Solid, fast_device: Device) -> None:
-    for solid, pitch in ((benchy, 11.5 / 64), (wedge(), 0.1)):
+def test_a_moved_mesh_gives_the_same_voxels(boat: Solid, fast_device: Device) -> None:
+    for solid, pitch in ((boat, 11.5 / 64), (wedge(), 0.1)):
         here = Target.from_mesh(solid, height=11.5, pitch=pitch, device=fast_device)
         there = Target.from_mesh(solid.translated((10.0, 10.0, 10.0)), height=11.5, pitch=pitch, device=fast_device)
         assert here.grid == there.grid

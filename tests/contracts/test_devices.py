@@ -1,0 +1,88 @@
+"""Contracts of every device: books of memory and transfers, foreign arrays without a copy, replays of launches."""
+
+from __future__ import annotations
+
+import gc
+
+import numpy as np
+import pyopencl.array
+import pytest
+import warp as wp
+
+from vamgpu.backend.device import Device
+from vamgpu.backend.opencl import OpenclDevice
+from vamgpu.errors import BadInput, DeviceError
+from vamgpu.kernels.reduce import fold
+from vamgpu.kernels.update import linear
+
+
+@pytest.mark.parametrize("shape", [(3, 5, 1), (4, 2, 67)])
+def test_what_goes_up_comes_down(device: Device, shape: tuple[int, int, int]) -> None:
+    values = np.random.default_rng(0).random(shape).astype(np.float32)
+    assert np.array_equal(device.upload(values).numpy(), values)
+    assert np.array_equal(device.upload(values, table=True).numpy(), values)
+
+
+def test_memory_is_booked_and_given_back(device: Device) -> None:
+    gc.collect()
+    before = device.ledger.allocated
+    array = device.empty((8, 8, 64))
+    assert device.ledger.allocated - before == array.nbytes >= 8 * 8 * 64 * device.real.itemsize
+    del array
+    gc.collect()
+    assert device.ledger.allocated == before
+
+
+def test_large_transfers_are_booked_and_small_ones_counted(device: Device) -> None:
+    crossed, small = len(device.ledger.transfers), device.ledger.small
+    big = device.upload(np.zeros((64, 64, 4)))
+    device.upload(np.zeros(4, np.float32), table=True)
+    assert device.ledger.transfers[crossed:] == [("upload", big.nbytes)]
+    assert device.ledger.small == small + 1
+
+
+def test_what_is_not_finite_stays_out(device: Device) -> None:
+    with pytest.raises(BadInput, match="NaN or infinity"):
+        device.upload(np.full((2, 2, 2), np.inf))
+    with pytest.raises(BadInput, match="3 axes"):
+        device.upload(np.zeros((2, 2)))
+
+
+def foreign(device: Device, values: np.ndarray) -> object:
+    """The values in an array of the device's own library."""
+    if isinstance(device, OpenclDevice):
+        return pyopencl.array.to_device(device.queue, values)
+    if device.name == "numpy":
+        return values
+    return wp.array(values, dtype=wp.float32, device=device.name.partition(":")[2])
+
+
+def test_an_adopted_array_is_the_very_same(device: Device) -> None:
+    theirs = foreign(device, np.arange(6, dtype=device.real))
+    crossed = len(device.ledger.transfers), device.ledger.small
+    ours = device.adopt(theirs)
+    assert (len(device.ledger.transfers), device.ledger.small) == crossed
+    few = device.empty((2,), device.real, table=True)
+    device.launch(fold, parts=ours, kind=0, folded=few)
+    assert few.numpy().tolist() == [0 + 2 + 4, 1 + 3 + 5]
+    device.launch(fold, parts=few, kind=0, folded=device.adopt(theirs))  # writes where they look
+    got = np.asarray(theirs.get() if isinstance(device, OpenclDevice) else theirs)  # type: ignore[attr-defined]
+    assert got[:2].tolist() == [6, 9]
+
+
+def test_what_cannot_be_adopted_is_refused(device: Device) -> None:
+    with pytest.raises(DeviceError, match="adopt"):
+        device.adopt([1.0, 2.0])
+
+
+def test_a_replay_runs_what_was_captured(device: Device) -> None:
+    x = device.upload(np.ones((4, 3, 5)))
+
+    def double() -> None:
+        device.launch(linear, a=2.0, x=x, b=0.0, y=x, floor=0.0, out=x)
+
+    replay = device.capture(double)
+    start = x.numpy()
+    for _ in range(3):
+        replay()
+    assert np.array_equal(x.numpy(), 8.0 * start)
