@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import BadInput, Cancelled, TargetTooLarge
+from vamgpu.errors import BadInput, Cancelled, OpticsWarning, TargetTooLarge
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
 from vamgpu.optimize.bclp import BCLP
@@ -169,17 +170,22 @@ def _target(operator: Projection, target: Any) -> DeviceArray:
 
 
 def _check_beam(operator: Projection, radius: float | None, height: float | None) -> None:
-    """Refuse a part [mm] that sticks out of the light, with `TargetTooLarge`."""
+    """Refuse a part [mm] higher than the light; warn of one wider, which only the poses along it light whole."""
     (columns, rows), pitch, vessel = operator.beam.pixels, operator.beam.pitch, operator.vessel
+    if height is not None and height > rows * pitch * (1.0 + 1e-6):
+        raise TargetTooLarge(
+            f"the target is {height:.4g} mm high, the light of {operator.beam} {rows * pitch:.4g} mm; "
+            "scale or center the target, or take a beam of more rows"
+        )
     edge = np.array([0.5 * columns * pitch])
     reach = float((edge if vessel is None else vessel.chords(edge).p)[0])
-    sizes = ((radius, reach, "radius", "columns"), (height, rows * pitch, "height", "rows"))
-    for size, lit, which, pixels in sizes:
-        if size is not None and size > lit * (1.0 + 1e-6):
-            raise TargetTooLarge(
-                f"the target has a {which} of {size:.4g} mm, the light of {operator.beam} one of {lit:.4g} mm in the "
-                f"resin; scale or center the target, or take a beam of more {pixels}"
-            )
+    if radius is not None and radius > reach * (1.0 + 1e-6):
+        warnings.warn(
+            f"the target has a radius of {radius:.4g} mm, the light of {operator.beam} one of {reach:.4g} mm in the "
+            "resin: what lies beyond is lit at some poses only; scale the target or take a beam of more columns",
+            OpticsWarning,
+            stacklevel=3,
+        )
 
 
 def _memory(operator: Projection, method: Method, resume: Plan | None) -> dict[str, Any]:
