@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, Cancelled, ShapeMismatch, TargetTooLarge
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.operators.projection import Projection
@@ -51,17 +52,17 @@ def part() -> np.ndarray:
 
 
 @cache
-def operator(name: str) -> Projection:
+def operator(name: str | Device) -> Projection:
     return Projection(Grid((SIZE, SIZE, SIZE), 0.2), Beam((SIZE, SIZE), 0.2), Turntable(ANGLES), device=name)
 
 
 @cache
-def solved(name: str, method: Any, iterations: int) -> Plan:
+def solved(name: str | Device, method: Any, iterations: int) -> Plan:
     return optimize(operator(name), part(), method, iterations)
 
 
 @each_method
-def test_the_loss_falls_and_light_is_possible(fast_device: str, method: Any) -> None:
+def test_the_loss_falls_and_light_is_possible(fast_device: Device, method: Any) -> None:
     plan = solved(fast_device, method, 8)
     losses = [step.loss for step in plan.history]
     assert min(losses[-2:]) < 0.85 * losses[0]
@@ -74,7 +75,7 @@ def test_the_loss_falls_and_light_is_possible(fast_device: str, method: Any) -> 
 
 
 @each_method
-def test_devices_agree(fast_device: str, method: Any) -> None:
+def test_devices_agree(fast_device: Device, method: Any) -> None:
     wanted, got = solved("numpy", method, 4), solved(fast_device, method, 4)
     light = wanted.sinogram.numpy()
     assert np.abs(got.sinogram.numpy() - light).max() <= 2e-4 * light.max()
@@ -91,14 +92,14 @@ def test_resuming_is_going_on(method: Any) -> None:
     assert np.array_equal(half.sinogram.numpy(), before)
 
 
-def test_filtered_back_projection_is_done_at_once(fast_device: str) -> None:
+def test_filtered_back_projection_is_done_at_once(fast_device: Device) -> None:
     plan = optimize(operator(fast_device), part(), FilteredBackProjection(), 10)
     assert len(plan.history) == 1 and plan.pairs == 1.0
     dose = plan.dose().numpy()
     assert (dose * part()).sum() / part().sum() == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_plan_knows_its_own_window(fast_device: str) -> None:
+def test_a_plan_knows_its_own_window(fast_device: Device) -> None:
     plan = solved(fast_device, ProcessWindow(), 8)
     dose, inside = plan.dose().numpy().astype(float), part() >= 0.5
     disc = operator(fast_device).grid.cylinder()[:, :, None]
@@ -107,7 +108,7 @@ def test_a_plan_knows_its_own_window(fast_device: str) -> None:
 
 
 @each_method
-def test_nothing_large_crosses_the_bus(fast_device: str, method: Any) -> None:
+def test_nothing_large_crosses_the_bus(fast_device: Device, method: Any) -> None:
     device = operator(fast_device).device
     target = device.upload(part())
     with device.no_transfers():
@@ -116,7 +117,7 @@ def test_nothing_large_crosses_the_bus(fast_device: str, method: Any) -> None:
 
 
 @each_method
-def test_memory_stays_within_three_volumes_and_three_sinograms(fast_device: str, method: Any) -> None:
+def test_memory_stays_within_three_volumes_and_three_sinograms(fast_device: Device, method: Any) -> None:
     device = Projection(Grid((64, 64, 32), 0.2), Beam((64, 32), 0.2), Turntable(60), device=fast_device).device
     here = Projection(Grid((64, 64, 32), 0.2), Beam((64, 32), 0.2), Turntable(60), device=fast_device)
     target = device.upload(np.pad(part()[..., :24], ((20, 20), (20, 20), (4, 4))))
@@ -198,7 +199,7 @@ def test_a_part_that_sticks_out_of_the_light_is_refused(pixels: tuple[int, int],
         optimize(narrow, target, "fbp")
 
 
-def test_the_default_opens_a_window_where_the_others_leave_none(fast_device: str) -> None:
+def test_the_default_opens_a_window_where_the_others_leave_none(fast_device: Device) -> None:
     here, budget = operator(fast_device), 30
     plan = optimize(here, part(), iterations=budget)
     assert plan.pairs <= budget and isinstance(plan.method, ProcessWindow)

@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vamgpu.backend import devices, open_device
+from vamgpu.backend.device import Device
 from vamgpu.operators import reductions
 
 SHAPES = [(5, 7, 3), (24, 24, 24), (40, 33, 70)]
 
 
-@pytest.mark.parametrize("name", devices())
 @pytest.mark.parametrize("shape", SHAPES)
-def test_sums_and_extremes(name: str, shape: tuple[int, int, int]) -> None:
-    device = open_device(name)
+def test_sums_and_extremes(device: Device, shape: tuple[int, int, int]) -> None:
     rng = np.random.default_rng(3)
     a, b = rng.normal(size=shape).astype(np.float32), rng.normal(size=shape).astype(np.float32)
     x, y = device.upload(a), device.upload(b)
@@ -30,8 +28,6 @@ def test_sums_and_extremes(name: str, shape: tuple[int, int, int]) -> None:
         assert reductions.extent(x, y, -0.5, 0.75, 9.0) == wanted
 
 
-@pytest.mark.parametrize("name", devices())
-def test_nothing_chosen_is_infinite(name: str) -> None:
-    device = open_device(name)
+def test_nothing_chosen_is_infinite(device: Device) -> None:
     x = device.upload(np.ones((4, 4, 4)))
     assert reductions.extent(x, x, 2.0, 3.0) == (np.inf, -np.inf)
