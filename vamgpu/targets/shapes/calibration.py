@@ -1,4 +1,4 @@
-"""The exposure calibration disk of paper 003 (Fig. 2a)."""
+"""The exposure calibration disk of A. Orth et al., Automatic exposure volumetric additive manufacturing (Fig. 2a)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def exposure_disk(
     """A disk with 14 half disks around it: seven on two spokes of 1..7 pixels, seven behind gaps of 2..8 pixels.
 
     All lengths in mm. Gaps are concentric with the disk, so that each has one width; spokes bridge the widest gap.
-    A perfect print keeps the seven spoked half disks and none of the others: FOM = 7 (paper 003, eq. 2).
+    A perfect print keeps the seven spoked half disks and none of the others: a figure of merit of 7 (their eq. 2).
     """
     return to_solid(
         exposure_outline(diameter, pixel, half_disk_radius, spoke_spacing).extrude(thickness), "exposure_disk"

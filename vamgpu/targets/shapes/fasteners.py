@@ -1,4 +1,7 @@
-"""A 1/4-20 UNC cap screw and its nut (paper 003, Fig. 6a; dimensions of the Unified Thread Standard)."""
+"""A 1/4-20 UNC cap screw and its nut by the Unified Thread Standard.
+
+Source: A. Orth et al., Automatic exposure volumetric additive manufacturing, Fig. 6a.
+"""
 
 from __future__ import annotations
 

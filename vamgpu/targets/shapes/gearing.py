@@ -1,4 +1,7 @@
-"""A pair of meshing spur gears and their base, to test fits (paper 003, Fig. 6c)."""
+"""A pair of meshing spur gears and their base, to test fits.
+
+Source: A. Orth et al., Automatic exposure volumetric additive manufacturing, Fig. 6c.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ MODULE = 0.45
 PRESSURE_ANGLE = np.radians(25.0)
 """Wide enough for 14 teeth without undercut."""
 PIN_DIAMETER = 3.0
-"""Pins of the base [mm] (paper 003)."""
+"""Pins of the base [mm], as in the source."""
 CENTER_DISTANCE = TEETH * MODULE
 """Distance of the two pins [mm]."""
 
@@ -23,7 +26,7 @@ CENTER_DISTANCE = TEETH * MODULE
 def gears(gap: float = 0.1, thickness: float = 3.0, apart: float = 0.4) -> Solid:
     """Two spur gears side by side, to be printed and then put on the pins of gear_base.
 
-    gap: between pin wall and bore wall, and also the backlash at the pitch circle [mm] (paper 003 prints 0, 0.05 and
+    gap: between pin wall and bore wall, and also the backlash at the pitch circle [mm] (the source prints 0, 0.05 and
     0.1); thickness: face width [mm]; apart: free distance of the tip circles as printed [mm].
     """
     outline = gear_outline(gap) - CrossSection.circle((0.5 * PIN_DIAMETER + gap) / np.cos(np.pi / 96), 96)

@@ -1,4 +1,7 @@
-"""Periodic structures in the size of a vial: gyroid, cubic lattice, pentamode (paper 003, Fig. 5b-d)."""
+"""Periodic structures in the size of a vial: gyroid, cubic lattice, pentamode.
+
+Source: A. Orth et al., Automatic exposure volumetric additive manufacturing, Fig. 5b-d.
+"""
 
 from __future__ import annotations
 

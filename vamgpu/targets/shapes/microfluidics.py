@@ -1,4 +1,7 @@
-"""Two channels that cross over each other (paper 003, Fig. S4)."""
+"""Two channels that cross over each other.
+
+Source: A. Orth et al., Automatic exposure volumetric additive manufacturing, Fig. S4.
+"""
 
 from __future__ import annotations
 
