@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, Cancelled, ShapeMismatch, TargetTooLarge
+from vamgpu.errors import BadInput, Cancelled, OpticsWarning, ShapeMismatch, OpticsWarning, TargetTooLarge
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.operators.projection import Projection
 from vamgpu.optimize import (
@@ -177,6 +177,8 @@ def test_bad_input_is_named() -> None:
         optimize(here, np.zeros((3, 4, 5)))
     with pytest.raises(BadInput, match="iterations"):
         optimize(here, part(), iterations=0)
+    with pytest.raises(BadInput, match="build the operator on target.grid"):
+        optimize(here, Target.from_array(part(), 0.1))
     with pytest.raises(BadInput, match="same method"):
         optimize(here, part(), OSMO(), resume=solved("numpy", Recipe(), 3))
     for wrong in (
@@ -186,16 +188,24 @@ def test_bad_input_is_named() -> None:
         lambda: BCLP(p=2.0, q=1.0, ridge=0.1),
         lambda: OSMO(gain=0.0),
         lambda: LBFGS(history=0),
+        lambda: LBFGS(efficiency=float("nan")),
+        lambda: BCLP(p=float("nan")),
+        lambda: BCLP(price=(1.0, float("nan"))),
+        lambda: optimize(here, part(), tolerance=float("nan")),
+        lambda: optimize(here, -part()),
+        lambda: optimize(here, 0.0 * part()),
+        lambda: Projection(here.grid, here.beam, here.motion, 5, "numpy"),  # type: ignore[arg-type]
     ):
         with pytest.raises(BadInput, match="wanted"):
             wrong()
 
 
-@pytest.mark.parametrize(("pixels", "which"), [((16, 24), "radius"), ((24, 10), "height")])
-def test_a_part_that_sticks_out_of_the_light_is_refused(pixels: tuple[int, int], which: str) -> None:
-    narrow = Projection(Grid((SIZE, SIZE, SIZE), 0.2), Beam(pixels, 0.2), Turntable(4), device="numpy")
-    target = Target.from_array(part(), 0.2)
-    with pytest.raises(TargetTooLarge, match=f"{which} of .* mm, the light of .* mm"):
+def test_a_part_that_sticks_out_of_the_light_is_named() -> None:
+    grid, target = Grid((SIZE, SIZE, SIZE), 0.2), Target.from_array(part(), 0.2)
+    low, narrow = (Projection(grid, Beam(pixels, 0.2), Turntable(4), device="numpy") for pixels in ((24, 10), (16, 24)))
+    with pytest.raises(TargetTooLarge, match=r"3\.2 mm high, the light of .* 2 mm"):
+        optimize(low, target, "fbp")
+    with pytest.warns(OpticsWarning, match=r"radius of 1\.772 mm, the light of .* 1\.6 mm"):
         optimize(narrow, target, "fbp")
 
 
