@@ -44,6 +44,8 @@ class Projection(LinearOperator):
         for value, kind in ((grid, Grid), (beam, Beam), (motion, Turntable)):
             if not isinstance(value, kind):
                 raise BadInput(f"got {value!r} where a {kind.__name__} is wanted; Projection(grid, beam, motion, …)")
+        if vessel is not None and not isinstance(vessel, Vessel):
+            raise BadInput(f"got {vessel!r} as vessel; wanted a Vial, a Vat, or None for straight light")
         self.grid, self.beam, self.motion, self.vessel = grid, beam, motion, vessel
         self.domain, self.range = VolumeSpace(grid), SinogramSpace(beam, motion)
         self.device = open_device(device)

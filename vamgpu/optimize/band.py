@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 from vamgpu.errors import BadInput
 from vamgpu.optimize.response import Linear, Response
@@ -24,8 +25,10 @@ class Band:
     response: Response = Linear()
 
     def __post_init__(self) -> None:
-        if min(self.slack) < 0 or min(self.gain) < 0 or self.ridge < 0 or self.power < 1:
-            raise BadInput(f"{self!r}: wanted slack, gain and ridge ≥ 0 and power ≥ 1")
+        pairs = len(self.slack) == len(self.gain) == 2
+        bounded = all(0 <= value < inf for value in (*self.slack, *self.gain, self.ridge))
+        if not (pairs and bounded and 1 <= self.power < inf):
+            raise BadInput(f"{self!r}: wanted two of slack and gain, they and ridge finite and ≥ 0, and power ≥ 1")
 
     @classmethod
     def thresholds(cls, outside: float, inside: float, most: float = 1.0, power: float = 2.0) -> Band:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any, ClassVar
 
 from vamgpu.errors import BadInput
@@ -42,11 +43,11 @@ class BCLP:
 
     def __post_init__(self) -> None:
         self._band()
-        if self.q is not None and (self.q < 1 or (self.ridge > 0 and self.q != self.p)):
+        if self.q is not None and (not 1 <= self.q < inf or (self.ridge > 0 and self.q != self.p)):
             raise BadInput(
                 f"q is {self.q} with p = {self.p} and ridge = {self.ridge}; wanted q ≥ 1, and q = p with a ridge"
             )
-        if not (self.share > 0 and self.growth >= 1 and 0 <= self.momentum < 1):
+        if not (0 < self.share < inf and 1 <= self.growth < inf and 0 <= self.momentum < 1):
             raise BadInput(f"{self!r}: wanted share > 0, growth ≥ 1 and 0 ≤ momentum < 1")
 
     @classmethod

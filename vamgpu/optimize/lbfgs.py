@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import ClassVar
 
 from vamgpu.backend.array import DeviceArray
@@ -41,8 +42,9 @@ class LBFGS:
 
     def __post_init__(self) -> None:
         self._band()
-        if self.efficiency < 0 or self.power < 1 or self.history < 1:
-            raise BadInput(f"{self!r}: wanted efficiency ≥ 0, power ≥ 1 and history ≥ 1")
+        counted = isinstance(self.history, int) and self.history >= 1
+        if not (counted and 0 <= self.efficiency < inf and 1 <= self.power < inf):
+            raise BadInput(f"{self!r}: wanted efficiency ≥ 0, power ≥ 1 and a whole history ≥ 1")
 
     def _band(self) -> Band:
         return Band.thresholds(self.outside, self.inside, self.most)

@@ -34,7 +34,7 @@ class PenaltyMinimization:
 
     def __post_init__(self) -> None:
         Band.thresholds(self.outside, self.inside)
-        if min(self.price) < 0 or not (self.share > 0 and self.growth >= 1 and 0 <= self.momentum < 1):
+        if not (min(self.price) >= 0 and self.share > 0 and self.growth >= 1 and 0 <= self.momentum < 1):
             raise BadInput(f"{self!r}: wanted prices ≥ 0, share > 0, growth ≥ 1 and 0 ≤ momentum < 1")
 
     def steps(self, work: Work) -> Steps:

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import BadInput, Cancelled, OpticsWarning, TargetTooLarge
+from vamgpu.errors import BadInput, Cancelled
+from vamgpu.geometry import positive
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.space import require
 from vamgpu.optimize.bclp import BCLP
 from vamgpu.optimize.calgd import GradientDescent
 from vamgpu.optimize.fbp import FilteredBackProjection
 from vamgpu.optimize.lbfgs import LBFGS
 from vamgpu.optimize.method import Method
 from vamgpu.optimize.osmo import OSMO
+from vamgpu.optimize.part import fractions_of
 from vamgpu.optimize.penalty import PenaltyMinimization
 from vamgpu.optimize.plan import Plan, Step
 from vamgpu.optimize.recipe import Recipe
@@ -67,7 +65,8 @@ def optimize(
     """
     chosen = _method(method if resume is None or method != "default" else resume.method)
     limit = chosen.iterations if iterations is None else _count(iterations)
-    field_ = _target(operator, target)
+    tolerance = positive("tolerance", tolerance, zero=True)
+    field_ = fractions_of(operator, target)
     run = _Run(operator, chosen, Work(operator, field_, _memory(operator, chosen, resume)), _name(target))
     if resume is not None:
         run.history, run.before = list(resume.history), resume.seconds
@@ -150,42 +149,6 @@ def _count(iterations: int) -> int:
 
 def _name(target: Any) -> str:
     return str(getattr(target, "name", "target"))
-
-
-def _target(operator: Projection, target: Any) -> DeviceArray:
-    """The target's fractions on the operator's device, after checking that light can reach it all."""
-    radius = getattr(target, "radius", None)
-    check = getattr(operator.vessel, "check_fits", None)
-    if radius is not None and check is not None:
-        check(radius)
-    _check_beam(operator, radius, getattr(target, "height", None))
-    if hasattr(target, "on"):
-        require(operator.domain, target.fraction, "the target")
-        return target.on(operator.device)
-    require(operator.domain, target, "the target")
-    if isinstance(target, DeviceArray):
-        operator.device.check_mine(target)
-        return target
-    return operator.device.upload(target)
-
-
-def _check_beam(operator: Projection, radius: float | None, height: float | None) -> None:
-    """Refuse a part [mm] higher than the light; warn of one wider, which only the poses along it light whole."""
-    (columns, rows), pitch, vessel = operator.beam.pixels, operator.beam.pitch, operator.vessel
-    if height is not None and height > rows * pitch * (1.0 + 1e-6):
-        raise TargetTooLarge(
-            f"the target is {height:.4g} mm high, the light of {operator.beam} {rows * pitch:.4g} mm; "
-            "scale or center the target, or take a beam of more rows"
-        )
-    edge = np.array([0.5 * columns * pitch])
-    reach = float((edge if vessel is None else vessel.chords(edge).p)[0])
-    if radius is not None and radius > reach * (1.0 + 1e-6):
-        warnings.warn(
-            f"the target has a radius of {radius:.4g} mm, the light of {operator.beam} one of {reach:.4g} mm in the "
-            "resin: what lies beyond is lit at some poses only; scale the target or take a beam of more columns",
-            OpticsWarning,
-            stacklevel=3,
-        )
 
 
 def _memory(operator: Projection, method: Method, resume: Plan | None) -> dict[str, Any]:

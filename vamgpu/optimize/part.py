@@ -1,0 +1,68 @@
+"""The part an optimizer is asked for: checked, and on the operator's device."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput, EmptyMesh, OpticsWarning, TargetTooLarge
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.reductions import extent
+from vamgpu.operators.space import require
+
+
+def fractions_of(operator: Projection, target: Any) -> DeviceArray:
+    """The target's fractions [x, y, z] on the operator's device, after checking that light can reach it all.
+
+    target: a `Target`, or fractions (NumPy or on the device).  Raises `BadInput` for another pitch and for values
+    beyond 0..1, `EmptyMesh` where nothing is to be printed, `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
+    """
+    pitch = getattr(getattr(target, "grid", None), "pitch", operator.grid.pitch)
+    if abs(pitch / operator.grid.pitch - 1.0) > 1e-9:
+        raise BadInput(
+            f"the target has voxels of {pitch:g} mm, the operator of {operator.grid.pitch:g} mm; "
+            "build the operator on target.grid"
+        )
+    radius = getattr(target, "radius", None)
+    check = getattr(operator.vessel, "check_fits", None)
+    if radius is not None and check is not None:
+        check(radius)
+    _check_beam(operator, radius, getattr(target, "height", None))
+    require(operator.domain, getattr(target, "fraction", target), "the target")
+    if isinstance(target, DeviceArray):
+        operator.device.check_mine(target)
+        fractions = target
+    else:
+        fractions = target.on(operator.device) if hasattr(target, "on") else operator.device.upload(target)
+    _check_values(fractions)
+    return fractions
+
+
+def _check_values(fractions: DeviceArray) -> None:
+    low, high = extent(fractions)
+    if not (low >= 0.0 and high <= 1.0):
+        raise BadInput(f"the target reaches from {low:g} to {high:g}; wanted fractions in 0..1: scale it")
+    if high == 0.0:
+        raise EmptyMesh("every voxel of the target is 0; wanted some that are filled")
+
+
+def _check_beam(operator: Projection, radius: float | None, height: float | None) -> None:
+    """Refuse a part [mm] higher than the light; warn of one wider, which only the poses along it light whole."""
+    (columns, rows), pitch, vessel = operator.beam.pixels, operator.beam.pitch, operator.vessel
+    if height is not None and height > rows * pitch * (1.0 + 1e-6):
+        raise TargetTooLarge(
+            f"the target is {height:.4g} mm high, the light of {operator.beam} {rows * pitch:.4g} mm; "
+            "scale or center the target, or take a beam of more rows"
+        )
+    edge = np.array([0.5 * columns * pitch])
+    reach = float((edge if vessel is None else vessel.chords(edge).p)[0])
+    if radius is not None and radius > reach * (1.0 + 1e-6):
+        warnings.warn(
+            f"the target has a radius of {radius:.4g} mm, the light of {operator.beam} one of {reach:.4g} mm in the "
+            "resin: what lies beyond is lit at some poses only; scale the target or take a beam of more columns",
+            OpticsWarning,
+            stacklevel=4,
+        )
