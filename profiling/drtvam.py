@@ -53,7 +53,7 @@ def projection(name: str, n: int, device: Any) -> vamgpu.Projection:
 
 
 def method(iterations: int | None, efficiency: float | None) -> tuple[Any, int]:
-    """L-BFGS where light has a price (0.03 unless said), or the default method for a price of 0; and how long it runs."""
+    """L-BFGS where light has a price (0.03 unless said), the default method for a price of 0; and how long it runs."""
     if efficiency == 0.0:
         return vamgpu.ProcessWindow(), iterations or 40
     return vamgpu.LBFGS(efficiency=0.03 if efficiency is None else efficiency), iterations or 26

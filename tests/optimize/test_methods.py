@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, Cancelled, OpticsWarning, ShapeMismatch, OpticsWarning, TargetTooLarge
+from vamgpu.errors import BadInput, Cancelled, OpticsWarning, ShapeMismatch, TargetTooLarge
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.operators.projection import Projection
 from vamgpu.optimize import (
