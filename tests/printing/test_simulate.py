@@ -147,6 +147,8 @@ def test_wrong_input_is_refused() -> None:
         simulate(A, frames, target, irradiance=6, critical_dose=2, absorption=0.1)
     with pytest.raises(BadInput, match="critical_dose"):
         simulate(A, frames, target, irradiance=6, critical_dose=-1)
+    with pytest.raises(BadInput, match="threshold is nan"):
+        simulate(A, frames, target, threshold=float("nan"))
     with pytest.raises(ShapeMismatch, match="target"):
         simulate(A, frames, target[1:])
     with pytest.raises(ShapeMismatch, match="light"):

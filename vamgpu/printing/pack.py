@@ -59,6 +59,8 @@ def pack(
     light = _light(plan)
     settings = Placement(flip_r, flip_z, shift, None if scale is not None else quantile, dither)
     curve = GrayCurve.linear() if gray is None else gray
+    if not isinstance(curve, GrayCurve):
+        raise BadInput(f"gray is {gray!r}; wanted a GrayCurve, such as GrayCurve.gamma(2.2)")
     angles, columns, rows = light.shape
     flat = None if flat_field is None else flattened(flat_field, (rows, columns))
     device = light.device

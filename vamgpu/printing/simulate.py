@@ -9,6 +9,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
 from vamgpu.metrics import light_efficiency, score, score_slices
 from vamgpu.metrics.light import light_sent
 from vamgpu.operators.projection import Projection
@@ -49,6 +50,8 @@ def simulate(
     Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
     """
     _both_or_neither(irradiance, critical_dose)
+    if threshold is not None:
+        threshold = positive("threshold", threshold)
     fraction = fractions_of(target, A.device)
     require(A.domain, fraction, "the target")
     light = frames.irradiance(A.device)
