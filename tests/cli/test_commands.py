@@ -113,3 +113,28 @@ def test_a_picture_of_the_gallery_is_drawn_with_its_parameters(
     assert main([*command, "--set", "nonsense=1"]) == 1
     assert main(["gallery", "--set", "resin_index=1.4"]) == 1
     assert "name it" in capsys.readouterr().err
+
+
+def test_used_up_memory_is_an_error_without_a_traceback(capsys, monkeypatch):
+    import vamgpu.cli.commands as commands
+
+    def full(*_, **__):
+        raise MemoryError("Unable to allocate 880 GiB")
+
+    monkeypatch.setattr(commands, "app", full)
+    assert main(["bench"]) == 1
+    assert "memory is used up: Unable to allocate 880 GiB; use larger pitches" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("wrong", [["--size", "0"], ["--repeats", "0"], ["--angles", "-1"]])
+def test_bench_refuses_counts_below_one(wrong, capsys):
+    assert main(["bench", *wrong]) == 1
+    assert "wanted at least 1" in capsys.readouterr().err
+
+
+def test_a_device_that_is_neither_name_nor_device_is_refused():
+    from vamgpu.backend import open_device
+    from vamgpu.errors import DeviceError
+
+    with pytest.raises(DeviceError, match="got 0 for a device; wanted a name"):
+        open_device(0)  # type: ignore[arg-type]

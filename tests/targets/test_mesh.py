@@ -242,3 +242,32 @@ def test_smallest_circle_of_degenerate_points() -> None:
     assert smallest_enclosing_circle([(1.0, 1.0)] * 6) == pytest.approx((1.0, 1.0, 0.0))
     with pytest.raises(BadInput, match="wanted"):
         smallest_enclosing_circle(np.zeros((0, 2)))
+
+
+def _binary_stl(corners: np.ndarray, announced: int) -> bytes:
+    facets = np.zeros(len(corners), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")]))
+    facets["corners"] = corners
+    return bytes(80) + announced.to_bytes(4, "little") + facets.tobytes()
+
+
+def test_binary_stl_that_is_cut_off_says_so(tmp_path):
+    file = tmp_path / "cut.stl"
+    file.write_bytes(_binary_stl(np.ones((3, 3, 3)), 12))
+    with pytest.raises(MeshError, match="12 triangles but ends after 3"):
+        load_mesh(file)
+
+
+def test_binary_stl_with_nan_is_refused(tmp_path):
+    corners = np.random.default_rng(0).random((8, 3, 3))
+    corners[2, 1, 0] = np.nan
+    file = tmp_path / "nan.stl"
+    file.write_bytes(_binary_stl(corners, 8))
+    with pytest.raises(MeshError, match="1 of 8 triangles have corners that are NaN"):
+        load_mesh(file)
+
+
+def test_text_in_another_encoding_is_read(tmp_path):
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    file = tmp_path / "part.obj"
+    file.write_bytes("# Gerät\n".encode("latin-1") + corners.encode())
+    assert load_mesh(file).volume == pytest.approx(1 / 6)

@@ -42,7 +42,13 @@ def open_device(name: str | Device | None = None) -> Device:
     """The device of that name, opened once; None opens the default. Raises `DeviceError` naming what there is."""
     if name is None:
         name = default_device()
-    return _open(name) if isinstance(name, str) else name
+    if isinstance(name, str):
+        return _open(name)
+    from vamgpu.backend.device import Device
+
+    if not isinstance(name, Device):
+        raise DeviceError(f"got {name!r} for a device; wanted a name, one of {', '.join(devices())}, or an open device")
+    return name
 
 
 @cache

@@ -3,19 +3,33 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Sequence
+from typing import Any
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status: 0 done, 1 an error that was explained, 130 stopped by Ctrl-C."""
     from vamgpu.cli.commands import app
-    from vamgpu.errors import Cancelled, VamError
+    from vamgpu.errors import Cancelled, OpticsWarning, VamError
 
     try:
-        return int(app(arguments, result_action="return_value", exit_on_error=True) or 0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("once", OpticsWarning)  # two steps of a job may say the same
+            warnings.showwarning = _warn
+            return int(app(arguments, result_action="return_value", exit_on_error=True) or 0)
     except (Cancelled, KeyboardInterrupt):
         sys.stderr.write("\nstopped; nothing half-written was left\n")
         return 130
     except VamError as error:
         sys.stderr.write("".join(f"error: {line}\n" for line in str(error).splitlines()))
         return 1
+    except MemoryError as error:
+        why = str(error) or "the system refused"
+        sys.stderr.write(f"error: this machine's memory is used up: {why}; use larger pitches or fewer angles\n")
+        return 1
+
+
+def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
+    """A warning as a line for people, without the place in the code it came from."""
+    sys.stderr.write(f"warning: {message}\n")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 import vamgpu
@@ -46,7 +47,8 @@ def demo(*, out: Path = Path("vamgpu-demo"), settings: Settings = None) -> None:
     with shown(screen) as told:
         done = run(out, settings or (), told=told)
     _scores(screen, done.proven)
-    screen.print(f"job     {done.file}\nframes  {done.folder}\nreport  [bold]{done.report.resolve()}[/]")
+    screen.print(f"job     {_path(done.file)}\nframes  {_path(done.folder)}")
+    screen.print(f"report  [bold]{_path(done.report.resolve())}[/]")
 
 
 @app.command
@@ -67,7 +69,7 @@ def solve(job: Path, *, out: Path | None = None, settings: Settings = None, over
     screen = console()
     with shown(screen) as told:
         folder = run(wanted, place, overwrite=overwrite, told=told)
-    screen.print(f"wrote [bold]{folder.path}[/]; prove it with: vam prove {folder.path}")
+    screen.print(f"wrote [bold]{_path(folder.path)}[/]; prove it with: vam prove {_path(folder.path)}")
 
 
 @app.command
@@ -90,7 +92,7 @@ def prove(job: Path, *, report: Path | None = None, device: str | None = None) -
         told("report", 0.0)
         page = proven.report(report if report is not None else job.with_suffix(".html"))
     _scores(screen, proven)
-    screen.print(f"report  [bold]{page.resolve()}[/]")
+    screen.print(f"report  [bold]{_path(page.resolve())}[/]")
 
 
 @app.command
@@ -129,7 +131,7 @@ def export(
     frames = load_frames(job, "numpy")
     screen = console()
     for place in places.values():
-        screen.print(f"wrote [bold]{write(frames, place, fps=fps, overwrite=overwrite)}[/]")
+        screen.print(f"wrote [bold]{_path(write(frames, place, fps=fps, overwrite=overwrite))}[/]")
 
 
 @app.command
@@ -169,8 +171,8 @@ def gallery(
     for entry in pictures.names() if name == "all" else (name,):
         picture = pictures.draw(entry, place, quick=quick, **values)
         image, _ = pictures.write_page(picture, entry, out, place.name, **values)
-        screen.print(f"drew [bold]{image}[/]")
-    screen.print(f"index [bold]{pictures.write_index(out)}[/]")
+        screen.print(f"drew [bold]{_path(image)}[/]")
+    screen.print(f"index [bold]{_path(pictures.write_index(out))}[/]")
 
 
 @app.command
@@ -195,9 +197,9 @@ def doctor(*, limit: float = 120.0) -> int:
     found = examine(limit)
     for finding in found:
         mark = "[green]works  [/]" if finding.works else "[yellow]missing[/]"
-        screen.print(f"{mark} [bold]{finding.name}[/]  {finding.description}")
+        screen.print(f"{mark} [bold]{escape(finding.name)}[/]  {escape(finding.description)}")
         if finding.remedy:
-            screen.print(f"        → {finding.remedy}")
+            screen.print(f"        → {escape(finding.remedy)}")
     return 0 if any(finding.works and finding.name != "numpy" for finding in found) else 1
 
 
@@ -230,6 +232,11 @@ def bench(
         text = json.dumps({"machine": machine(), "timings": records(timings)}, indent=2) + "\n"
         with replacing(record, overwrite=True) as draft:
             draft.write_text(text, encoding="utf-8")
+
+
+def _path(path: Path) -> str:
+    """A path as it is: brackets in it are no markup."""
+    return escape(str(path))
 
 
 def _scores(screen: Console, proven: Proven) -> None:

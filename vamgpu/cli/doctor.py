@@ -6,6 +6,7 @@ Drivers may crash or hang, so every look at one happens in a process of its own,
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -90,6 +91,8 @@ def _opencl() -> tuple[dict[str, str], list[tuple[str, str, str]]]:
     kinds = [device.type for device in names.values()]
     if not any(kind & cl.device_type.CPU for kind in kinds):
         remedy = 'pip install "vamgpu[cpu]" (x86-64), or apt install pocl-opencl-icd'
+        if vendors := os.environ.get("OCL_ICD_VENDORS"):
+            remedy = f"OCL_ICD_VENDORS={vendors} hides all other drivers: unset it, or {remedy}"
         missing.append(("opencl on the processor", "no platform runs kernels on the processor", remedy))
     if not any(kind & cl.device_type.GPU for kind in kinds):
         remedy = "install the graphics driver with its OpenCL part (NVIDIA: nvidia-opencl-icd)"

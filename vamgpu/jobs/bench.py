@@ -14,6 +14,7 @@ import numpy as np
 
 from vamgpu.backend import devices, open_device
 from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
@@ -64,7 +65,10 @@ def projectors(n: int, angles: int, device: Device) -> dict[str, Projection]:
 
 
 def bench(n: int = 128, angles: int = 360, repeats: int = 5, names: Iterable[str] | None = None) -> Iterator[Timing]:
-    """Time the projectors on devices by name, by default every one but the reference. Raises `DeviceError`."""
+    """Time the projectors on devices by name, by default all but the reference. Raises `BadInput`, `DeviceError`."""
+    for what, value in (("size", n), ("angles", angles), ("repeats", repeats)):
+        if value < 1:
+            raise BadInput(f"{what} is {value}; wanted at least 1")
     chosen = tuple(names) if names is not None else tuple(name for name in devices() if name != "numpy")
     for name in chosen:
         device = open_device(name)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import JobError, StorageError
+from vamgpu.errors import JobError, OutOfMemory, StorageError
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.jobs.model import FramesSection, JobFile
 from vamgpu.jobs.read import Job
@@ -60,8 +60,15 @@ def projection_of(wanted: JobFile, target: Target, device: Device) -> Projection
     if vessel is not None:
         vessel.check_fits(target.radius)
     pixels = wanted.beam.pixels or _covering(target, vessel, wanted.beam.pitch)
-    beam = Beam(pixels, wanted.beam.pitch)
-    return Projection(target.grid, beam, Turntable(wanted.turntable.angles), vessel, device)
+    beam, motion = Beam(pixels, wanted.beam.pitch), Turntable(wanted.turntable.angles)
+    try:
+        A = Projection(target.grid, beam, motion, vessel, device)
+    except MemoryError as error:
+        raise OutOfMemory(
+            f"a beam of {pixels[0]} × {pixels[1]} pixels of {beam.pitch:g} mm needs more memory than this machine has "
+            f"({error}); use a larger beam.pitch"
+        ) from error
+    return A
 
 
 def _covering(target: Target, vessel: Vial | Vat | None, pitch: float) -> tuple[int, int]:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 import vamgpu
-from vamgpu.errors import StorageError
 from vamgpu.optimize.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
 from vamgpu.printing import charts, pictures, surface
 from vamgpu.printing.proof import Proof
+from vamgpu.storage.atomic import explained
 
 PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
 MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
@@ -33,7 +33,7 @@ def write_report(proof: Proof, path: str | Path, plan: Any = None) -> Path:
         partial.replace(target)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise StorageError(f"the report {str(target)!r} cannot be written: {error}; choose another path") from error
+        raise explained("write", target, error) from error
     return target
 
 

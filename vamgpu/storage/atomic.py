@@ -17,6 +17,7 @@ REMEDIES = {
     errno.EDQUOT: "the disk quota is used up: free some space or choose another place",
     errno.EFBIG: "the file grew beyond what the system allows: raise the limit or choose another place",
     errno.EACCES: "no permission: choose a place you may write to",
+    errno.ENOENT: "its folder does not exist: make it or choose another path",
     errno.EROFS: "the disk is read-only: choose another place",
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,6 +59,8 @@ def from_trimesh(mesh: trimesh.Trimesh, *, name: str = "solid", repair: bool = T
     if len(faces) == 0:
         raise EmptyMesh(f"{name}: the mesh has no triangles; export the part again as a triangle mesh")
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    if not np.isfinite(vertices).all():
+        raise MeshError(f"{name}: vertices are NaN or infinite; wanted finite numbers: export the part again")
     if mesh.units not in (None, "mm", "millimeter", "millimeters"):
         from trimesh.units import unit_conversion
 
@@ -70,8 +73,9 @@ def _read(file: Path) -> trimesh.Trimesh:
 
     if file.stat().st_size == 0:
         raise EmptyMesh(f"{file.name} is an empty file; export the part again")
+    count = _announced(file)
     try:
-        scene = trimesh.load_scene(str(file))
+        scene = trimesh.load_scene(_readable(file), file_type=file.suffix[1:].lower())
         mesh = scene.to_mesh()
         if scene.units is not None:
             mesh.units = scene.units
@@ -80,4 +84,36 @@ def _read(file: Path) -> trimesh.Trimesh:
             f"cannot read {file.name} as {file.suffix[1:].upper()} ({type(error).__name__}: {error}); "
             "the file is damaged or of another format: export the part again"
         ) from error
+    if count > len(mesh.faces):  # the reader drops them in silence, which leaves holes
+        raise MeshError(
+            f"{file.name}: {count - len(mesh.faces)} of {count} triangles have corners that are NaN or infinite; "
+            "wanted finite numbers: export the part again"
+        )
     return mesh
+
+
+def _announced(file: Path) -> int:
+    """Triangles that a binary STL file says it has, 0 for all others. Raises MeshError where the file ends too soon."""
+    with open(file, "rb") as stream:
+        head = stream.read(512)
+    if file.suffix.lower() != ".stl" or b"\0" not in head:
+        return 0
+    count, room = int.from_bytes(head[80:84], "little"), max(0, file.stat().st_size - 84) // 50
+    if count > room:
+        raise MeshError(
+            f"{file.name} says that it has {count} triangles but ends after {room}; it is cut off or no STL: "
+            "copy or export it again"
+        )
+    return count
+
+
+def _readable(file: Path) -> str | BytesIO:
+    """The path; for text in another encoding than UTF-8, which only names and remarks can hold, its text in UTF-8."""
+    data = file.read_bytes() if file.suffix.lower() in (".obj", ".stl") else b""
+    if b"\0" in data[:512]:
+        return str(file)
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        return BytesIO(data.decode("latin-1").encode())
+    return str(file)
