@@ -20,24 +20,29 @@ def fractions_of(operator: Projection, target: Any) -> DeviceArray:
     target: a `Target`, or fractions (NumPy or on the device).  Raises `BadInput` for another pitch and for values
     beyond 0..1, `EmptyMesh` where nothing is to be printed, `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
     """
+    radius = getattr(target, "radius", None)
+    check = getattr(operator.vessel, "check_fits", None)
+    if radius is not None and check is not None:
+        check(radius)
+    _check_beam(operator, radius, getattr(target, "height", None))
+    fractions = on_device(operator, target)
+    _check_values(fractions)
+    return fractions
+
+
+def on_device(operator: Projection, target: Any) -> DeviceArray:
+    """The target's fractions [x, y, z] on the operator's device; arguments and errors as for `fractions_of`."""
     pitch = getattr(getattr(target, "grid", None), "pitch", operator.grid.pitch)
     if abs(pitch / operator.grid.pitch - 1.0) > 1e-9:
         raise BadInput(
             f"the target has voxels of {pitch:g} mm, the operator of {operator.grid.pitch:g} mm; "
             "build the operator on target.grid"
         )
-    radius = getattr(target, "radius", None)
-    check = getattr(operator.vessel, "check_fits", None)
-    if radius is not None and check is not None:
-        check(radius)
-    _check_beam(operator, radius, getattr(target, "height", None))
-    require(operator.domain, getattr(target, "fraction", target), "the target")
-    if isinstance(target, DeviceArray):
-        operator.device.check_mine(target)
-        fractions = target
-    else:
-        fractions = target.on(operator.device) if hasattr(target, "on") else operator.device.upload(target)
-    _check_values(fractions)
+    fractions = target.on(operator.device) if hasattr(target, "on") else target
+    require(operator.domain, fractions, "the target")
+    if not isinstance(fractions, DeviceArray):
+        return operator.device.upload(fractions)
+    operator.device.check_mine(fractions)
     return fractions
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-import numpy as np
-
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
@@ -14,6 +12,7 @@ from vamgpu.metrics import light_efficiency, score, score_slices
 from vamgpu.metrics.light import light_sent
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
+from vamgpu.optimize.part import on_device
 from vamgpu.printing.exposure import expose
 from vamgpu.printing.proof import Proof
 
@@ -52,8 +51,7 @@ def simulate(
     _both_or_neither(irradiance, critical_dose)
     if threshold is not None:
         threshold = positive("threshold", threshold)
-    fraction = fractions_of(target, A.device)
-    require(A.domain, fraction, "the target")
+    fraction = on_device(A, target)
     light = frames.irradiance(A.device)
     require(A.range, light, "the frames' light")
     dose = A.T(light)
@@ -78,11 +76,3 @@ def _both_or_neither(irradiance: float | None, critical_dose: float | None) -> N
     if (irradiance is None) != (critical_dose is None):
         given, missing = ("irradiance", "critical_dose") if critical_dose is None else ("critical_dose", "irradiance")
         raise BadInput(f"got {given} without {missing}; give both for predicted times, or neither")
-
-
-def fractions_of(target: Any, device: Device) -> DeviceArray:
-    """The fractions of a target as a field on a device."""
-    if isinstance(target, DeviceArray):
-        device.check_mine(target)
-        return target
-    return target.on(device) if hasattr(target, "on") else device.upload(np.asarray(target))
