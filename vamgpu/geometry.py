@@ -18,9 +18,9 @@ from vamgpu.errors import BadInput
 def positive(name: str, value: float, *, zero: bool = False) -> float:
     """``value`` as a float if it is finite and positive (or zero, where allowed), else `BadInput`."""
     try:
-        number = float(value)
+        number = float(value) if not isinstance(value, (str, bytes)) else float("nan")
     except (TypeError, ValueError) as error:
-        raise BadInput(f"{name} is {value!r}; a number is wanted") from error
+        raise BadInput(f"{name} is {value!r}; wanted a number") from error
     if not isfinite(number) or number < 0 or (number == 0 and not zero):
         raise BadInput(f"{name} is {value!r}; wanted a finite number {'≥' if zero else '>'} 0")
     return number

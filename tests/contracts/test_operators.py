@@ -116,6 +116,8 @@ def test_bad_input_is_named(device: Device) -> None:
         A(np.zeros((3, 3, 3)))
     with pytest.raises(BadInput, match="NaN"):
         A(np.full(A.domain.shape, np.nan))
+    with pytest.raises(BadInput, match="real numbers"):
+        A(np.full(A.domain.shape, 1j))
     with pytest.raises(KernelError, match="takes"):
         from vamgpu.kernels.project import forward_joseph
 
@@ -133,6 +135,7 @@ def test_bad_input_is_named(device: Device) -> None:
         (vam.Grid, ((8, 8, 8), float("nan"))),
         (vam.Grid, ((8, 8, 8), -0.1)),
         (vam.Grid, ((8, 8), 0.1)),
+        (vam.Grid, ((8, 8, 8), "0.1 mm")),
         (vam.Grid, ((8, 8, 0), 0.1)),
         (vam.Beam, ((8, 8.5), 0.1)),
         (vam.Beam, ((8, 8), 0.0)),

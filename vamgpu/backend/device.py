@@ -101,6 +101,8 @@ class Device(ABC):
     def upload(self, values: Any, dtype: Any = None, *, table: bool = False) -> DeviceArray:
         """Copy a NumPy array to the device, as a field or as a table. Raises `BadInput` for what is not finite."""
         source = np.asarray(values)
+        if source.dtype.kind not in "fiub":
+            raise BadInput(f"the array holds {source.dtype}; wanted real numbers")
         if not table and source.ndim != 3:
             raise BadInput(f"a field has 3 axes; got an array of shape {source.shape}")
         if source.dtype.kind == "f" and not np.isfinite(source).all():
