@@ -195,14 +195,14 @@ __kernel void forward_refracted(__global const float *restrict volume, __global 
     const int folds = folds_of(n_angle, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
     const int2 angles = share(ITEM_MAJOR, get_global_size(1), n_angle / folds);
     const int longest = max(n_x, n_y);
-    Notes notes[TOGETHER];
+    Notes notes[POSES * RAYS];
     for (int strip = 0; strip < longest; strip += STRIP)
-        for (int angle = angles.x; angle < angles.y; angle++) for (int r_begin = 0; r_begin < n_r; r_begin += TOGETHER) {
-            const float2 direction = directions[angle];
-            const int members = min(TOGETHER, n_r - r_begin);
-            for (int member = 0; member < members; member++) {
+        for (int group = angles.x; group < angles.y; group += POSES) for (int r_begin = 0; r_begin < n_r; r_begin += RAYS) {
+            const int poses = min(POSES, angles.y - group), rays = min(RAYS, n_r - r_begin);
+            for (int member = 0; member < poses * rays; member++) {
                 Notes *own = notes + member;
-                const int r = r_begin + member;
+                const int angle = group + member / rays, r = r_begin + member % rays;
+                const float2 direction = directions[angle];
                 const Span span = span_of(edges[r], direction, n_x, n_y);
                 own->count = 0;
                 for (int fold = 0; fold < folds; fold++) own->to[fold] = turned_column(fold, angle, r, n_angle, n_r);
@@ -225,7 +225,7 @@ __kernel void forward_refracted(__global const float *restrict volume, __global 
                     }
                 }
             }
-            apply(notes, members, folds, slabs, volume, from_slab, sinogram, to_slab);
+            apply(notes, poses * rays, folds, slabs, volume, from_slab, sinogram, to_slab);
         }
 #else
     const int angle = ITEM_MAJOR, r = ITEM_MINOR;

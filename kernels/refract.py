@@ -47,7 +47,7 @@ def _lit(
     over="sinogram",
     cpu=Tiling(major=20, minor=0, slabs=4),
     gpu=Tiling(major=1, minor=1, slabs=4, group=(256, 1)),
-    constants={"cpu": {"STRIP": 8, "TOGETHER": 16, "CAPACITY": 32}},
+    constants={"cpu": {"STRIP": 8, "POSES": 8, "RAYS": 8, "CAPACITY": 32}},
 )
 def forward_refracted(
     volume: Volume, directions: Directions, light: Map, edges: Edges, width: Real, radius: Real, sinogram: SinogramOut
