@@ -3,7 +3,7 @@
     time .peers/bin/python profiling/peers/vamtoolbox_osmo.py benchy.stl
 
 VAMToolbox is not on a package index; point install.sh's VAMTOOLBOX at a checkout. Without one this script exits with
-code 2; astra_osmo.py is then a stand-in. Prints one JSON line.
+code 2. Prints one JSON line.
 """
 
 from __future__ import annotations
