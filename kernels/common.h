@@ -6,6 +6,10 @@
 #define PASTE(a, b) PASTE_(a, b)
 typedef PASTE(float, WIDTH) Vector;
 
+// An item is made of vectors already: without the hint compilers for CPUs pack several items into lanes, which takes most
+// of their time, and runs items in step that have unlike work.
+#define FIELD_KERNEL __kernel __attribute__((vec_type_hint(Vector))) void
+
 #define UNROLL _Pragma("unroll")
 #define EACH_VECTOR UNROLL for (int v = 0; v < VECTORS; v++)
 

@@ -16,8 +16,8 @@ static inline void convolve(__global const float *row, __global const float *res
 #define n_j n_r
 
 #ifdef COMPILE_filter_rows
-__kernel void filter_rows(__global const float *restrict sinogram, __global const float *restrict taps, int stride,
-                          float floor, __global float *restrict filtered, int n_angle, int n_r, int n_z, int n_tap) {
+FIELD_KERNEL filter_rows(__global const float *restrict sinogram, __global const float *restrict taps, int stride,
+                         float floor, __global float *restrict filtered, int n_angle, int n_r, int n_z, int n_tap) {
     if (part_index(n_i, n_j, n_z) < 0) return;
     const size_t slab = slab_offset(n_i, n_j);
     EACH_SAMPLE {
@@ -29,9 +29,9 @@ __kernel void filter_rows(__global const float *restrict sinogram, __global cons
 #endif
 
 #ifdef COMPILE_filtered_step
-__kernel void filtered_step(__global const float *restrict gradient, __global const float *restrict taps, int stride,
-                            float step, float momentum, __global float *restrict light, __global float *restrict ahead,
-                            int n_angle, int n_r, int n_z, int n_tap) {
+FIELD_KERNEL filtered_step(__global const float *restrict gradient, __global const float *restrict taps, int stride,
+                           float step, float momentum, __global float *restrict light, __global float *restrict ahead,
+                           int n_angle, int n_r, int n_z, int n_tap) {
     if (part_index(n_i, n_j, n_z) < 0) return;
     const size_t slab = slab_offset(n_i, n_j);
     EACH_SAMPLE {

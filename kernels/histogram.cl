@@ -13,9 +13,9 @@ static inline bool counted(int i, int j, int n_i, int n_j, float radius) {
 #endif
 
 #ifdef COMPILE_tally
-__kernel void tally(__global const float *restrict dose, __global const float *restrict target,
-                    __global const float *restrict ranges, float level, float radius, __global uint *restrict partial,
-                    int n_i, int n_j, int n_z, int n_slice, int n_strip, int n_bin) {
+FIELD_KERNEL tally(__global const float *restrict dose, __global const float *restrict target,
+                   __global const float *restrict ranges, float level, float radius, __global uint *restrict partial,
+                   int n_i, int n_j, int n_z, int n_slice, int n_strip, int n_bin) {
     if (IDLE) return;
     const int own = OWN_Z, begin = ITEM_MAJOR * TILE_MAJOR, end = min(begin + TILE_MAJOR, n_i);
     __global uint *mine = partial + ((size_t)ITEM_MAJOR * n_z + FIRST_Z) * 2 * n_bin;
@@ -54,8 +54,8 @@ __kernel void fold_counts(__global const uint *restrict partial, __global uint *
 #endif
 
 #ifdef COMPILE_survey
-__kernel void survey(__global const float *restrict dose, __global const float *restrict target, float level,
-                     float radius, __global float *restrict parts, int n_i, int n_j, int n_z, int n_strip) {
+FIELD_KERNEL survey(__global const float *restrict dose, __global const float *restrict target, float level,
+                    float radius, __global float *restrict parts, int n_i, int n_j, int n_z, int n_strip) {
     if (IDLE) return;
     const int own = OWN_Z, begin = ITEM_MAJOR * TILE_MAJOR, end = min(begin + TILE_MAJOR, n_i);
     __global float *mine = parts + ((size_t)ITEM_MAJOR * n_z + FIRST_Z) * 6;

@@ -34,11 +34,11 @@ static inline Vector band(Vector *dose, Vector f, Vector weight, __global const 
     return gain * root * amount + ridge * value * value;
 }
 
-__kernel void band_loss(__global float *dose, __global const float *target, __global const float *weight, int weighted,
-                        __global const float *restrict response, float start, float density, float low, float high,
-                        float slack_low, float slack_high, float gain_low, float gain_high, float power, float ridge, int binary,
-                        float reach, __global float *restrict parts, int n_i, int n_j, int n_z, int n_sample,
-                        int n_part) {
+FIELD_KERNEL band_loss(__global float *dose, __global const float *target, __global const float *weight, int weighted,
+                       __global const float *restrict response, float start, float density, float low, float high,
+                       float slack_low, float slack_high, float gain_low, float gain_high, float power, float ridge, int binary,
+                       float reach, __global float *restrict parts, int n_i, int n_j, int n_z, int n_sample,
+                       int n_part) {
     const int part = part_index(n_i, n_j, n_z);
     if (part < 0 || part >= n_part) return;
     const size_t slab = slab_offset(n_i, n_j);

@@ -49,10 +49,10 @@ static inline float wanted(__global const float *sinogram, const Placement p, in
 #endif
 
 // A group counts for itself first: on a CPU it is one item, on a GPU its items meet at the barriers.
-__kernel void count_light(__global const float *restrict sinogram, __global const float *restrict flat,
-                    int shift_r, int shift_z, float part_r, float part_z, int flip_r, int flip_z,
-                    int drop, int prefix, __global int *restrict counts,
-                    int n_angle, int n_r, int n_z, int n_flat_row, int n_flat_column) {
+FIELD_KERNEL count_light(__global const float *restrict sinogram, __global const float *restrict flat,
+                         int shift_r, int shift_z, float part_r, float part_z, int flip_r, int flip_z,
+                         int drop, int prefix, __global int *restrict counts,
+                         int n_angle, int n_r, int n_z, int n_flat_row, int n_flat_column) {
     __local int own[1024];
     const int member = get_local_id(1) * get_local_size(0) + get_local_id(0);
     const int members = get_local_size(0) * get_local_size(1);
@@ -82,11 +82,11 @@ __kernel void count_light(__global const float *restrict sinogram, __global cons
 #define EACH_LANE for (int k = 0; k < LANES_OWNED; k++)
 
 // An item owns its pixels at every angle, so that errors can be carried from one to the next.
-__kernel void quantize(__global const float *restrict sinogram, __global const float *restrict flat,
-                       __global const float *restrict curve, __global const float *restrict bounds, float gain,
-                       int shift_r, int shift_z, float part_r, float part_z, int flip_r, int flip_z,
-                       float carry, __global uchar *restrict images,
-                       int n_angle, int n_r, int n_z, int n_flat_row, int n_flat_column, int n_level) {
+FIELD_KERNEL quantize(__global const float *restrict sinogram, __global const float *restrict flat,
+                      __global const float *restrict curve, __global const float *restrict bounds, float gain,
+                      int shift_r, int shift_z, float part_r, float part_z, int flip_r, int flip_z,
+                      float carry, __global uchar *restrict images,
+                      int n_angle, int n_r, int n_z, int n_flat_row, int n_flat_column, int n_level) {
     const Placement p = PLACEMENT;
     const int r_begin = ITEM_MINOR * TILE_MINOR, r_end = min(r_begin + TILE_MINOR, n_r);
     const int z_begin = ITEM_SLAB * LANES + ITEM_LANE;
@@ -141,11 +141,11 @@ static inline float shown(__global const uchar *images, __global const float *fl
     return curve[level] * brightness(flat, row, column, n_flat_row, n_flat_column);
 }
 
-__kernel void unpack(__global const uchar *restrict images, __global const float *restrict flat,
-                     __global const float *restrict curve, int bits, float scale,
-                     int shift_r, int shift_z, float part_r, float part_z, int flip_r, int flip_z,
-                     __global float *restrict light,
-                     int n_angle, int n_z, int n_byte, int n_flat_row, int n_flat_column, int n_level, int n_r) {
+FIELD_KERNEL unpack(__global const uchar *restrict images, __global const float *restrict flat,
+                    __global const float *restrict curve, int bits, float scale,
+                    int shift_r, int shift_z, float part_r, float part_z, int flip_r, int flip_z,
+                    __global float *restrict light,
+                    int n_angle, int n_z, int n_byte, int n_flat_row, int n_flat_column, int n_level, int n_r) {
     const Placement p = PLACEMENT;
     const int angle = ITEM_MAJOR, r_begin = TILE_MINOR ? ITEM_MINOR * TILE_MINOR : 0;
     const int r_end = TILE_MINOR ? min(r_begin + TILE_MINOR, n_r) : n_r;

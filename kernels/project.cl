@@ -72,9 +72,9 @@ static inline void march(__global const float *restrict volume, const Crossing k
 
 // A CPU core takes a block of angles and walks strips of planes that stay in its cache.
 // A GPU thread takes TILE_MAJOR angles of one column and keeps their sums in registers while its group walks the strips.
-__kernel void forward_joseph(__global const float *restrict volume, __global const float2 *restrict directions,
-                             float pitch, __global float *restrict sinogram,
-                             int n_x, int n_y, int n_z, int n_angle, int n_r) {
+FIELD_KERNEL forward_joseph(__global const float *restrict volume, __global const float2 *restrict directions,
+                            float pitch, __global float *restrict sinogram,
+                            int n_x, int n_y, int n_z, int n_angle, int n_r) {
     const int first_angle = ITEM_MAJOR * TILE_MAJOR, longest = max(n_x, n_y);
     volume += slab_offset(n_x, n_y);
     sinogram += slab_offset(n_angle, n_r);
@@ -157,9 +157,9 @@ static inline void gather(__global const float *restrict pose, float2 direction,
 }
 
 // An item owns TILE_MAJOR rows of x and goes through them once per ANGLES poses, which stay in its cache.
-__kernel void back_joseph(__global const float *restrict sinogram, __global const float2 *restrict directions,
-                          float pitch, __global float *restrict volume,
-                          int n_angle, int n_r, int n_z, int n_x, int n_y) {
+FIELD_KERNEL back_joseph(__global const float *restrict sinogram, __global const float2 *restrict directions,
+                         float pitch, __global float *restrict volume,
+                         int n_angle, int n_r, int n_z, int n_x, int n_y) {
     const int x_begin = ITEM_MAJOR * TILE_MAJOR, x_end = min(x_begin + TILE_MAJOR, n_x);
     const int y_begin = TILE_MINOR ? ITEM_MINOR * TILE_MINOR : 0, y_end = TILE_MINOR ? min(y_begin + TILE_MINOR, n_y) : n_y;
     sinogram += slab_offset(n_angle, n_r);

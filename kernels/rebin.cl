@@ -1,7 +1,7 @@
 #include "common.h"
 
-__kernel void rebin_rays(__global const float *restrict parallel, __global const float *restrict rays,
-                         __global float *restrict light, int n_angle, int n_column, int n_z, int n_r) {
+FIELD_KERNEL rebin_rays(__global const float *restrict parallel, __global const float *restrict rays,
+                        __global float *restrict light, int n_angle, int n_column, int n_z, int n_r) {
     const int angle = ITEM_MAJOR, begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_r) : n_r;
     __global const float *source = parallel + slab_offset(n_angle, n_column);
     __global float *out = light + slab_offset(n_angle, n_r);

@@ -1,8 +1,8 @@
 #include "partial.h"
 
 #ifdef COMPILE_partial_sum
-__kernel void partial_sum(__global const float *restrict a, __global float *restrict parts, int n_i, int n_j, int n_z,
-                          int n_part) {
+FIELD_KERNEL partial_sum(__global const float *restrict a, __global float *restrict parts, int n_i, int n_j, int n_z,
+                         int n_part) {
     const int part = part_index(n_i, n_j, n_z);
     if (part < 0 || part >= n_part) return;
     __global const float *source = a + slab_offset(n_i, n_j);
@@ -16,8 +16,8 @@ __kernel void partial_sum(__global const float *restrict a, __global float *rest
 #endif
 
 #ifdef COMPILE_partial_dot
-__kernel void partial_dot(__global const float *a, __global const float *b, __global float *restrict parts, int n_i,
-                          int n_j, int n_z, int n_part) {
+FIELD_KERNEL partial_dot(__global const float *a, __global const float *b, __global float *restrict parts, int n_i,
+                         int n_j, int n_z, int n_part) {
     const int part = part_index(n_i, n_j, n_z);
     if (part < 0 || part >= n_part) return;
     const size_t slab = slab_offset(n_i, n_j);
@@ -34,9 +34,9 @@ __kernel void partial_dot(__global const float *a, __global const float *b, __gl
 #endif
 
 #ifdef COMPILE_partial_extent
-__kernel void partial_extent(__global const float *a, __global const float *mask, float lower, float upper,
-                             float reach, __global float *restrict lows, __global float *restrict highs, int n_i,
-                             int n_j, int n_z, int n_part) {
+FIELD_KERNEL partial_extent(__global const float *a, __global const float *mask, float lower, float upper,
+                            float reach, __global float *restrict lows, __global float *restrict highs, int n_i,
+                            int n_j, int n_z, int n_part) {
     const int part = part_index(n_i, n_j, n_z);
     if (part < 0 || part >= n_part) return;
     const size_t slab = slab_offset(n_i, n_j);

@@ -84,10 +84,10 @@ static inline int2 share(int index, int items, int count) {
 #endif
 
 #ifdef COMPILE_back_refracted
-__kernel void back_refracted(__global const float *restrict sinogram, __global const float2 *restrict directions,
-                             __global const float2 *restrict light, float width, float radius,
-                             __global float *restrict volume,
-                             int n_angle, int n_r, int n_z, int n_across, int n_along, int n_x, int n_y) {
+FIELD_KERNEL back_refracted(__global const float *restrict sinogram, __global const float2 *restrict directions,
+                            __global const float2 *restrict light, float width, float radius,
+                            __global float *restrict volume,
+                            int n_angle, int n_r, int n_z, int n_across, int n_along, int n_x, int n_y) {
     const float inverse = 1.0f / width, reach = 0.5f * (1.0f + width), x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1);
     const int taps = (int)ceil(2.0f * reach);
     sinogram += slab_offset(n_angle, n_r);
@@ -183,10 +183,10 @@ static inline int2 cells_of(const Span *span, int plane) {
     return (int2)(max((int)ceil(fmin(a, b) - span->slack), 0), min((int)floor(fmax(a, b) + span->slack), span->cells - 1));
 }
 
-__kernel void forward_refracted(__global const float *restrict volume, __global const float2 *restrict directions,
-                                __global const float2 *restrict light, __global const float8 *restrict edges,
-                                float width, float radius, __global float *restrict sinogram,
-                                int n_x, int n_y, int n_z, int n_angle, int n_across, int n_along, int n_r) {
+FIELD_KERNEL forward_refracted(__global const float *restrict volume, __global const float2 *restrict directions,
+                               __global const float2 *restrict light, __global const float8 *restrict edges,
+                               float width, float radius, __global float *restrict sinogram,
+                               int n_x, int n_y, int n_z, int n_angle, int n_across, int n_along, int n_r) {
     const float inverse = 1.0f / width, reach = 0.5f * (1.0f + width), x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1);
     volume += slab_offset(n_x, n_y);
     sinogram += slab_offset(n_angle, n_r);

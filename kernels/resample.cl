@@ -1,8 +1,8 @@
 #include "common.h"
 
 // One lane after the other: neighbours in z sit in one slab, or in the next.
-__kernel void resample(__global const float *restrict source, float ratio, float reach, float most, float gain, int lanes,
-                       __global float *restrict target, int n_i, int n_j, int n_source, int n_z) {
+FIELD_KERNEL resample(__global const float *restrict source, float ratio, float reach, float most, float gain, int lanes,
+                      __global float *restrict target, int n_i, int n_j, int n_source, int n_z) {
     const int j_begin = TILE_MINOR ? ITEM_MINOR : 0, j_end = TILE_MINOR ? min(j_begin + 1, n_j) : n_j, i = ITEM_MAJOR;
     if (i >= n_i) return;
     for (int j = j_begin; j < j_end; j++)

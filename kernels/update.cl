@@ -8,7 +8,7 @@
     EACH_SAMPLE for (size_t at = slab + SAMPLE(i, j, n_j), end = at + 1; at < end; at++) EACH_VECTOR
 
 #ifdef COMPILE_linear
-__kernel void linear(float a, ARRAY x, float b, ARRAY y, float floor, __global float *out, SIZES) {
+FIELD_KERNEL linear(float a, ARRAY x, float b, ARRAY y, float floor, __global float *out, SIZES) {
     if (!MINE) return;
     EACH_VECTOR_AT STORE(out + at, fmax((Vector)(floor), a * LOAD(x + at) + b * LOAD(y + at)));
 }
@@ -19,8 +19,8 @@ static inline Vector raised(Vector x, float power) {
     return power == 0.0f ? (Vector)(1.0f) : power == 1.0f ? x : power == 3.0f ? x * x * x : pow(x, (Vector)(power));
 }
 
-__kernel void free_gradient(ARRAY light, float weight, float power, int hold, __global float *gradient,
-                            __global float *restrict parts, SIZES, int n_part) {
+FIELD_KERNEL free_gradient(ARRAY light, float weight, float power, int hold, __global float *gradient,
+                           __global float *restrict parts, SIZES, int n_part) {
     const int part = part_index(n_i, n_j, n_z);
     if (part < 0 || part >= n_part) return;
     Vector sum[VECTORS];
@@ -42,7 +42,7 @@ __kernel void free_gradient(ARRAY light, float weight, float power, int hold, __
 #endif
 
 #ifdef COMPILE_paint
-__kernel void paint(ARRAY target, float low, float high, float reach, __global float *model, SIZES) {
+FIELD_KERNEL paint(ARRAY target, float low, float high, float reach, __global float *model, SIZES) {
     if (!MINE) return;
     EACH_VECTOR_AT {
         const int near = disc_distance(i, j, n_i, n_j) <= reach * reach;
@@ -52,8 +52,8 @@ __kernel void paint(ARRAY target, float low, float high, float reach, __global f
 #endif
 
 #ifdef COMPILE_correct_by_ratio
-__kernel void correct_by_ratio(ARRAY dose, float scale, ARRAY target, float low, float high, float most,
-                               __global float *model, SIZES) {
+FIELD_KERNEL correct_by_ratio(ARRAY dose, float scale, ARRAY target, float low, float high, float most,
+                              __global float *model, SIZES) {
     if (!MINE) return;
     EACH_VECTOR_AT {
         const Vector wanted = low + (high - low) * LOAD(target + at);
@@ -64,8 +64,8 @@ __kernel void correct_by_ratio(ARRAY dose, float scale, ARRAY target, float low,
 #endif
 
 #ifdef COMPILE_correct_by_difference
-__kernel void correct_by_difference(ARRAY dose, float scale, ARRAY target, float low, float high, float gain_outside,
-                                    float gain_inside, float reach, __global float *model, SIZES) {
+FIELD_KERNEL correct_by_difference(ARRAY dose, float scale, ARRAY target, float low, float high, float gain_outside,
+                                   float gain_inside, float reach, __global float *model, SIZES) {
     if (!MINE) return;
     EACH_VECTOR_AT {
         if (disc_distance(i, j, n_i, n_j) > reach * reach) continue;

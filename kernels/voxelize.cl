@@ -82,13 +82,11 @@ static inline float settle(__global float *volume, int x, int y, int n_x, int n_
     return sum;
 }
 
-// An item owns a square of columns, all of z. The hint keeps compilers for CPUs from running several items in step,
-// which their unlike lists of triangles would make several times slower.
-__kernel __attribute__((vec_type_hint(float16)))
-void voxelize(__global const int *restrict triangles, __global const int *restrict members,
-              __global const int *restrict first, __global const int *restrict last, int tile, int bits,
-              __global float *restrict volume, __global float *restrict filled,
-              int n_triangle, int n_member, int n_tile_x, int n_tile_y, int n_x, int n_y, int n_z) {
+// An item owns a square of columns, all of z.
+FIELD_KERNEL voxelize(__global const int *restrict triangles, __global const int *restrict members,
+                      __global const int *restrict first, __global const int *restrict last, int tile, int bits,
+                      __global float *restrict volume, __global float *restrict filled,
+                      int n_triangle, int n_member, int n_tile_x, int n_tile_y, int n_x, int n_y, int n_z) {
     const int item = get_global_id(1) * n_tile_y + get_global_id(0), begin = first[item], end = last[item];
     const int2 low = (int2)(get_global_id(1), get_global_id(0)) * tile, high = min(low + tile, (int2)(n_x, n_y));
     const int slabs = (n_z + LANES - 1) / LANES;

@@ -46,9 +46,9 @@ def open_any(name: str) -> Device:
     if not name.endswith(GPU_LAYOUT):
         return vamgpu.open_device(name)
     from vamgpu.backend.opencl import OpenclDevice
-    from vamgpu.backend.opencl_platforms import all_devices
+    from vamgpu.backend.opencl_platforms import context_of
 
-    device = OpenclDevice(name, all_devices()[name.removesuffix(GPU_LAYOUT)])
+    device = OpenclDevice(name, context_of(name.removesuffix(GPU_LAYOUT)))
     device.is_gpu = True
     return device
 

@@ -55,9 +55,9 @@ def test_devices_agree_with_the_reference(fast_device: Device, case: str) -> Non
 def test_the_layout_of_gpus_agrees(opencl_name: str, case: str) -> None:
     """Many items a slab and groups that count together, on whatever runs OpenCL here."""
     from vamgpu.backend.opencl import OpenclDevice
-    from vamgpu.backend.opencl_platforms import all_devices
+    from vamgpu.backend.opencl_platforms import context_of
 
-    device = OpenclDevice(opencl_name, all_devices()[opencl_name])
+    device = OpenclDevice(opencl_name, context_of(opencl_name))
     device.is_gpu = True
     light = some_light()
     frames, reference = (pack(plan_of(d, light), **CASES[case]) for d in (device, vam.open_device("numpy")))

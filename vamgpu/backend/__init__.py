@@ -60,9 +60,9 @@ def _open(name: str) -> Device:
         return NumpyDevice()
     if kind == "opencl" and name in (*_opencl_names()[0], *_opencl_names()[1]) and _opencl_works(name):
         from vamgpu.backend.opencl import OpenclDevice
-        from vamgpu.backend.opencl_platforms import all_devices
+        from vamgpu.backend.opencl_platforms import context_of
 
-        return OpenclDevice(name, all_devices()[name])
+        return OpenclDevice(name, context_of(name))
     if kind == "warp" and (rest == "cpu" or name in _cuda_names()) and importlib.util.find_spec("warp"):
         from vamgpu.backend.warp import WarpDevice
 
@@ -109,6 +109,6 @@ def _opencl_names() -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 @cache
 def _opencl_works(name: str) -> bool:
-    from vamgpu.backend.opencl_platforms import all_devices, complaint
+    from vamgpu.backend.opencl_platforms import complaint
 
-    return complaint(all_devices()[name]) is None
+    return complaint(name) is None

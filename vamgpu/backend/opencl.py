@@ -22,11 +22,12 @@ class OpenclDevice(Device):
     CPUs take a whole slab of 16 to 64 lanes per work item; GPUs give each item four lanes, and a slab to eight items.
     """
 
-    def __init__(self, name: str, device: cl.Device) -> None:
+    def __init__(self, name: str, context: cl.Context) -> None:
+        (device,) = context.devices
         super().__init__(name, f"{device.name.strip()} ({device.platform.name})")
         self.is_gpu = bool(device.type & cl.device_type.GPU)
-        self.context = cl.Context([device])
-        self.queue = cl.CommandQueue(self.context)
+        self.context = context
+        self.queue = cl.CommandQueue(context)
         self._device = device
         self._compiled = lru_cache(maxsize=None)(self.compile)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import warnings
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -76,12 +76,20 @@ def all_devices() -> dict[str, Any]:
     return found
 
 
-def complaint(device: Any) -> str | None:
-    """Why a device cannot build and run a trivial kernel, or None if it can."""
+@cache
+def context_of(name: str) -> Any:
+    """The one context of a named device: PoCL loads its library of built-in functions anew for each."""
+    import pyopencl as cl
+
+    return cl.Context([all_devices()[name]])
+
+
+def complaint(name: str) -> str | None:
+    """Why the device of that name cannot build and run a trivial kernel, or None if it can."""
     import pyopencl as cl
 
     try:
-        context = cl.Context([device])
+        context = context_of(name)
         queue = cl.CommandQueue(context)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, 64)
         with warnings.catch_warnings():

@@ -152,12 +152,11 @@ def _opened(name: str) -> Any:
         return WarpDevice(name, rest)
     if kind == "opencl":
         from vamgpu.backend.opencl import OpenclDevice
-        from vamgpu.backend.opencl_platforms import all_devices, complaint
+        from vamgpu.backend.opencl_platforms import complaint, context_of
 
-        device = all_devices()[name]
-        if (why := complaint(device)) is not None:
+        if (why := complaint(name)) is not None:
             raise RuntimeError(why)
-        return OpenclDevice(name, device)
+        return OpenclDevice(name, context_of(name))
     from vamgpu.backend.numpy import NumpyDevice
 
     return NumpyDevice()
