@@ -61,7 +61,7 @@ class FencedDevice(OpenclDevice):
     """An OpenCL device whose arrays are followed by a strip nobody may write to."""
 
     def __init__(self, like: OpenclDevice) -> None:
-        super().__init__(f"{like.name}, fenced", like._device)
+        super().__init__(f"{like.name}, fenced", like.context)
         self.is_gpu = like.is_gpu
         self.fenced: list[tuple[cl.Buffer, int]] = []
 
