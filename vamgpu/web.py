@@ -1,0 +1,103 @@
+"""The nouns of a web: a film that a roller carries past one pose of light, and that light in the film laid flat.
+
+Axes are ``[l, rho, z]``: l along the web, rho from the roller's side (0) to the outer face, z across the web. At pose k
+the window of light begins ``k · step`` further along the web; everything else about a pose is the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Beam, centers, counts, positive
+
+
+@dataclass(frozen=True)
+class WebGrid:
+    """Voxels of a film laid flat.
+
+    shape: voxels along l, rho, z.  pitch: voxel edges [mm] along l, rho, z; one number for cubes.  Raises `BadInput`.
+    """
+
+    shape: tuple[int, int, int]
+    pitch: tuple[float, float, float] | float
+
+    def __post_init__(self) -> None:
+        pitch = (self.pitch,) * 3 if isinstance(self.pitch, (int, float)) else tuple(self.pitch)
+        if len(pitch) != 3:
+            raise BadInput(f"WebGrid pitch is {self.pitch!r}; wanted one length or three, along l, rho and z [mm]")
+        object.__setattr__(self, "shape", counts("WebGrid shape", self.shape, 3))
+        object.__setattr__(self, "pitch", tuple(positive("WebGrid pitch [mm]", p) for p in pitch))
+
+    @property
+    def edges(self) -> tuple[float, float, float]:
+        """Voxel edges [mm] along l, rho, z."""
+        return self.pitch  # type: ignore[return-value] - three numbers once made
+
+    @property
+    def voxel_volume(self) -> float:
+        """Volume of one voxel of the flat film [mm³]."""
+        return float(np.prod(self.edges))
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Extent [mm] along l, rho, z."""
+        along, deep, across = (n * p for n, p in zip(self.shape, self.edges, strict=True))
+        return along, deep, across
+
+    def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Voxel centers [mm]: l from the web's beginning, rho from the roller, z about the middle of the web."""
+        (n_l, n_rho, n_z), (dl, drho, dz) = self.shape, self.edges
+        return (np.arange(n_l) + 0.5) * dl, (np.arange(n_rho) + 0.5) * drho, centers(n_z, dz)
+
+
+@dataclass(frozen=True)
+class Propagation:
+    """Light of one pose in the flat film: the sparse P[r, rho, l] of a beam's columns over the window they reach.
+
+    shape: (columns r, layers rho, window columns l).  r, rho, l: indices of the entries, int32, in lexical order, none
+    twice.  weight: their values, float64: the length [mm] of the ray in the voxel times transmittance times the
+    absorbed fraction per mm, as for every projector.  middle: window coordinate l [mm] of the point nearest the light.
+    """
+
+    shape: tuple[int, int, int]
+    r: np.ndarray
+    rho: np.ndarray
+    l: np.ndarray  # noqa: E741 - the web's axis
+    weight: np.ndarray
+    middle: float = 0.0
+
+    @classmethod
+    def gathered(
+        cls, shape: tuple[int, int, int], r: np.ndarray, rho: np.ndarray, l: np.ndarray, weight: np.ndarray,  # noqa: E741
+        middle: float = 0.0,
+    ) -> Propagation:  # fmt: skip
+        """From entries in any order; those of one voxel and ray are summed."""
+        flat = np.ravel_multi_index((r, rho, l), shape)
+        cells, inverse = np.unique(flat, return_inverse=True)
+        total = np.bincount(inverse, weights=weight, minlength=cells.size)
+        found = (index.astype(np.int32) for index in np.unravel_index(cells, shape))
+        return cls(shape, *found, total, middle)
+
+    def dense(self) -> np.ndarray:
+        """P itself, (r, rho, l), float64."""
+        matrix = np.zeros(self.shape)
+        matrix[self.r, self.rho, self.l] = self.weight
+        return matrix
+
+
+@runtime_checkable
+class Wrap(Protocol):
+    """What a web projector asks of the machine that carries the film."""
+
+    @property
+    def advance(self) -> float:
+        """Way [mm] of the film along its neutral line from one pose to the next."""
+        ...
+
+    def propagation(self, grid: WebGrid, beam: Beam) -> Propagation:
+        """Light of one pose over a window of ``grid``'s voxels; only the grid's rho and z extents and pitches count."""
+        ...
