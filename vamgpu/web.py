@@ -79,8 +79,8 @@ class Propagation:
         flat = np.ravel_multi_index((r, rho, l), shape)
         cells, inverse = np.unique(flat, return_inverse=True)
         total = np.bincount(inverse, weights=weight, minlength=cells.size)
-        found = (index.astype(np.int32) for index in np.unravel_index(cells, shape))
-        return cls(shape, *found, total, middle)
+        row, layer, column = (index.astype(np.int32) for index in np.unravel_index(cells, shape))
+        return cls(shape, row, layer, column, total, middle)
 
     def dense(self) -> np.ndarray:
         """P itself, (r, rho, l), float64."""
