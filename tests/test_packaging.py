@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -64,6 +65,15 @@ def test_every_public_name_is_there() -> None:
         assert getattr(vamgpu, name) is not None
     with pytest.raises(AttributeError, match="nonsense"):
         _ = vamgpu.nonsense  # type: ignore[attr-defined]
+
+
+def test_type_checkers_are_told_of_the_same_names() -> None:
+    import vamgpu
+
+    stub = (ROOT / "vamgpu" / "__init__.pyi").read_text(encoding="utf-8")
+    told = {(name, module) for module, names in re.findall(r"^from (\S+) import ([^(\n]+|\([^)]*\))", stub, re.M)
+            for name in re.findall(r"(\w+) as \1", names)}  # fmt: skip
+    assert told == set(vamgpu._PUBLIC.items())  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_a_wheel_holds_every_file(tmp_path: Path) -> None:

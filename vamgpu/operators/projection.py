@@ -33,6 +33,9 @@ class Projection(LinearOperator):
     Raises `BadInput`, `DeviceError`.
     """
 
+    domain: VolumeSpace
+    range: SinogramSpace
+
     def __init__(
         self,
         grid: Grid,
