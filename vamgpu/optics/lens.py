@@ -1,0 +1,139 @@
+"""A lens that current tunes, in the Fourier plane of a relay: where the projector focuses, and how to make it.
+
+The projector is two relays one after the other, L1 and L2, then L3 and L4. The tunable lens stands between L1 and L2
+where the mirrors' light crosses, together with a fixed lens that takes the middle of its range off; so magnification
+and telecentricity do not depend on its power, and focus moves in proportion to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import counts, positive
+from vamgpu.optics.inputs import Floats, as_offsets, index
+
+DIOPTER = 1e-3
+"""One diopter [1/mm]."""
+
+
+@dataclass(frozen=True)
+class TunableLens:
+    """Two relays with a tunable lens, and the number of focus planes it steps through at every pose.
+
+    focal: focal lengths [mm] of L1 to L4.  offset: that of the fixed lens at the tunable one [mm], < 0 where it
+    diverges.  powers: lowest and highest power of the tunable lens [dpt].  air: way [mm] from L4 to the last window.
+    index: refractive index beyond that window.  bins: depth bins, thus focus planes.  quantum: smallest step of the
+    power [dpt] that the driver can set; 0 for none.  settle: seconds from one power to the next.
+
+    Defaults are the lenses of J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", table S1,
+    in air. Raises `BadInput`.
+    """
+
+    focal: tuple[float, float, float, float] = (150.0, 150.0, 150.0, 200.0)
+    offset: float = -200.0
+    powers: tuple[float, float] = (5.0, 10.0)
+    index: float = 1.0
+    air: float = 0.0
+    bins: int = 3
+    quantum: float = 0.0
+    settle: float = 5e-3
+
+    def __post_init__(self) -> None:
+        if len(self.focal) != 4:
+            raise BadInput(f"focal is {self.focal!r}; wanted the focal lengths of L1, L2, L3 and L4 [mm]")
+        object.__setattr__(self, "focal", tuple(positive("focal length [mm]", f) for f in self.focal))
+        if not isfinite(self.offset) or self.offset == 0:
+            raise BadInput(f"offset is {self.offset!r}; wanted the focal length of the fixed lens [mm], not 0")
+        low, high = (positive("powers [dpt]", power, zero=True) for power in _two(self.powers))
+        if low >= high:
+            raise BadInput(f"powers go from {low:g} to {high:g} dpt; wanted the lowest first and a higher one next")
+        object.__setattr__(self, "powers", (low, high))
+        index("index", self.index)
+        positive("air [mm]", self.air, zero=True)
+        positive("quantum [dpt]", self.quantum, zero=True)
+        positive("settle [s]", self.settle, zero=True)
+        object.__setattr__(self, "bins", counts("bins", (self.bins,), 1)[0])
+
+    @property
+    def magnification(self) -> float:
+        """Size of the picture over that of the mirrors' array; positive, as two relays invert twice."""
+        f1, f2, f3, f4 = self.focal
+        return f2 * f4 / (f1 * f3)
+
+    @property
+    def slope(self) -> float:
+        """Way of the focus per power of the lens [mm/dpt]: −n·f₂²·M²·1 dpt with M = f₄/f₃ (S7)."""
+        _, f2, f3, f4 = self.focal
+        return -self.index * (f2 * f4 / f3) ** 2 * DIOPTER
+
+    def matrix(self, power: float) -> np.ndarray:
+        """Ray transfer matrix from L1 to L4, both included, for a power [dpt]; (2, 2) on (height [mm], angle) (S1)."""
+        f1, f2, f3, f4 = self.focal
+        stop = _lens(power * DIOPTER + 1.0 / self.offset)
+        first = _lens(1 / f2) @ _way(f2) @ stop @ _way(f1) @ _lens(1 / f1)
+        return _lens(1 / f4) @ _way(f3 + f4) @ _lens(1 / f3) @ _way(f2 + f3) @ first
+
+    def focus(self, power: ArrayLike) -> Floats:
+        """Distance [mm] of the focus beyond the last window for powers [dpt] of the lens; same shape (S3).
+
+        Raises `BadInput` for a power out of the lens's range.
+        """
+        wanted = self._reachable(as_offsets("power", power))
+        _, f2, f3, f4 = self.focal
+        bent = wanted * DIOPTER + 1.0 / self.offset
+        return self.index * (f4 - (f2 * f4 / f3) ** 2 * bent - self.air)
+
+    def shift(self, power: ArrayLike) -> Floats:
+        """Focus [mm] beyond that of the lowest power, same shape: −|slope|·(power − lowest), thus never > 0 (S5)."""
+        return self.slope * (self._reachable(as_offsets("power", power)) - self.powers[0])
+
+    def shift_per_focal_length(self, focal: ArrayLike) -> Floats:
+        """Change of the focus with the tunable lens's focal length [mm/mm]: +n·f₂²·M²/f² (S6, its sign corrected)."""
+        length = as_offsets("focal length", focal)
+        return -self.slope / DIOPTER / length**2
+
+    def power(self, depth: ArrayLike, axis: float | None = None) -> Floats:
+        """Powers [dpt] that focus at depths [mm] along the light from the roller's axis, < 0 before it; same shape.
+
+        axis: the power that focuses on the axis, as a calibration finds it; the lowest by default. Powers are rounded
+        to the driver's quantum. Raises `BadInput` for a depth out of reach.
+        """
+        start = self.powers[0] if axis is None else positive("axis [dpt]", axis, zero=True)
+        wanted = start + as_offsets("depth", depth) / self.slope
+        if self.quantum > 0:
+            wanted = np.round(wanted / self.quantum) * self.quantum
+        return self._reachable(wanted)
+
+    def _reachable(self, power: Floats) -> Floats:
+        low, high = self.powers
+        slack = 1e-9 * high
+        if power.size and (power.min() < low - slack or power.max() > high + slack):
+            reach = self.slope * (high - low)
+            raise BadInput(
+                f"power goes from {power.min():.4g} to {power.max():.4g} dpt; the lens reaches {low:g} to {high:g} dpt,"
+                f" which moves the focus by {reach:.4g} mm: set up the projector so that this range covers the depths"
+            )
+        return power
+
+
+def _lens(power: float) -> np.ndarray:
+    """A thin lens of a power [1/mm]."""
+    return np.array([[1.0, 0.0], [-power, 1.0]])
+
+
+def _way(length: float) -> np.ndarray:
+    """A straight way [mm]."""
+    return np.array([[1.0, length], [0.0, 1.0]])
+
+
+def _two(powers: object) -> tuple[float, float]:
+    try:
+        low, high = powers  # type: ignore[misc]
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"powers is {powers!r}; wanted (lowest, highest) [dpt]") from error
+    return low, high
