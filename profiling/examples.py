@@ -276,6 +276,8 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "quantize": lambda n: _frames(n, gain=0.8, carry=0.0),
     "fold_bits": _bits,
     "unpack": lambda n: _frames(n, bits=8, scale=1.5),
+    "mask_bytes": lambda n: Example({**_light(n), "byte": _light(n)["r"]}),
+    "mask_rays": lambda n: Example(_light(n)),
     "rebin_rays": _rebinned,
     "voxelize": _solid,
 }

@@ -1,0 +1,26 @@
+"""Keeping some columns of frames, or some rays of light, and darkening the rest."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
+from vamgpu.kernels.signature import Sinogram, SinogramOut, Table, Tiling, kernel
+
+Bytes = Annotated[np.ndarray, Table("uint8", ("angle", "z", "byte"))]
+BytesOut = Annotated[np.ndarray, Table("uint8", ("angle", "z", "byte"), writes=True)]
+Row = Annotated[np.ndarray, Table("uint8", ("byte",))]
+Shares = Annotated[np.ndarray, Table("float32", ("r",))]
+
+
+@kernel(over="masked")
+def mask_bytes(images: Bytes, mask: Row, masked: BytesOut) -> None:
+    """masked = images AND mask, bit by bit and the same for every row: at 1 bit a byte holds eight columns."""
+    masked[...] = images & mask
+
+
+@kernel(over="masked", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1))
+def mask_rays(light: Sinogram, shares: Shares, masked: SinogramOut) -> None:
+    """masked = light · shares[r]; masked may be light."""
+    masked[...] = light * shares[None, :, None]
