@@ -1,0 +1,119 @@
+"""Solids given by a function of space, φ < 0 inside, and the fraction of every voxel they fill."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.errors import BadInput, EmptyMesh
+from vamgpu.geometry import Grid, counts
+from vamgpu.targets.target import Target
+from vamgpu.web import WebGrid
+
+Array = npt.NDArray[np.float64]
+
+SAMPLES = 4
+"""Points along each edge of a voxel that the surface may cross, unless told otherwise."""
+_POINTS = 1 << 21
+"""Points whose function is held in memory at once."""
+
+
+@runtime_checkable
+class Implicit(Protocol):
+    """A solid as a function of space: φ(x, y, z) < 0 inside, > 0 outside, all in mm.
+
+    Arguments are arrays that broadcast together: x, y, z in a vial, l, ρ, z on a web; so is the answer's shape.
+    A shape may also offer ``bound(x, y, z)``: of the same sign, and never farther from zero than the surface is away
+    [mm]. Voxels that it proves to be full or empty are then not looked at again.
+    """
+
+    def __call__(self, x: Array, y: Array, z: Array, /) -> Array: ...
+
+
+@runtime_checkable
+class Bounded(Protocol):
+    """A shape that knows how far its surface is at least."""
+
+    def bound(self, x: Array, y: Array, z: Array, /) -> Array:
+        """At most the distance [mm] to the surface, negative inside."""
+        ...
+
+
+def voxelize(
+    shape: Implicit, grid: Grid | WebGrid, *, start: float = 0.0, samples: int = SAMPLES
+) -> npt.NDArray[np.float32]:
+    """Filled fraction of every voxel, float32 [x, y, z] or [l, rho, z]: points inside over ``samples``³ points each.
+
+    start: where a web grid begins along the web [mm]; a `Grid` is centered on the axis and moved by it along x.
+    Raises `BadInput` for a function that gives other shapes than it was asked for, or values that are no numbers.
+    """
+    if not callable(shape):
+        raise BadInput(f"got a {type(shape).__name__} as shape; wanted a function φ(x, y, z), negative in the solid")
+    samples = counts("samples", (samples,), 1)[0]
+    (x, y, z), edges = grid.axes(), _edges(grid)
+    fraction = np.empty(grid.shape, np.float32)
+    rows = max(1, _POINTS // (grid.shape[1] * grid.shape[2]))
+    for first in range(0, len(x), rows):
+        part = slice(first, first + rows)
+        fraction[part] = _filled(shape, x[part] + start, y, z, edges, samples)
+    return fraction
+
+
+def to_target(shape: Implicit, grid: Grid, name: str = "", *, samples: int = SAMPLES) -> Target:
+    """The shape's voxels inside the grid as a `Target`. Raises `BadInput`, and `EmptyMesh` where none is filled."""
+    fraction = voxelize(shape, grid, samples=samples)
+    if not fraction.any():
+        raise EmptyMesh(f"{shape!r} fills no voxel of {grid.shape} of {grid.pitch:g} mm; wanted some: use a finer grid")
+    return Target.from_array(fraction, grid.pitch, name or type(shape).__name__)
+
+
+def _edges(grid: Grid | WebGrid) -> tuple[float, float, float]:
+    return grid.edges if isinstance(grid, WebGrid) else (grid.pitch, grid.pitch, grid.pitch)
+
+
+def _filled(
+    shape: Implicit, x: Array, y: Array, z: Array, edges: tuple[float, float, float], samples: int
+) -> npt.NDArray[np.float32]:
+    """Fractions of a slab of voxels with these centers."""
+    size = (len(x), len(y), len(z))
+    if isinstance(shape, Bounded):
+        near = asked(shape.bound, x[:, None, None], y[None, :, None], z[None, None, :], size)
+        fraction = (near < 0).astype(np.float32)
+        crossed = np.nonzero(np.abs(near) <= 0.5 * float(np.hypot.reduce(edges)) * (1.0 + 1e-9))
+    else:
+        fraction = np.zeros(size, np.float32)
+        crossed = np.nonzero(np.ones(size, bool))
+    offsets = np.stack(list(_offsets(edges, samples)))
+    count = max(1, _POINTS // len(offsets))
+    for first in range(0, len(crossed[0]), count):
+        index = tuple(axis[first : first + count] for axis in crossed)
+        a, b, c = (axis[i][:, None] + step for axis, i, step in zip((x, y, z), index, offsets.T, strict=True))
+        inside = asked(shape, a, b, c, a.shape) < 0
+        fraction[index] = inside.mean(axis=1)
+    return fraction
+
+
+def _offsets(edges: tuple[float, float, float], samples: int) -> Iterator[Array]:
+    """Points of a voxel about its center: the middles of ``samples``³ smaller boxes."""
+    steps = (np.arange(samples) + 0.5) / samples - 0.5
+    for i in steps:
+        for j in steps:
+            for k in steps:
+                yield np.array([i, j, k]) * edges
+
+
+def asked(shape: Callable[[Array, Array, Array], Array], x: Array, y: Array, z: Array, size: tuple[int, ...]) -> Array:
+    """The function at points that broadcast to ``size``, or `BadInput` for what is no such array of numbers."""
+    value = np.asarray(shape(x, y, z))
+    if value.shape != size:
+        raise BadInput(
+            f"the shape's function gave an array of {value.shape} for points of {size}; wanted the same shape: "
+            "write it with NumPy functions of x, y and z"
+        )
+    if value.dtype.kind not in "fiub" or np.isnan(value).any():
+        bad = "values that are no real numbers" if value.dtype.kind not in "fiub" else f"{np.isnan(value).sum()} NaN"
+        raise BadInput(f"the shape's function gave {bad} at {size} points; wanted φ < 0 in the solid, > 0 outside")
+    return value
