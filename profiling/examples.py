@@ -248,6 +248,30 @@ def _solid(n: int) -> Example:
     return Example(sizes, {**tables, "tile": tile, "bits": bits})
 
 
+def _banded(n: int) -> Example:
+    """The transpose at every second column: two phases, bands that leave the light at both ends, gaps between bands."""
+    from vamgpu.operators.bands import Bands
+    from vamgpu.web import Propagation
+
+    sizes = _array_sizes(n)
+    columns, layers, window = sizes["j"], n // 3 + 1, n // 2 + 2
+    r, rho, l = np.nonzero(np.random.default_rng(1).random((columns, layers, window)) < 0.3)  # noqa: E741 - the axis
+    light = Propagation((columns, layers, window), r, rho, l, np.cos(np.arange(r.size)) + 1.1)
+    tables = Bands.transposed(light, 1 - window, 2)
+    sizes = {"source_major": n, "source_minor": columns, "z": sizes["z"]}
+    sizes |= {"target_major": 2 * n - 1, "target_minor": layers}
+    sizes |= {"row": len(tables.rows), "band": len(tables.bands), "chunk": len(tables.weights)}
+    given = {"rows": tables.rows, "bands": tables.bands, "weights": tables.weights}
+    return Example(sizes, {**given, "step": tables.step, "phases": tables.phases})
+
+
+def _mixed(n: int) -> Example:
+    sizes = _array_sizes(n)
+    indices, shares = np.arange(2 * n) * 7 % sizes["j"], np.cos(np.arange(2 * n)) + 1.1
+    sizes = {"source_major": sizes["j"], "i": n, "target_major": n, "z": sizes["z"], "row": n + 1, "entry": 2 * n}
+    return Example(sizes, {"rows": 2 * np.arange(n + 1), "indices": indices, "shares": shares})
+
+
 EXAMPLES: dict[str, Callable[[int], Example]] = {
     "forward_joseph": _straight,
     "back_joseph": _straight,
@@ -280,6 +304,8 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "mask_rays": lambda n: Example(_light(n)),
     "rebin_rays": _rebinned,
     "voxelize": _solid,
+    "shift_window": _banded,
+    "mix_poses": _mixed,
 }
 """Kernel → its example of ``size`` samples along each axis; odd sizes give axes that differ."""
 

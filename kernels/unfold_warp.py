@@ -1,0 +1,148 @@
+"""Warp siblings of `unfold`; a thread owns four lanes of z at eight neighboring samples, fields come flat per slab.
+
+Warp keeps no local arrays in registers, so the eight sums and the samples they slide over have names.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from vamgpu.kernels.wide_warp import Flat, read
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+TOGETHER = wp.constant(8)
+
+
+@wp.func
+def seen(field: Flat, slab: int, index: int, length: int, at: int, column: int):
+    """Sample ``index`` of the source, or nothing outside it."""
+    value = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if index >= 0 and index < length:
+        value = read(field, slab, at + index * column)
+    return value
+
+
+@wp.kernel
+def shift_window(
+    source: wp.array2d(dtype=wp.vec4),
+    rows: wp.array1d(dtype=wp.int32),
+    bands: wp.array2d(dtype=wp.int32),
+    weights: wp.array2d(dtype=float),
+    step: int,
+    phases: int,
+    target: wp.array2d(dtype=wp.vec4),
+    n_source_major: int,
+    n_source_minor: int,
+    n_z: int,
+    n_row: int,
+    n_band: int,
+    n_chunk: int,
+    n_target_major: int,
+    n_target_minor: int,
+):
+    slab, begin, n, lane = wp.tid()
+    lanes = target.shape[1] // (n_target_major * n_target_minor)
+    launched = (n_target_major + TOGETHER - 1) // TOGETHER
+    longest = (n_target_major + phases - 1) // phases
+    tiles = (longest + TOGETHER - 1) // TOGETHER * phases
+    column = n_source_minor * lanes
+    for tile in range(begin, tiles, launched):  # where phases leave remainders, threads come round again
+        phase = tile % phases
+        m = tile // phases * TOGETHER
+        zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        s0 = zero
+        s1 = zero
+        s2 = zero
+        s3 = zero
+        s4 = zero
+        s5 = zero
+        s6 = zero
+        s7 = zero
+        row = phase * n_target_minor + n
+        for b in range(rows[row], rows[row + 1]):
+            first = m * step + bands[b, 1]
+            chunk = bands[b, 2]
+            count = bands[b, 3]
+            at = bands[b, 0] * lanes + lane
+            if first + count + 7 * step <= 0 or first >= n_source_major:
+                continue
+            if step == 1 and first >= 0 and first + 8 + count + 3 <= n_source_major:
+                here = at + first * column  # four weights at a time, and every sample read once for all of them
+                for c in range(chunk, chunk + (count + 3) // 4):
+                    w0 = weights[c, 0]
+                    w1 = weights[c, 1]
+                    w2 = weights[c, 2]
+                    w3 = weights[c, 3]
+                    x0 = read(source, slab, here)
+                    x1 = read(source, slab, here + column)
+                    x2 = read(source, slab, here + 2 * column)
+                    x3 = read(source, slab, here + 3 * column)
+                    s0 += w0 * x0 + w1 * x1 + w2 * x2 + w3 * x3
+                    x4 = read(source, slab, here + 4 * column)
+                    s1 += w0 * x1 + w1 * x2 + w2 * x3 + w3 * x4
+                    x5 = read(source, slab, here + 5 * column)
+                    s2 += w0 * x2 + w1 * x3 + w2 * x4 + w3 * x5
+                    x6 = read(source, slab, here + 6 * column)
+                    s3 += w0 * x3 + w1 * x4 + w2 * x5 + w3 * x6
+                    x7 = read(source, slab, here + 7 * column)
+                    s4 += w0 * x4 + w1 * x5 + w2 * x6 + w3 * x7
+                    x8 = read(source, slab, here + 8 * column)
+                    s5 += w0 * x5 + w1 * x6 + w2 * x7 + w3 * x8
+                    x9 = read(source, slab, here + 9 * column)
+                    s6 += w0 * x6 + w1 * x7 + w2 * x8 + w3 * x9
+                    x10 = read(source, slab, here + 10 * column)
+                    s7 += w0 * x7 + w1 * x8 + w2 * x9 + w3 * x10
+                    here += 4 * column
+            else:
+                for k in range(count):
+                    w = weights[chunk + k // 4, k % 4]
+                    i = first + k
+                    s0 += w * seen(source, slab, i, n_source_major, at, column)
+                    s1 += w * seen(source, slab, i + step, n_source_major, at, column)
+                    s2 += w * seen(source, slab, i + 2 * step, n_source_major, at, column)
+                    s3 += w * seen(source, slab, i + 3 * step, n_source_major, at, column)
+                    s4 += w * seen(source, slab, i + 4 * step, n_source_major, at, column)
+                    s5 += w * seen(source, slab, i + 5 * step, n_source_major, at, column)
+                    s6 += w * seen(source, slab, i + 6 * step, n_source_major, at, column)
+                    s7 += w * seen(source, slab, i + 7 * step, n_source_major, at, column)
+        stride = phases * n_target_minor * lanes
+        out = ((m * phases + phase) * n_target_minor + n) * lanes + lane
+        left = (n_target_major - phase + phases - 1) // phases - m
+        if left > 0:
+            target[slab, out] = s0
+        if left > 1:
+            target[slab, out + stride] = s1
+        if left > 2:
+            target[slab, out + 2 * stride] = s2
+        if left > 3:
+            target[slab, out + 3 * stride] = s3
+        if left > 4:
+            target[slab, out + 4 * stride] = s4
+        if left > 5:
+            target[slab, out + 5 * stride] = s5
+        if left > 6:
+            target[slab, out + 6 * stride] = s6
+        if left > 7:
+            target[slab, out + 7 * stride] = s7
+
+
+@wp.kernel
+def mix_poses(
+    source: wp.array4d(dtype=wp.vec4),
+    rows: wp.array1d(dtype=wp.int32),
+    indices: wp.array1d(dtype=wp.int32),
+    shares: wp.array1d(dtype=float),
+    target: wp.array4d(dtype=wp.vec4),
+    n_source_major: int,
+    n_i: int,
+    n_z: int,
+    n_row: int,
+    n_entry: int,
+    n_target_major: int,
+):
+    slab, m, i, lane = wp.tid()
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for e in range(rows[m], rows[m + 1]):
+        total += shares[e] * source[slab, indices[e], i, lane]
+    target[slab, m, i, lane] = total
