@@ -131,7 +131,7 @@ def _segment(point: Sequence[Array], a: Array, b: Array) -> Array:
     return _dot(rest, rest)
 
 
-def _dot(a: Sequence[Any], b: Sequence[Any]) -> Array:
+def _dot(a: Any, b: Any) -> Array:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 

@@ -1,0 +1,109 @@
+"""Targets without an end: tiles of fractions along a web, from a function of space or a mesh repeated along it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import ceil, floor
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, EmptyMesh
+from vamgpu.geometry import Grid, counts, positive
+from vamgpu.targets.implicit import SAMPLES, Implicit
+from vamgpu.targets.implicit import voxelize as sampled
+from vamgpu.targets.solid import Solid
+from vamgpu.targets.voxelize import voxelize
+from vamgpu.web import WebGrid
+
+_SLACK = 1e-6
+"""Voxels by which a length may miss a whole number of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Repeated:
+    """A closed surface in a film's coordinates (l, ρ, z) [mm], and its copies every ``period`` [mm] along l, endlessly.
+
+    Copies that reach into each other become one. The surface is taken where it is: ρ = 0 is the roller's side, z = 0
+    the middle of the web.  Raises `BadInput`.
+    """
+
+    solid: Solid
+    period: float
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.solid, Solid):
+            raise BadInput(f"got a {type(self.solid).__name__}; wanted a Solid: load_mesh reads one from a file")
+        positive("period [mm]", self.period)
+
+    def copies(self, low: float, high: float) -> Solid | None:
+        """All copies that reach between two positions along l [mm] as one surface; None where there is none."""
+        begin, end = self.solid.bounds[:, 0]
+        numbers = range(ceil((low - end) / self.period), floor((high - begin) / self.period) + 1)
+        if not numbers:
+            return None
+        vertices, faces = self.solid.vertices, self.solid.faces
+        moved = [vertices + (k * self.period, 0.0, 0.0) for k in numbers]
+        return Solid(np.concatenate(moved), np.concatenate([faces + k * len(vertices) for k in range(len(moved))]),
+                     self.solid.name)  # fmt: skip
+
+
+def tile(
+    shape: Implicit | Repeated, grid: WebGrid, start: float = 0.0, *, samples: int = SAMPLES,
+    device: str | Device | None = None,
+) -> npt.NDArray[np.float32]:  # fmt: skip
+    """Filled fractions [l, rho, z] of a piece of web that begins ``start`` [mm] along it.
+
+    samples: points along a voxel's edge, for functions.  device: where meshes are voxelized.  Raises `BadInput`.
+    """
+    if not isinstance(shape, Repeated):
+        return sampled(shape, grid, start=start, samples=samples)
+    solid = shape.copies(start, start + grid.size[0])
+    if solid is None:
+        return np.zeros(grid.shape, np.float32)
+    # Scaled edge by edge, voxels are cubes of 1 about the middle of the tile: a share of a volume stays what it is.
+    middle = (start + 0.5 * grid.size[0], 0.5 * grid.size[1], 0.0)
+    cubes = Solid((solid.vertices - middle) / grid.edges, solid.faces, solid.name)
+    return voxelize(cubes, Grid(grid.shape, 1.0), open_device(device)).fraction.numpy().astype(np.float32)
+
+
+def stream(
+    shape: Implicit | Repeated, section: tuple[int, int], pitch: tuple[float, float, float] | float, length: float,
+    along: int, *, samples: int = SAMPLES, device: str | Device | None = None,
+) -> Iterator[npt.NDArray[np.float32]]:  # fmt: skip
+    """Tiles of fractions float32 [l, rho, z], one after the other, that make a web of ``length`` [mm].
+
+    section: voxels along rho and z.  pitch: voxel edges [mm] along l, rho, z.  along: voxels of a tile along l; the
+    last one is as short as it must be.  Only one tile is in memory. Raises `BadInput`, before the first tile.
+    """
+    section = counts("section (voxels along rho and z)", section, 2)  # type: ignore[assignment]
+    grid = WebGrid((counts("along (voxels of a tile)", (along,), 1)[0], *section), pitch)
+    voxels = ceil(positive("length [mm]", length) / grid.edges[0] - _SLACK)
+    if not (callable(shape) or isinstance(shape, Repeated)):
+        raise BadInput(f"got a {type(shape).__name__}; wanted a function φ(l, ρ, z), or Repeated(solid, period)")
+    if isinstance(shape, Repeated) and not _meets(shape.solid, grid):
+        low, high = shape.solid.bounds
+        raise EmptyMesh(
+            f"{shape.solid.name} reaches from ρ = {low[1]:.4g} to {high[1]:.4g} mm and z = {low[2]:.4g} to "
+            f"{high[2]:.4g} mm; the web from ρ = 0 to {grid.size[1]:.4g} mm and ±{0.5 * grid.size[2]:.4g} mm: move it"
+        )
+    return _tiles(shape, grid, voxels, samples, device)
+
+
+def _tiles(
+    shape: Implicit | Repeated, grid: WebGrid, voxels: int, samples: int, device: str | Device | None
+) -> Iterator[npt.NDArray[np.float32]]:
+    along = grid.shape[0]
+    for first in range(0, voxels, along):
+        piece = WebGrid((min(along, voxels - first), *grid.shape[1:]), grid.pitch)
+        yield tile(shape, piece, first * grid.edges[0], samples=samples, device=device)
+
+
+def _meets(solid: Solid, grid: WebGrid) -> bool:
+    """Whether the surface's box and the web's section overlap."""
+    low, high = solid.bounds
+    return bool(high[1] > 0 and low[1] < grid.size[1]
+                and low[2] < 0.5 * grid.size[2] and high[2] > -0.5 * grid.size[2])  # fmt: skip
