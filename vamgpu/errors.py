@@ -31,6 +31,10 @@ class TargetTooLarge(BadInput):
     """A target reaches beyond what light can print."""
 
 
+class TileError(BadInput):
+    """A stream of tiles broke off, or changed its section or pitch; what was written before stays valid."""
+
+
 class DeviceError(VamError, RuntimeError):
     """A device is missing, broken, or was asked for something it cannot do."""
 

@@ -1,0 +1,128 @@
+"""The target of a web as a stream: columns in order, as few of them in memory as the work at hand needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, TileError
+from vamgpu.geometry import positive
+from vamgpu.targets.implicit import Implicit
+from vamgpu.targets.stream import Repeated, stream
+from vamgpu.web import WebGrid
+
+ALONG = 64
+"""Columns of a tile that is sampled from a function or a mesh."""
+
+
+class Columns:
+    """Columns of a target in the order they pass the light, fractions 0..1, float32 [l, rho, z].
+
+    source: tiles [l, rho, z] of any thickness along l, arrays or things with ``pitch`` and ``numpy()``; a function of
+    (l, rho, z) that is negative in the solid; or `Repeated`, a mesh tiled along l.  grid: section and pitches; its extent
+    along l does not count.  length: of the web [mm]; needed for functions and meshes, and where it is None tiles may
+    end when they like. Raises `BadInput`.
+    """
+
+    def __init__(self, source: Any, grid: WebGrid, length: float | None = None) -> None:
+        self.grid = grid
+        self.limit = None if length is None else ceil(positive("length [mm]", length) / grid.edges[0] - 1e-6)
+        self._tiles = iter(_tiles(source, grid, length))
+        self._held = np.zeros((0, *grid.shape[1:]), np.float32)
+        self._first = 0
+        self._read = 0
+        self._ended = False
+
+    @property
+    def end(self) -> int | None:
+        """Columns of the whole web; None as long as nobody knows."""
+        return self.limit if self.limit is not None else (self._read if self._ended else None)
+
+    def take(self, start: int, stop: int) -> np.ndarray:
+        """Columns start to stop; the film before the web and behind it is clear. Earlier columns are forgotten.
+
+        Raises `TileError` for a tile that does not fit, and for a stream that ends before the length it was to have.
+        """
+        while not self._ended and self._read < stop:
+            self._advance(start)
+        out = np.zeros((stop - start, *self.grid.shape[1:]), np.float32)
+        low, high = max(start, self._first), min(stop, self._first + len(self._held))
+        if low < high:
+            out[low - start : high - start] = self._held[low - self._first : high - self._first]
+        return out
+
+    def _advance(self, start: int) -> None:
+        """Read one more tile and let go of what lies before ``start``."""
+        if self.limit is not None and self._read >= self.limit:
+            self._ended = True
+            return
+        item = next(self._tiles, None)
+        if item is None:
+            self._end_early()
+            return
+        columns = self._checked(item)
+        if self.limit is not None:
+            columns = columns[: self.limit - self._read]
+        self._read += len(columns)
+        gone = min(max(0, start - self._first), len(self._held))
+        self._held = np.concatenate([self._held[gone:], columns])
+        self._first += gone
+
+    def _end_early(self) -> None:
+        if self.limit is not None or self._read == 0:
+            wanted = "at least one" if self.limit is None else str(self.limit)
+            raise TileError(
+                f"the stream of tiles ended after {self._read} columns ({self._mm(self._read)}); wanted {wanted}"
+                f"{'' if self.limit is None else f' ({self._mm(self.limit)})'}: give the missing tiles and resume, or "
+                "a shorter length"
+            )
+        self._ended = True
+
+    def _checked(self, item: Any) -> np.ndarray:
+        where = f"the tile at column {self._read} ({self._mm(self._read)})"
+        pitch = getattr(getattr(item, "grid", item), "pitch", None)
+        if pitch is not None:
+            edges = np.broadcast_to(np.asarray(pitch, float), 3)
+            if not np.allclose(edges, self.grid.edges, rtol=1e-6):
+                raise TileError(
+                    f"{where} has voxels of {_by(edges)} mm, the web of {_by(self.grid.edges)} mm: resample it"
+                )
+        values = np.asarray(item.numpy() if hasattr(item, "numpy") else item)
+        if values.ndim != 3 or values.shape[1:] != self.grid.shape[1:] or not values.shape[0]:
+            raise TileError(
+                f"{where} has shape {values.shape}; wanted [l, {self.grid.shape[1]}, {self.grid.shape[2]}] = "
+                "[l, rho, z], like the tiles before it"
+            )
+        if values.dtype.kind not in "fiub":
+            raise TileError(f"{where} holds {values.dtype}; wanted fractions 0..1")
+        low, high = float(values.min()), float(values.max())
+        if not (low >= 0.0 and high <= 1.0):
+            raise TileError(f"{where} reaches from {low:g} to {high:g}; wanted fractions in 0..1: scale it")
+        return values.astype(np.float32)
+
+    def _mm(self, columns: int) -> str:
+        return f"{columns * self.grid.edges[0]:.4g} mm"
+
+
+def _by(edges: Any) -> str:
+    return " × ".join(f"{edge:.6g}" for edge in edges)
+
+
+def _tiles(source: Any, grid: WebGrid, length: float | None) -> Iterable[Any]:
+    """Tiles of whatever a target may be."""
+    if isinstance(source, Repeated) or (callable(source) and not isinstance(source, Iterator)):
+        if length is None:
+            raise BadInput(f"{source!r} has no end; give the length of the web [mm]")
+        shape: Implicit | Repeated = source
+        return stream(shape, (grid.shape[1], grid.shape[2]), grid.edges, length, ALONG)
+    if isinstance(source, np.ndarray):
+        return (source,)
+    if isinstance(source, Iterable):
+        return source
+    raise BadInput(
+        f"got {type(source).__name__} as tiles; wanted an iterator of arrays [l, rho, z], a function φ(l, rho, z) that "
+        "is negative in the solid, or Repeated(solid, period)"
+    )
