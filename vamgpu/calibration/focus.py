@@ -1,0 +1,180 @@
+"""Where a tunable lens focuses, from pictures of a camera on a stage: sharpness, its peak, and the line through peaks.
+
+Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S5. The camera stands at
+known positions along the light; at each the lens steps through its powers while mirrors show a grating of lines.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.errors import BadInput
+
+LEAST_POWERS = 6
+"""A peak has four parameters; fewer readings than this do not tell how well it fits."""
+
+LEAST_SHARE = 0.6
+"""Share of the variance of sharpness that a peak must explain to count as one; noise alone gives 0.1 to 0.5."""
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A Lorentzian floor + height / (1 + ((p − power) / width)²) fitted to sharpness over lens power.
+
+    power: of the sharpest picture [dpt].  width: half width at half height [dpt].  error: standard error of the power
+    [dpt].  scatter: standard deviation of the readings about the curve.
+    """
+
+    power: float
+    width: float
+    height: float
+    floor: float
+    error: float
+    scatter: float
+
+    def __call__(self, power: ArrayLike) -> np.ndarray:
+        """Sharpness at powers [dpt]; same shape."""
+        return lorentzian(np.asarray(power, np.float64), self.power, self.width, self.height, self.floor)
+
+
+@dataclass(frozen=True)
+class FocusLine:
+    """Focus against lens power: position = slope·power + intercept.
+
+    slope: [mm/dpt].  intercept: position [mm] of the focus at no power.  error: standard error of the slope [mm/dpt].
+    positions: of the camera [mm].  peaks: one for every position.
+    """
+
+    slope: float
+    intercept: float
+    error: float
+    positions: tuple[float, ...]
+    peaks: tuple[Peak, ...]
+
+    def power(self, position: ArrayLike) -> np.ndarray:
+        """Powers [dpt] that focus at positions [mm] of the camera's stage; same shape."""
+        return (np.asarray(position, np.float64) - self.intercept) / self.slope
+
+
+def tenengrad(pictures: ArrayLike) -> np.ndarray:
+    """Mean squared Sobel gradient of pictures [..., row, column]; shape [...], float64. Raises `BadInput`.
+
+    Source: S. Pertuz et al., Pattern Recognition 46 (2013) 1415. The pictures' outermost pixels have no gradient.
+    """
+    given = np.asarray(pictures)
+    if given.ndim < 2 or min(given.shape[-2:]) < 3:
+        raise BadInput(f"the pictures have shape {given.shape}; wanted [..., row, column] of 3 × 3 pixels at least")
+    light = given.astype(np.float64)
+    if not np.isfinite(light).all():
+        raise BadInput("the pictures hold values that are not finite; wanted what the camera read")
+    up = light[..., :-2, :] + 2.0 * light[..., 1:-1, :] + light[..., 2:, :]
+    side = light[..., :-2] + 2.0 * light[..., 1:-1] + light[..., 2:]
+    across, along = up[..., 2:] - up[..., :-2], side[..., 2:, :] - side[..., :-2, :]
+    return (across**2 + along**2).mean(axis=(-2, -1))
+
+
+def lorentzian(x: np.ndarray, center: float, width: float, height: float, floor: float) -> np.ndarray:
+    """floor + height / (1 + ((x − center) / width)²); shape of x."""
+    return floor + height / (1.0 + ((x - center) / width) ** 2)
+
+
+def fit_peak(powers: ArrayLike, sharpness: ArrayLike) -> Peak:
+    """The Lorentzian nearest to sharpness over lens powers [dpt], in least squares; both shape (powers,).
+
+    Raises `BadInput` where there are too few powers, or no peak between them that rises over the scatter.
+    """
+    from scipy.optimize import OptimizeWarning, curve_fit
+
+    power, sharp = _readings(powers, sharpness)
+    span, floor, top = float(np.ptp(power)), float(np.quantile(sharp, 0.1)), int(np.argmax(sharp))
+    height = float(sharp[top]) - floor
+    if height <= 0:
+        raise BadInput(f"every picture of the stack is as sharp, {floor:.4g}; wanted a grating in focus at some power")
+    wide = power[sharp > floor + 0.5 * height]
+    start = (power[top], max(0.5 * float(np.ptp(wide)), 0.5 * span / power.size), 1.0, 0.0)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", OptimizeWarning)
+            found, covariance = curve_fit(lorentzian, power, (sharp - floor) / height, p0=start, maxfev=4000)
+    except (RuntimeError, OptimizeWarning) as error:
+        raise BadInput(f"no peak fits {power.size} readings: {error}; widen or refine the powers") from error
+    center, width, scaled, base = (float(value) for value in found)
+    left = float(np.sum(((sharp - floor) / height - lorentzian(power, *found)) ** 2))
+    scatter = float(np.sqrt(left / max(power.size - 4, 1)))
+    _judge(power, center, 1.0 - left * height**2 / float(np.sum((sharp - sharp.mean()) ** 2)))
+    return Peak(center, abs(width), height * scaled, floor + height * base, float(np.sqrt(covariance[0, 0])),
+                height * scatter)  # fmt: skip
+
+
+def fit_focus(positions: ArrayLike, powers: ArrayLike, stacks: Iterable[ArrayLike]) -> FocusLine:
+    """The line of focus over lens power from recorded pictures.
+
+    positions: of the camera [mm], shape (positions,).  powers: of the lens [dpt], (powers,), or (positions, powers)
+    where they differ by position.  stacks: for every position its pictures [power, row, column]; one at a time is held,
+    so a generator that reads files will do. Raises `BadInput`, naming the position that has no peak.
+    """
+    place = np.atleast_1d(np.asarray(positions, np.float64))
+    if place.ndim != 1 or not np.isfinite(place).all() or np.unique(place).size < 2:
+        raise BadInput(f"positions is {positions!r}; wanted two or more different positions of the camera [mm]")
+    stepped = np.asarray(powers, np.float64)
+    rows = np.broadcast_to(stepped, (place.size, stepped.shape[-1])) if stepped.ndim in (1, 2) else stepped
+    if rows.ndim != 2 or rows.shape[0] != place.size:
+        raise BadInput(f"powers has shape {stepped.shape}; wanted (powers,) or ({place.size}, powers)")
+    peaks = []
+    given = iter(stacks)
+    for at, row in zip(place, rows, strict=True):
+        pictures = next(given, None)
+        if pictures is None:
+            raise BadInput(f"the stacks end after {len(peaks)} of {place.size} positions; wanted one for each")
+        try:
+            peaks.append(fit_peak(row, tenengrad(pictures)))
+        except BadInput as error:
+            raise BadInput(f"position {at:g} mm: {error}") from error
+    return _line(place, tuple(peaks))
+
+
+def _line(place: np.ndarray, peaks: tuple[Peak, ...]) -> FocusLine:
+    """Powers are what is uncertain, so they are fitted over positions, each by its own error, and the line inverted."""
+    power = np.array([peak.power for peak in peaks])
+    error = np.array([peak.error for peak in peaks])
+    weight = 1.0 / np.maximum(error, max(1e-3 * float(error.max()), 1e-12)) ** 2
+    weight /= weight.sum()
+    center, middle = float(weight @ place), float(weight @ power)
+    spread = float(weight @ (place - center) ** 2)
+    rise = float(weight @ ((place - center) * (power - middle))) / spread
+    if rise == 0:
+        raise BadInput(f"the sharpest power is {middle:.4g} dpt at every position; wanted one that changes with it")
+    off = power - middle - rise * (place - center)
+    doubt = np.sqrt(float(weight @ off**2) / spread / max(place.size - 2, 1))
+    slope = 1.0 / rise
+    return FocusLine(slope, center - slope * middle, float(doubt) * slope**2, tuple(place.tolist()), peaks)
+
+
+def _readings(powers: ArrayLike, sharpness: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    power, sharp = np.asarray(powers, np.float64), np.asarray(sharpness, np.float64)
+    if power.shape != sharp.shape or power.ndim != 1:
+        raise BadInput(f"there are powers of shape {power.shape} and sharpness of {sharp.shape}; wanted one for each")
+    if np.unique(power).size < LEAST_POWERS:
+        raise BadInput(f"the lens took {np.unique(power).size} powers; wanted {LEAST_POWERS} or more to fit a peak")
+    if not (np.isfinite(power).all() and np.isfinite(sharp).all()):
+        raise BadInput("powers or sharpness hold values that are not finite; wanted finite numbers throughout")
+    return power, sharp
+
+
+def _judge(power: np.ndarray, center: float, share: float) -> None:
+    low, high = float(power.min()), float(power.max())
+    if not low < center < high:
+        raise BadInput(
+            f"the pictures grow sharper up to an end: the peak would be at {center:.4g} dpt, outside the powers "
+            f"{low:.4g} to {high:.4g} dpt; widen them"
+        )
+    if not share >= LEAST_SHARE:
+        raise BadInput(
+            f"a peak explains {100 * share:.0f} % of how sharpness varies; wanted {100 * LEAST_SHARE:.0f} % or more: "
+            "show a grating, expose longer"
+        )
