@@ -1,0 +1,234 @@
+"""Rays through a film about a roller: from face to face, straight in between.
+
+The faces are concentric circles in front of the roller's axis (y < 0) and planes |x| = const behind it, where the web
+leaves the roller along two straight legs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.optics.inputs import Floats
+from vamgpu.optics.interface import transmittance
+
+MOST_FACES = 2000
+"""Faces a ray may meet before it is said never to leave."""
+
+
+class End(IntEnum):
+    """Where a ray ended."""
+
+    MISSED = 0  # it met no resin
+    ROLLER = 1
+    BATH = 2  # through a face of the film
+    LEG = 3  # at the end of a leg, where the window ends
+
+
+@dataclass(frozen=True)
+class Layers:
+    """What a ray can meet. inner, outer: radii of the film [mm].  shell: outer radius of the substrate, or outer.
+    leg: length of the legs [mm].  resin, bath, sheet: refractive indices.  reflectivity: of the roller.
+    """
+
+    inner: float
+    outer: float
+    shell: float
+    leg: float
+    resin: float
+    bath: float
+    sheet: float
+    reflectivity: float
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Straight pieces of rays in resin; all arrays (pieces,).
+
+    ray: which ray.  x, y: start [mm].  dx, dy: unit direction.  length [mm].  before: way in resin before the start
+    [mm].  power: share of the ray's power that faces and roller left, before absorption.  side: −1 and 1 in the legs
+    at negative and positive x, 0 on the roller.
+    """
+
+    ray: np.ndarray
+    x: Floats
+    y: Floats
+    dx: Floats
+    dy: Floats
+    length: Floats
+    before: Floats
+    power: Floats
+    side: np.ndarray
+
+    def absorbed(self, absorption: float) -> Floats:
+        """Power absorbed in each piece, as a share of its ray's; the length times the power if nothing is absorbed."""
+        if absorption == 0:
+            return self.power * self.length
+        return self.power * np.exp(-absorption * self.before) * -np.expm1(-absorption * self.length)
+
+
+@dataclass(frozen=True)
+class Traced:
+    """Rays and how they ended. transmittance: power that first entered the resin, share of each ray's.
+    length: way in the resin [mm].  end: `End` of each ray.  All (rays,).
+    """
+
+    segments: Segments
+    transmittance: Floats
+    length: Floats
+    end: np.ndarray
+
+
+def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Traced:
+    """Follow rays that come through (x, y) [mm] along the unit directions (dx, dy), dy > 0, from the bath.
+
+    Snell's law and the unpolarized Fresnel transmittance at every face; a face that reflects totally does so, what a
+    face reflects in part is dropped. A ray that meets the roller ends there, or goes on with the roller's reflectivity.
+
+    Raises `BadInput`: a ray meets more than `MOST_FACES` faces and still runs.
+    """
+    rays = _entered(layers, x, y, dx, dy)
+    first = np.where(rays["film"], rays["power"], 0.0)
+    share, length = np.zeros(x.size), np.zeros(x.size)
+    end = np.full(x.size, int(End.MISSED), dtype=np.int8)
+    share[rays["ray"]] = first
+    pieces: list[dict[str, Any]] = []
+    for _ in range(MOST_FACES):
+        if not rays["ray"].size:
+            break
+        far, face = _next_face(layers, rays)
+        pieces.append(_piece(rays, far))
+        rays["x"], rays["y"] = rays["x"] + far * rays["dx"], rays["y"] + far * rays["dy"]
+        rays["path"] = rays["path"] + np.where(rays["film"], far, 0.0)
+        fate = _meet(layers, rays, face)
+        entering = rays["film"] & (share[rays["ray"]] == 0)
+        share[rays["ray"][entering]] = rays["power"][entering]
+        length[rays["ray"]] = rays["path"]
+        done = fate != _GOES_ON
+        end[rays["ray"][done]] = np.where(share[rays["ray"][done]] > 0, fate[done], int(End.MISSED))
+        rays = {name: value[~done] for name, value in rays.items()}
+    else:
+        raise BadInput(f"{rays['ray'].size} rays still run in the film after {MOST_FACES} faces; wanted rays that "
+                       f"leave: shorten the legs of {layers.leg:g} mm, or take a thicker film than "
+                       f"{layers.outer - layers.inner:g} mm")
+    return Traced(_joined(pieces), share, length, end)
+
+
+_GOES_ON = -1
+_INNER, _OUTER, _MIDDLE, _FINISH = range(4)
+
+
+def _entered(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> dict[str, Any]:
+    """Rays just behind the outermost face; those that miss it or are totally reflected are left out."""
+    radius, along = layers.shell, x * dx + y * dy
+    square = radius**2 - (x * dy - y * dx) ** 2
+    to_circle = -along - np.sqrt(np.maximum(square, 0.0))
+    front = (square >= 0) & (y + to_circle * dy <= 0)
+    # Only rays that lean inwards meet a leg from outside.
+    side = -np.sign(dx)
+    to_plane = np.divide(side * radius - x, dx, out=np.full(x.shape, np.inf), where=dx != 0)
+    back = ~front & np.isfinite(to_plane) & (y + to_plane * dy > 0) & (y + to_plane * dy < layers.leg)
+    far = np.where(front, to_circle, np.where(back, to_plane, 0.0))
+    keep = np.flatnonzero(front | back)
+    rays: dict[str, Any] = {
+        "ray": keep, "x": (x + far * dx)[keep], "y": (y + far * dy)[keep], "dx": dx[keep], "dy": dy[keep],
+        "power": np.ones(keep.size), "path": np.zeros(keep.size),
+        "side": np.where(front, 0, side)[keep].astype(np.int8),
+        "film": np.full(keep.size, layers.shell == layers.outer),
+    }  # fmt: skip
+    inside = np.where(rays["film"], layers.resin, layers.sheet)
+    crossed = _refract(rays, np.full(keep.size, layers.bath), inside, np.ones(keep.size, dtype=bool))
+    rays = {name: value[crossed] for name, value in rays.items()}
+    grazing = (rays["side"] == 0) & (rays["y"] >= 0)
+    rays["side"] = np.where(grazing, np.sign(rays["x"]), rays["side"]).astype(np.int8)
+    return rays
+
+
+def _next_face(layers: Layers, rays: dict[str, Any]) -> tuple[Floats, np.ndarray]:
+    """Way [mm] to the next face, and which it is; the end of the curved film is a face that does nothing."""
+    film, side, dx, dy = rays["film"], rays["side"], rays["dx"], rays["dy"]
+    low, high = np.where(film, layers.inner, layers.outer), np.where(film, layers.outer, layers.shell)
+    curved = side == 0
+    along = rays["x"] * dx + rays["y"] * dy
+    square = (rays["x"] * dy - rays["y"] * dx) ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sink = np.where((along < 0) & (square < low**2), -along - np.sqrt(np.maximum(low**2 - square, 0.0)), np.inf)
+        rise = -along + np.sqrt(np.maximum(high**2 - square, 0.0))
+        across, lean = rays["x"] * side, dx * side
+        inner = np.where(curved, sink, np.where(lean < 0, (low - across) / lean, np.inf))
+        outer = np.where(curved, rise, np.where(lean > 0, (high - across) / lean, np.inf))
+        back_to = np.where(curved, dy > 0, dy < 0)
+        middle = np.where(back_to, -rays["y"] / dy, np.inf)
+        finish = np.where(~curved & (dy > 0), (layers.leg - rays["y"]) / dy, np.inf)
+    ways = np.maximum(np.stack([inner, outer, middle, finish]), 0.0)
+    face = np.argmin(ways, axis=0)
+    return np.take_along_axis(ways, face[None], axis=0)[0], face
+
+
+def _meet(layers: Layers, rays: dict[str, Any], face: np.ndarray) -> np.ndarray:
+    """Change the rays at the faces they have come to; returns how each ends, or `_GOES_ON`."""
+    film, curved = rays["film"], rays["side"] == 0
+    fate = np.full(face.size, _GOES_ON, dtype=np.int8)
+    fate[face == _FINISH] = End.LEG
+    swap = face == _MIDDLE
+    rays["side"] = np.where(swap, np.where(curved, np.sign(rays["x"]), 0), rays["side"]).astype(np.int8)
+    roller = (face == _INNER) & film & curved
+    within = ((face == _OUTER) & film & (layers.shell > layers.outer)) | ((face == _INNER) & ~film)
+    bath = ((face == _INNER) | (face == _OUTER)) & ~roller & ~within
+    here = np.where(film, layers.resin, layers.sheet)
+    there = np.where(within, np.where(film, layers.sheet, layers.resin), layers.bath)
+    crossed = _refract(rays, here, there, within | bath)
+    rays["film"] = film ^ (crossed & within)
+    fate[crossed & bath] = End.BATH
+    _reflect(rays, roller | ((within | bath) & ~crossed))
+    if layers.reflectivity == 0:
+        fate[roller] = End.ROLLER
+    rays["power"] = np.where(roller, rays["power"] * (layers.reflectivity or 1.0), rays["power"])
+    return fate
+
+
+def _normals(rays: dict[str, Any]) -> tuple[Floats, Floats]:
+    radius = np.hypot(rays["x"], rays["y"])
+    curved = rays["side"] == 0
+    return np.where(curved, rays["x"] / radius, rays["side"]), np.where(curved, rays["y"] / radius, 0.0)
+
+
+def _reflect(rays: dict[str, Any], where: np.ndarray) -> None:
+    nx, ny = _normals(rays)
+    back = np.where(where, 2.0 * (rays["dx"] * nx + rays["dy"] * ny), 0.0)
+    rays["dx"], rays["dy"] = rays["dx"] - back * nx, rays["dy"] - back * ny
+
+
+def _refract(rays: dict[str, Any], before: Floats, after: Floats, where: np.ndarray) -> np.ndarray:
+    """Cross a face with Snell's law and Fresnel's loss; returns which rays did, the others are totally reflected."""
+    nx, ny = _normals(rays)
+    facing = rays["dx"] * nx + rays["dy"] * ny
+    ratio, cosine = before / after, np.minimum(np.abs(facing), 1.0)
+    square = 1.0 - ratio**2 * (1.0 - cosine) * (1.0 + cosine)
+    crossed = where & (square >= 0)
+    beyond = np.sqrt(np.maximum(square, 0.0))
+    bend = np.copysign(beyond - ratio * cosine, facing)
+    same = before == after
+    share = np.where(same, 1.0, transmittance(cosine, beyond, before, after))  # type: ignore[arg-type] - per ray
+    change = crossed & ~same
+    rays["dx"] = np.where(change, ratio * rays["dx"] + bend * nx, rays["dx"])
+    rays["dy"] = np.where(change, ratio * rays["dy"] + bend * ny, rays["dy"])
+    rays["power"] = np.where(crossed, rays["power"] * share, rays["power"])
+    return crossed
+
+
+_KEPT = ("ray", "x", "y", "dx", "dy", "power", "side")
+
+
+def _piece(rays: dict[str, Any], far: Floats) -> dict[str, Any]:
+    keep = rays["film"] & (far > 0) & (rays["power"] > 0)
+    return {**{name: rays[name][keep] for name in _KEPT}, "length": far[keep], "before": rays["path"][keep]}
+
+
+def _joined(pieces: list[dict[str, Any]]) -> Segments:
+    names = (*_KEPT, "length", "before")
+    return Segments(**{name: np.concatenate([piece[name] for piece in pieces] or [np.zeros(0)]) for name in names})
