@@ -1,0 +1,193 @@
+"""Beams that are not the collimated, centered ideal: each wraps a round vessel, or plain air, with another ray map.
+
+Everything here stands still in the laboratory, so one map of one pose describes it. `Aimed` and `Fan` turn rays in the
+plane across the axis only and are vessels themselves: ``Projection(grid, beam, motion, Fan(vial, throw=300))``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Chords, Vessel, positive
+from vamgpu.operators.light import OpenAir
+from vamgpu.optics.inputs import Floats, as_offsets
+from vamgpu.optics.vat import Vat
+
+MOST_STEPS = 60
+STEP_DONE = 1e-9
+"""Share of the throw that a column may still move by when the search for it ends."""
+
+
+@dataclass(frozen=True)
+class Aimed:
+    """Parallel light that is not aimed at the axis of rotation.
+
+    Args:
+        vessel: a round vessel about the axis, or None for air.
+        offset: of the axis of rotation from the middle of the columns, towards +r [mm].
+        tilt: turn of the light about the axis, in the plane [rad]: light travels towards -(cos, sin) of pose + tilt.
+
+    Raises:
+        BadInput: a value is not finite, or the vessel is not round.
+    """
+
+    vessel: Vessel | None = None
+    offset: float = 0.0
+    tilt: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_round(self.vessel, type(self).__name__)
+        for name in ("offset", "tilt"):
+            finite(f"{type(self).__name__} {name}", getattr(self, name))
+
+    @property
+    def distance(self) -> float:
+        """Of the projector's pupil from the axis [mm]; infinite for parallel light."""
+        return inf
+
+    @property
+    def inner(self) -> Vessel:
+        """The vessel, air included."""
+        return OpenAir() if self.vessel is None else self.vessel
+
+    @property
+    def absorption(self) -> float:
+        """Of the resin, natural logarithm [1/mm]."""
+        return self.inner.absorption
+
+    @property
+    def lit_radius(self) -> float:
+        """Radius that light reaches at every pose, for a beam that is wide enough [mm]."""
+        return self.inner.lit_radius
+
+    def check_fits(self, radius: float) -> None:
+        """What the vessel says about a target of this radius [mm]; in air everything fits before the pupil."""
+        if radius >= self.distance:
+            raise _too_short(self.distance, radius)
+        check = getattr(self.vessel, "check_fits", None)
+        if check is not None:
+            check(radius)
+
+    def _entry(self, u: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Lines that columns u send: distance from the axis q, turn d0, and both by u."""
+        slope = u / self.distance
+        root = np.sqrt(1.0 + slope**2)
+        q, turn = (u - self.offset) / root, self.tilt - np.arctan(slope)
+        q_by_u = 1.0 / root - (u - self.offset) * slope / self.distance / root**3
+        return q, turn, q_by_u, -1.0 / (self.distance * root**2)
+
+    def chords(self, u: ArrayLike) -> Chords:
+        """Chords in the resin of the columns at the offsets u [mm], any shape; raises `BadInput` for u not finite."""
+        q, turn, q_by_u, turn_by_u = self._entry(as_offsets("u", u))
+        straight = self.inner.chords(q)
+        return Chords(straight.p, straight.angle + turn, straight.spread * q_by_u + turn_by_u,
+                      straight.transmittance, straight.length)
+
+    def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
+        """Column u [mm] that lights each laboratory point, and its weight there; see `Vessel.illuminate`.
+
+        The weight's density is that of columns in the plane: 1 / (magnification * cos of the ray's slope).
+
+        Raises:
+            BadInput: the projector is nearer than a point.
+        """
+        x, y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
+        farthest = float(np.hypot(x, y).max(initial=0.0))
+        if farthest >= self.distance:
+            raise _too_short(self.distance, farthest)
+        u = np.full(x.shape, self.offset)
+        for _ in range(MOST_STEPS):
+            turn = self._entry(u)[1]
+            q, weight = self.inner.illuminate(*turned(x, y, turn))
+            # q = (u - offset) / sqrt(1 + (u / distance)^2), solved for u
+            following = self.offset + q * np.sqrt(1.0 + (u / self.distance) ** 2)
+            moved = float(np.abs(following - u).max(initial=0.0))
+            u = following
+            if moved <= STEP_DONE * min(self.distance, 1.0 + farthest) or self.distance == inf:
+                break
+        else:
+            raise BadInput(f"the pupil is {self.distance:g} mm from the axis, too near to follow its rays to every "
+                           f"point within {farthest:g} mm; wanted a throw of several times that")
+        return u, weight * self._denser(u, x, y)
+
+    def _denser(self, u: Floats, x: Floats, y: Floats) -> Floats:
+        """Density of columns over that of parallel light that enters along the same ray."""
+        if self.distance == inf:
+            return np.ones_like(u)
+        q, turn, q_by_u, turn_by_u = self._entry(u)
+        chord = self.inner.chords(q)
+        step = 1e-3 * self.distance * 1e-3
+        p_by_q = (self.inner.chords(q + step).p - self.inner.chords(q - step).p) / (2.0 * step)
+        angle = chord.angle + turn
+        t = y * np.cos(angle) - x * np.sin(angle)
+        straight = p_by_q - t * chord.spread
+        spread = p_by_q * q_by_u - t * (chord.spread * q_by_u + turn_by_u)
+        return np.abs(straight) / np.maximum(np.abs(spread), 1e-2 * np.abs(straight) + 1e-30)
+
+
+@dataclass(frozen=True)
+class Fan(Aimed):
+    """Light that spreads in the plane from a pupil, as behind a lens that is not telecentric; rows stay level.
+
+    Column u is counted on the axis' plane: in air it lights X = u (1 + Y / throw) and its irradiance falls as
+    1 / distance. For rows that spread as well see `Cone`.
+
+    Args:
+        vessel, offset, tilt: as for `Aimed`.
+        throw: distance of the pupil from the axis, seen from the resin's surroundings [mm].
+
+    Raises:
+        BadInput: a throw that is not above 0, or as short as the vessel's radius.
+    """
+
+    throw: float = inf
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.throw != inf:
+            object.__setattr__(self, "throw", positive("Fan throw [mm]", self.throw))
+        radius = getattr(self.vessel, "radius", None)
+        if radius is not None and radius >= self.throw:
+            raise _too_short(self.throw, radius)
+
+    @property
+    def distance(self) -> float:
+        """The throw."""
+        return self.throw
+
+
+# ---- checks --------------------------------------------------------------------------------------------------------
+def turned(x: Floats, y: Floats, angle: Floats) -> tuple[Floats, Floats]:
+    """(x, y) in a frame turned by ``angle``."""
+    c, s = np.cos(angle), np.sin(angle)
+    return x * c + y * s, y * c - x * s
+
+
+def finite(name: str, value: Any) -> float:
+    """``value`` as a float, else `BadInput`."""
+    number = float(value) if isinstance(value, (int, float, np.number)) else float("nan")
+    if not isfinite(number):
+        raise BadInput(f"{name} is {value!r}; wanted a finite number")
+    return number
+
+
+def _too_short(throw: float, reach: float) -> BadInput:
+    return BadInput(f"the throw is {throw:g} mm, but the vessel or the volume reaches {reach:.4g} mm from the axis: "
+                    "the projector would stand inside it; wanted a longer throw")
+
+
+def _check_round(vessel: Any, name: str) -> None:
+    """Refuse a vessel that rays from another direction would find changed."""
+    if vessel is not None and not isinstance(vessel, Vessel):
+        raise BadInput(f"{name} got {vessel!r} as vessel; wanted a vessel, or None for air")
+    if isinstance(vessel, Aimed) or not getattr(vessel, "is_round", True) or (
+        isinstance(vessel, Vat) and vessel.radius is None
+    ):
+        raise BadInput(f"{name} got {vessel!r}; wanted a vessel that is round about the axis (a Vial, a Vat with a "
+                       "radius) or None: give offset and tilt to one wrapper, and wrap occluders last")

@@ -1,0 +1,98 @@
+"""Beams whose light also moves along the axis of rotation: each has a plane, which is a vessel, and rows.
+
+`Oblique` projects them. Both are for light that runs straight in the resin: air, or a vat whose liquid matches it. A
+round vial bends rising light out of the plane as well as in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import cos, sin
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Vessel
+from vamgpu.operators.light import OpenAir
+from vamgpu.optics.beams import Aimed, Fan, finite, turned
+from vamgpu.optics.inputs import Floats
+from vamgpu.optics.vat import Vat
+
+STEEPEST = np.radians(80.0)
+"""Elevation beyond which rays hardly cross the resin any more."""
+
+
+@dataclass(frozen=True, init=False)
+class Cone:
+    """A fan whose rows spread as its columns do: all light comes from one pupil, irradiance falls as 1 / distance².
+
+    The pupil is level with the middle row. That a row at the height w runs (w / throw)² / 2 longer than the middle one
+    is not counted.
+
+    Args:
+        vessel: a `Vat` with a radius, or None for air.
+        throw, offset, tilt: as for `Fan`, which is ``plane``.
+
+    Raises:
+        BadInput: as `Fan`, and for a vessel that bends light.
+    """
+
+    plane: Fan
+
+    def __init__(self, vessel: Vessel | None = None, *, throw: float, offset: float = 0.0, tilt: float = 0.0) -> None:
+        _check_straight(vessel, "Cone")
+        object.__setattr__(self, "plane", Fan(vessel, offset, tilt, throw))
+
+    def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
+        """The ray through (X, Y, z) stands at lift + stretch·z [mm] in the axis' plane; gain of the weight."""
+        downstream = turned(across, along, np.asarray(self.plane.tilt))[1]
+        stretch = 1.0 / (1.0 + downstream / self.plane.throw)
+        return np.zeros_like(stretch), stretch, stretch
+
+
+@dataclass(frozen=True, init=False)
+class Inclined:
+    """Parallel light that climbs: it rises towards +z by ``elevation`` on its way through the resin (laminography).
+
+    Rows are counted across the light, so a point sees the row z·cos ψ − Y·sin ψ. Rays are 1 / cos ψ longer in the
+    resin than in the plane, and absorbed accordingly.
+
+    Args:
+        vessel: a `Vat`, or None for air.
+        elevation: ψ in the resin [rad].
+        offset, tilt: as for `Aimed`.
+
+    Raises:
+        BadInput: an elevation beyond 80 degrees, a vessel that bends light, or one `Aimed` refuses.
+    """
+
+    plane: Vessel
+    elevation: float
+    tilt: float
+
+    def __init__(
+        self, vessel: Vessel | None = None, *, elevation: float, offset: float = 0.0, tilt: float = 0.0
+    ) -> None:
+        _check_straight(vessel, "Inclined")
+        if abs(finite("Inclined elevation [rad]", elevation)) > STEEPEST:
+            raise BadInput(f"elevation is {np.degrees(elevation):.4g} degrees; wanted at most "
+                           f"{np.degrees(STEEPEST):.0f} either way; give it in rad")
+        inner: Any = OpenAir() if vessel is None else vessel
+        if isinstance(inner, Vat) and inner.absorption > 0:
+            inner = replace(inner, absorption=inner.absorption / cos(elevation))
+        plane = Aimed(inner, offset, tilt) if offset or tilt else inner
+        for name, value in (("plane", plane), ("elevation", float(elevation)), ("tilt", float(tilt))):
+            object.__setattr__(self, name, value)
+
+    def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
+        """The ray through (X, Y, z) stands at lift + stretch·z [mm] among the rows; gain of the weight."""
+        downstream = turned(across, along, np.asarray(self.tilt))[1]
+        stretch = np.full_like(downstream, cos(self.elevation))
+        return -sin(self.elevation) * downstream, stretch, stretch if self.plane.absorption else np.ones_like(stretch)
+
+
+def _check_straight(vessel: Any, name: str) -> None:
+    if vessel is not None and not isinstance(vessel, (Vat, OpenAir)):
+        raise BadInput(f"{name} got {vessel!r}; wanted a Vat, or None for air: what bends light in the plane bends "
+                       "rising light out of it too")
