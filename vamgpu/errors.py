@@ -35,6 +35,10 @@ class TileError(BadInput):
     """A stream of tiles broke off, or changed its section or pitch; what was written before stays valid."""
 
 
+class SkippedColumns(BadInput):
+    """A web moves so far from pose to pose that some of its columns are never lit."""
+
+
 class DeviceError(VamError, RuntimeError):
     """A device is missing, broken, or was asked for something it cannot do."""
 

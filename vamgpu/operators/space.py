@@ -1,4 +1,4 @@
-"""The spaces operators map between: a volume's and a sinogram's."""
+"""The spaces operators map between: a volume's and a sinogram's, a web's and that of the light on it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 
 from vamgpu.errors import ShapeMismatch
 from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.operators.feed import Feed
+from vamgpu.web import WebGrid
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,34 @@ class SinogramSpace:
         return self.motion.poses
 
 
-Space = VolumeSpace | SinogramSpace
+@dataclass(frozen=True)
+class WebSpace:
+    """Values on the voxels of a web, axes ``[l, rho, z]``."""
+
+    grid: WebGrid
+    axes = ("l", "rho", "z")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Voxels along l, rho and z."""
+        return self.grid.shape
+
+
+@dataclass(frozen=True)
+class FeedSpace:
+    """Values on the pixels of a beam at every pose of a web, axes ``[pose, r, z]``."""
+
+    beam: Beam
+    motion: Feed
+    axes = ("pose", "r", "z")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Poses, columns and rows."""
+        return (self.motion.poses, *self.beam.pixels)
+
+
+Space = VolumeSpace | SinogramSpace | WebSpace | FeedSpace
 
 
 def require(space: Space, value: Any, name: str) -> None:

@@ -1,0 +1,167 @@
+"""Light on a moving web: the projection of a flat film at every pose, and its transpose, the dose of those poses."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.geometry import Beam
+from vamgpu.kernels.unfold import mix_poses
+from vamgpu.operators.bands import Bands
+from vamgpu.operators.feed import Feed
+from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.rows import Rows
+from vamgpu.operators.space import FeedSpace, WebSpace
+from vamgpu.web import Propagation, WebGrid, Wrap
+
+
+@final
+class WebProjection(LinearOperator):
+    """The light of one pose at every pose of a web that moves past it.
+
+    ``A(web)`` is the light [pose, r, z] of a web [l, rho, z]: g[pose, r, z] = Σ over the window of
+    P[r, rho, l]·f[l + start + pose·step, rho, z]; ``A.T(light)`` is the dose of the web. Columns outside the web count
+    as nothing; a window that begins between two columns interpolates linearly. The unfolded matrix of
+    "Roll-to-roll tomographic volumetric additive manufacturing", section S2, is never made: memory is that of f and g,
+    and with steps between columns that of one more g (a pose for every column).
+
+    grid, beam, wrap: the web, the light and the machine that moves the web.  device: a name or a device.  poses, start:
+    how many poses, from which column; by default all that see any of the web.
+
+    Attributes: grid, beam, wrap (None for bare light), light (the `Propagation`), motion (the `Feed`: poses, step and
+    start in columns), first (its start).  Raises `BadInput`, `ShapeMismatch`, `SkippedColumns`, `DeviceError`.
+    """
+
+    def __init__(
+        self,
+        grid: WebGrid,
+        beam: Beam,
+        wrap: Wrap,
+        device: str | Device | None = None,
+        poses: int | None = None,
+        start: float | None = None,
+    ) -> None:
+        for value, kind in ((grid, WebGrid), (beam, Beam), (wrap, Wrap)):
+            if not isinstance(value, kind):
+                raise BadInput(f"got {value!r} where a {kind.__name__} is wanted; WebProjection(grid, beam, wrap, …)")
+        self.wrap: Wrap | None = wrap
+        self._build(grid, beam, wrap.propagation(grid, beam), wrap.advance / grid.edges[0], device, poses, start)
+
+    @classmethod
+    def from_light(
+        cls,
+        grid: WebGrid,
+        light: Propagation,
+        step: float = 1.0,
+        beam: Beam | None = None,
+        device: str | Device | None = None,
+        poses: int | None = None,
+        start: float | None = None,
+    ) -> WebProjection:
+        """From the light of one pose and a step in columns; without a beam each row of light is a slice."""
+        operator = cls.__new__(cls)
+        operator.wrap = None
+        beam = beam or Beam((light.shape[0], grid.shape[2]), grid.edges[2])
+        operator._build(grid, beam, light, step, device, poses, start)
+        return operator
+
+    def _build(
+        self,
+        grid: WebGrid,
+        beam: Beam,
+        light: Propagation,
+        step: float,
+        device: str | Device | None,
+        poses: int | None,
+        start: float | None,
+    ) -> None:
+        if light.shape[:2] != (beam.pixels[0], grid.shape[1]):
+            raise ShapeMismatch(
+                f"the light has {light.shape[0]} columns and {light.shape[1]} layers; wanted {beam.pixels[0]} as "
+                f"{beam} and {grid.shape[1]} as {grid}: build it on the same geometry"
+            )
+        self.grid, self.beam, self.light = grid, beam, light
+        self.motion = Feed.past(grid.shape[0], light.shape[2], step, poses, start)
+        self.motion.check_lit(light, grid.shape[0], whole_web=poses is None and start is None)
+        self.first = self.motion.start
+        self.domain, self.range = WebSpace(grid), FeedSpace(beam, self.motion)
+        self.device = open_device(device)
+        self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2])
+        self._between = None if self.motion.whole else _Between(self.motion, self.device)
+        begin, stride = (int(self.first), int(self.motion.step)) if not self._between else (self._between.first, 1)
+        self._forward = Bands.forward(light, begin, stride).on(self.device)
+        self._transposed = Bands.transposed(light, begin, stride).on(self.device)
+        self._transpose = Transposed(self)
+
+    def __repr__(self) -> str:
+        return f"WebProjection({self.grid!r}, {self.beam!r}, {self.motion!r}, device={self.device.name!r})"
+
+    @property
+    def T(self) -> LinearOperator:  # noqa: N802
+        return self._transpose
+
+    def _light(self, poses: int) -> DeviceArray:
+        return self.device.empty((poses, self.beam.pixels[0], self.grid.shape[2]))
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        slices = out if self._rows.same else self._light(self.motion.poses)
+        if self._between is None:
+            self._forward.gather(x, slices)
+        else:
+            whole = self._light(self._between.count)
+            self._forward.gather(x, whole)
+            self._between.mix(whole, slices)
+        if slices is not out:
+            self._rows.from_slices(slices, out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        slices = y
+        if not self._rows.same:
+            slices = self._light(self.motion.poses)
+            self._rows.to_slices(y, slices)
+        if self._between is not None:
+            whole = self._light(self._between.count)
+            self._between.unmix(slices, whole)
+            slices = whole
+        self._transposed.gather(slices, out)
+
+
+class _Between:
+    """Poses between two columns as mixtures of ``count`` poses at whole columns from column ``first``."""
+
+    def __init__(self, motion: Feed, device: Device) -> None:
+        below, share = motion.neighbors
+        pose = np.concatenate([np.arange(below.size), np.flatnonzero(share)])
+        column = np.concatenate([below, below[share > 0] + 1])
+        weight = np.concatenate([1.0 - share, share[share > 0]])
+        self.device, self.first = device, int(column.min())
+        column -= self.first
+        self.count = int(column.max()) + 1
+        self._mix = _by_row(device, motion.poses, pose, column, weight)
+        self._unmix = _by_row(device, self.count, column, pose, weight)
+
+    def mix(self, whole: DeviceArray, poses: DeviceArray) -> None:
+        """Light at the poses from light at whole columns."""
+        self.device.launch(mix_poses, source=whole, target=poses, **self._mix)
+
+    def unmix(self, poses: DeviceArray, whole: DeviceArray) -> None:
+        """The transpose."""
+        self.device.launch(mix_poses, source=poses, target=whole, **self._unmix)
+
+
+def _by_row(
+    device: Device, count: int, row: np.ndarray, index: np.ndarray, share: np.ndarray
+) -> dict[str, DeviceArray]:
+    """The tables of `mix_poses` for entries in any order."""
+    order = np.lexsort((index, row))
+    rows = np.searchsorted(row[order], np.arange(count + 1))
+    return {
+        "rows": device.table(rows, "int32"),
+        "indices": device.table(index[order], "int32"),
+        "shares": device.table(share[order]),
+    }
