@@ -39,6 +39,10 @@ class SkippedColumns(BadInput):
     """A web moves so far from pose to pose that some of its columns are never lit."""
 
 
+class RayError(BadInput):
+    """A ray cannot be traced: it never leaves, is reflected where it should pass, or does not settle."""
+
+
 class DeviceError(VamError, RuntimeError):
     """A device is missing, broken, or was asked for something it cannot do."""
 
