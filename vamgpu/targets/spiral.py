@@ -1,0 +1,207 @@
+"""A web wound on itself: solids thicker than the film, cut along a spiral into flat film, and wound up again.
+
+Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing, section S9.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
+from vamgpu.geometry import Grid, centers, positive
+from vamgpu.targets.implicit import Bounded, Implicit
+from vamgpu.web import WebGrid
+
+Array = npt.NDArray[np.float64]
+
+_STEPS = 30
+"""Newton steps at most from a length to its angle; a few suffice."""
+
+
+@dataclass(frozen=True)
+class Spiral:
+    """A film wound into r = inner + ρ + kψ, one layer on the other, with 2πk = thickness + substrate (eq. S8).
+
+    inner: radius [mm] at which the film's roller side (ρ = 0) starts.  thickness: of the film [mm].  turns: of the
+    winding.  substrate: what stays between layers [mm].  neutral: depth of the line that winding does not stretch, in
+    shares of the thickness; l [mm] of the flat film is the arc along it.  Layers keep their thickness along the radius
+    so that they fill the wound body without gap or overlap.  Raises `BadInput`.
+    """
+
+    inner: float
+    thickness: float
+    turns: float
+    substrate: float = 0.0
+    neutral: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("inner", "thickness", "turns"):
+            positive(f"Spiral {name}", getattr(self, name))
+        positive("Spiral substrate [mm]", self.substrate, zero=True)
+        if positive("Spiral neutral", self.neutral, zero=True) > 1.0:
+            raise BadInput(f"Spiral neutral is {self.neutral!r}; wanted a share of the thickness in 0..1")
+
+    @property
+    def rise(self) -> float:
+        """k, radius gained per angle [mm/rad]."""
+        return (self.thickness + self.substrate) / (2.0 * pi)
+
+    @property
+    def end(self) -> float:
+        """Angle ψ of the film's end [rad]."""
+        return 2.0 * pi * self.turns
+
+    @property
+    def length(self) -> float:
+        """Length [mm] of the flat film (eq. S10, along the neutral line)."""
+        return float(self.arc(np.array(self.end)))
+
+    @property
+    def outer(self) -> float:
+        """Greatest radius [mm] of the wound film."""
+        return self.inner + self.rise * self.end + self.thickness
+
+    def arc(self, angle: Array) -> Array:
+        """Length [mm] along the neutral line from ψ = 0 to ψ [rad]: the integral of eq. S10 in closed form."""
+        start = self.inner + self.neutral * self.thickness
+        return self._integral(start + self.rise * np.asarray(angle, np.float64)) - self._integral(np.array(start))
+
+    def angle(self, along: Array) -> Array:
+        """ψ [rad] at a length l [mm], the inverse of `arc`, beyond the film's ends too."""
+        start = self.inner + self.neutral * self.thickness
+        along = np.asarray(along, np.float64)
+        psi = (np.sqrt(np.maximum(start**2 + 2.0 * self.rise * along, 0.0)) - start) / self.rise
+        for _ in range(_STEPS):
+            step = (self.arc(psi) - along) / np.hypot(start + self.rise * psi, self.rise)
+            psi = psi - step
+            if step.size == 0 or np.abs(step).max() < 1e-13 * (1.0 + self.end):
+                break
+        return psi
+
+    def wound(self, along: Array, depth: Array) -> tuple[Array, Array]:
+        """Place (x, y) [mm] in the wound body of points (l, ρ) [mm] of the flat film."""
+        psi = self.angle(along)
+        r = self.inner + self.rise * psi + depth
+        return r * np.cos(psi), r * np.sin(psi)
+
+    def flat(self, x: Array, y: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+        """Points (l, ρ) [mm] of the film found at places (x, y) [mm], and whether there is film at all."""
+        r, turn = np.hypot(x, y), np.arctan2(y, x) % (2.0 * pi)
+        above = r - self.inner - self.rise * turn
+        whole = np.floor(above / (2.0 * pi * self.rise))
+        psi, depth = turn + 2.0 * pi * whole, above - 2.0 * pi * self.rise * whole
+        held = (psi >= 0.0) & (psi <= self.end) & (depth <= self.thickness)
+        return self.arc(np.clip(psi, 0.0, self.end)), depth, held
+
+    def web(self, pitch: tuple[float, float, float] | float, width: float) -> WebGrid:
+        """The grid of the flat film: whole voxels that cover its length, its thickness and ``width`` [mm] along z."""
+        edges = WebGrid((1, 1, 1), pitch).edges
+        size = (self.length, self.thickness, positive("width [mm]", width))
+        n_l, n_rho, n_z = (int(np.ceil(s / e - 1e-6)) for s, e in zip(size, edges, strict=True))
+        return WebGrid((n_l, n_rho, n_z), edges)
+
+    def film(self, shape: Implicit) -> Implicit:
+        """A solid of (x, y, z) cut into the film: a function of (l, ρ, z), for `voxelize` on a web and `stream`."""
+        return _BoundedFilm(self, shape) if isinstance(shape, Bounded) else _Film(self, shape)
+
+    def unwind(self, fraction: npt.ArrayLike, grid: Grid, web: WebGrid) -> npt.NDArray[np.float32]:
+        """Voxels [x, y, z] of a solid as those of the flat film, float32 [l, rho, z], interpolated between centers.
+
+        What lies in the core or beyond the last layer is not in the film. Raises `ShapeMismatch`, and `EmptyMesh` where
+        the film gets nothing.
+        """
+        values = _on("solid", fraction, grid.shape)
+        l, rho, z = web.axes()  # noqa: E741
+        x, y = self.wound(l[:, None], rho[None, :])
+        inside = (l <= self.length)[:, None] & (rho <= self.thickness)[None, :]
+        at = [v / grid.pitch + 0.5 * (n - 1) for v, n in zip((x, y), grid.shape, strict=False)]
+        film = _looked_up(values, at[0], at[1], z / grid.pitch + 0.5 * (grid.shape[2] - 1), inside)
+        if values.any() and not film.any():
+            raise EmptyMesh(
+                f"nothing of the solid lies in the film, which is wound from radius {self.inner:g} to {self.outer:.4g} "
+                f"mm on a web {web.size[2]:g} mm wide: use a smaller inner radius or more turns"
+            )
+        return film
+
+    def wind(self, fraction: npt.ArrayLike, web: WebGrid, grid: Grid, samples: int = 3) -> npt.NDArray[np.float32]:
+        """Voxels [l, rho, z] of a flat film as those of the wound body, float32 [x, y, z].
+
+        samples: points along x and y in each voxel, between centers of the film interpolated.  Raises `ShapeMismatch`.
+        """
+        values = _on("film", fraction, web.shape)
+        x, y, z = grid.axes()
+        body = np.zeros(grid.shape, np.float32)
+        for dx in centers(samples, grid.pitch / samples):
+            for dy in centers(samples, grid.pitch / samples):
+                along, depth, held = self.flat(x[:, None] + dx, y[None, :] + dy)
+                at = (along / web.edges[0] - 0.5, depth / web.edges[1] - 0.5)
+                body += _looked_up(values, *at, z / web.edges[2] + 0.5 * (web.shape[2] - 1), held)
+        return body / np.float32(samples**2)
+
+    def _integral(self, r: Array) -> Array:
+        """∫ √(r² + k²) dψ with r = … + kψ."""
+        u = r / self.rise
+        return 0.5 * self.rise * (u * np.hypot(u, 1.0) + np.arcsinh(u))
+
+    @property
+    def _stretch(self) -> float:
+        """No length in the film grows more than this by winding."""
+        start = self.inner + self.neutral * self.thickness
+        across = float(np.hypot(start, self.rise))
+        return max((self.inner + self.thickness) / across, 1.0) + self.rise / across
+
+
+@dataclass(frozen=True)
+class _Film:
+    spiral: Spiral
+    shape: Implicit
+
+    def __call__(self, along: Array, depth: Array, z: Array) -> Array:
+        value = self.shape(*self._placed(along, depth, z))
+        return np.maximum(value, self._beyond(along))
+
+    def _placed(self, along: Array, depth: Array, z: Array) -> tuple[Array, Array, Array]:
+        x, y = self.spiral.wound(along, depth)
+        return x, y, np.asarray(z, np.float64)
+
+    def _beyond(self, along: Array) -> Array:
+        """How far l lies beyond the nearer end of the film."""
+        return np.maximum(-np.asarray(along), along - self.spiral.length)
+
+
+@dataclass(frozen=True)
+class _BoundedFilm(_Film):
+    def bound(self, along: Array, depth: Array, z: Array) -> Array:
+        """At most the distance [mm] to the surface in the flat film, negative inside."""
+        value = self.shape.bound(*self._placed(along, depth, z)) / self.spiral._stretch  # type: ignore[attr-defined]
+        return np.maximum(value, self._beyond(along))
+
+
+def _on(name: str, fraction: npt.ArrayLike, shape: tuple[int, int, int]) -> npt.NDArray[np.float32]:
+    values = np.asarray(fraction, np.float32)
+    if values.shape != shape:
+        raise ShapeMismatch(f"the {name} has shape {values.shape}, its grid {shape}; wanted the same")
+    return values
+
+
+def _looked_up(
+    values: npt.NDArray[np.float32], first: Array, second: Array, third: Array, held: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.float32]:
+    """Values at fractional indices (first, second) for every third; the last voxels reach to their faces, 0 beyond."""
+    from scipy.ndimage import map_coordinates
+
+    limits = zip((first, second), values.shape, strict=False)
+    rows = held & np.logical_and.reduce([(at >= -0.5) & (at <= n - 0.5) for at, n in limits])
+    layers = np.flatnonzero((third >= -0.5) & (third <= values.shape[2] - 0.5))
+    found = np.zeros((*held.shape, len(third)), np.float32)
+    index = [np.broadcast_to(at, held.shape)[rows] for at in (first, second)]
+    size = (len(index[0]), len(layers))
+    points = [np.broadcast_to(at[:, None], size) for at in index] + [np.broadcast_to(third[layers], size)]
+    part = np.zeros((size[0], len(third)), np.float32)
+    part[:, layers] = map_coordinates(values, points, order=1, mode="nearest")
+    found[rows] = part
+    return found
