@@ -13,6 +13,8 @@ cm = 10.0
 m = 1e3
 s = 1.0
 ms = 1e-3
+us = 1e-6
+Hz = 1.0
 minute = 60.0
 mJ = 1.0
 J = 1e3
@@ -24,15 +26,18 @@ mW_cm2 = mW / cm**2
 mJ_cm3 = mJ / cm**3
 mJ_cm2 = mJ / cm**2
 rpm = 2.0 * pi / minute
+kg_m3 = 1e3 * mJ * s**2 / m**2 / m**3
+Pa_s = J * s / m**3
 
 NAMES = {
     "mm": mm, "um": um, "µm": um, "cm": cm, "m": m,
-    "s": s, "ms": ms, "min": minute,
+    "s": s, "ms": ms, "us": us, "µs": us, "min": minute, "Hz": Hz, "kHz": 1e3 * Hz,
     "mJ": mJ, "J": J, "mW": mW, "W": W,
     "rad": rad, "deg": deg, "°": deg,
     "mW/cm2": mW_cm2, "mW/cm²": mW_cm2, "mJ/cm3": mJ_cm3, "mJ/cm³": mJ_cm3, "mJ/cm2": mJ_cm2, "mJ/cm²": mJ_cm2,
     "mW/mm2": mW / mm**2, "mW/mm²": mW / mm**2, "mJ/mm3": mJ / mm**3, "mJ/mm³": mJ / mm**3,
     "1/mm": 1.0 / mm, "/mm": 1.0 / mm, "1/cm": 1.0 / cm, "/cm": 1.0 / cm,
-    "rpm": rpm, "deg/s": deg / s, "mm/s": mm / s, "mm/min": mm / minute,
+    "rpm": rpm, "deg/s": deg / s, "mm/s": mm / s, "mm/min": mm / minute, "m/min": m / minute,
+    "kg/m3": kg_m3, "kg/m³": kg_m3, "g/cm3": 1e3 * kg_m3, "g/cm³": 1e3 * kg_m3, "Pa s": Pa_s, "mPa s": 1e-3 * Pa_s,
 }  # fmt: skip
 """Spelling used in job files → factor."""

@@ -22,6 +22,12 @@ from vamgpu.units import NAMES
         ("0.05 /mm", "an absorption", 0.05),
         ("5 mW/cm2", "an irradiance", 0.05),
         ("40 mJ/cm³", "a dose", 0.04),
+        ("48 mm/min", "a speed", 0.8),
+        ("180 deg", "an angle", 3.141592653589793),
+        ("266 Hz", "a rate", 266.0),
+        ("5 ms", "a time", 0.005),
+        ("1.1 g/cm3", "a density", 1.1e-9),
+        ("43.7 Pa s", "a viscosity", 43.7e-6),
     ],
 )
 def test_units_become_mm_s_and_mj(text: str, kind: str, value: float) -> None:

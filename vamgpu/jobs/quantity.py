@@ -17,9 +17,19 @@ SPELLINGS = {
     "an absorption": ("1/mm", "/mm", "1/cm", "/cm"),
     "an irradiance": ("mW/cm2", "mW/cm²", "mW/mm2", "mW/mm²"),
     "a dose": ("mJ/cm3", "mJ/cm³", "mJ/mm3", "mJ/mm³"),
+    "a speed": ("mm/min", "mm/s", "m/min"),
+    "an angle": ("deg", "°", "rad"),
+    "a time": ("ms", "s", "us", "µs", "min"),
+    "a rate": ("Hz", "kHz"),
+    "a density": ("kg/m3", "kg/m³", "g/cm3", "g/cm³"),
+    "a viscosity": ("Pa s", "mPa s"),
 }
 """What is measured → the units it may be written in, the most usual first."""
-EXAMPLES = {"a length": "12.4 mm", "an absorption": "0.05 1/mm", "an irradiance": "5 mW/cm2", "a dose": "40 mJ/cm3"}
+EXAMPLES = {
+    "a length": "12.4 mm", "an absorption": "0.05 1/mm", "an irradiance": "5 mW/cm2", "a dose": "40 mJ/cm3",
+    "a speed": "48 mm/min", "an angle": "0.5 deg", "a time": "5 ms", "a rate": "266 Hz", "a density": "1100 kg/m3",
+    "a viscosity": "40 Pa s",
+}  # fmt: skip
 
 
 def parse(text: Any, kind: str, *, zero: bool = False) -> float:
@@ -50,3 +60,9 @@ Thickness = Annotated[float, _as("a length", zero=True)]
 Absorption = Annotated[float, _as("an absorption", zero=True)]
 Irradiance = Annotated[float, _as("an irradiance")]
 DoseValue = Annotated[float, _as("a dose")]
+Speed = Annotated[float, _as("a speed")]
+Angle = Annotated[float, _as("an angle")]
+Time = Annotated[float, _as("a time", zero=True)]
+Rate = Annotated[float, _as("a rate")]
+Density = Annotated[float, _as("a density")]
+Viscosity = Annotated[float, _as("a viscosity")]

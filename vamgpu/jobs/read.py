@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -26,31 +26,45 @@ class Job:
     name: str
 
 
+Wanted = TypeVar("Wanted", bound=BaseModel)
+
+
 def read_job(path: str | Path, settings: Iterable[str] = ()) -> Job:
     """Read a TOML job file; ``settings`` are ``key=value`` that replace its values. Raises `JobError`."""
     file = Path(path)
+    return parse_job(read_text(path), settings, source=str(path), folder=file.parent, name=file.stem)
+
+
+def read_text(path: str | Path) -> str:
+    """The text of a job file. Raises `JobError`."""
     try:
-        text = file.read_text(encoding="utf-8")
+        return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise JobError(f"cannot read job file {str(path)!r}: {reason}; wanted a TOML file: check the path") from error
-    return parse_job(text, settings, source=str(path), folder=file.parent, name=file.stem)
 
 
 def parse_job(
     text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(), name: str = "job"
 ) -> Job:
     """A job from TOML text. Raises `JobError` naming every wrong value at once."""
+    return Job(*checked(JobFile, text, settings, source=source), folder, name)
+
+
+def checked(
+    model: type[Wanted], text: str, settings: Iterable[str] = (), *, source: str = "job"
+) -> tuple[Wanted, dict[str, Any]]:
+    """TOML text as a model of a file, and its keys as written. Raises `JobError` naming every wrong value at once."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise JobError(f"{source}: not valid TOML: {error}; correct that line") from error
     replaced = {_replace(data, setting) for setting in settings}
     try:
-        return Job(JobFile.model_validate(data), data, folder, name)
+        return model.model_validate(data), data
     except ValidationError as error:
         lines = key_lines(text)
-        found = [_complaint(entry, source, lines, replaced) for entry in error.errors()]
+        found = [_complaint(entry, source, lines, replaced, model) for entry in error.errors()]
         raise JobError("\n".join(found)) from error
 
 
@@ -78,7 +92,9 @@ def toml_value(text: str) -> Any:
     return read["value"] if len(read) == 1 else text
 
 
-def _complaint(entry: Any, source: str, lines: dict[tuple[str, ...], int], replaced: set[tuple[str, ...]]) -> str:
+def _complaint(
+    entry: Any, source: str, lines: dict[tuple[str, ...], int], replaced: set[tuple[str, ...]], file: type[BaseModel]
+) -> str:
     key = tuple(str(part) for part in entry["loc"])
     named = tuple(part for part in key if not part.isdigit())
     if any(named[: len(changed)] == changed for changed in replaced):
@@ -88,7 +104,7 @@ def _complaint(entry: Any, source: str, lines: dict[tuple[str, ...], int], repla
         place = f"{source}, line {line}" if line else source
     subject = ".".join(key) or "job"
     if entry["type"] == "extra_forbidden":
-        return f"{place}: {subject}: unknown key; {_spelling(key)}"
+        return f"{place}: {subject}: unknown key; {_spelling(key, file)}"
     if entry["type"] == "missing":
         return f"{place}: {subject} is missing; {_remedy(key)}"
     got = "" if isinstance(entry["input"], dict | BaseModel) else f" got {entry['input']!r};"
@@ -97,9 +113,9 @@ def _complaint(entry: Any, source: str, lines: dict[tuple[str, ...], int], repla
     return f"{place}: {subject}:{got} {wanted}"
 
 
-def _model_at(key: tuple[str, ...]) -> type[BaseModel]:
+def _model_at(key: tuple[str, ...], file: type[BaseModel]) -> type[BaseModel]:
     """The section that a key's parent names."""
-    model: type[BaseModel] = JobFile
+    model = file
     for part in key[:-1]:
         annotation = model.model_fields[part].annotation if part in model.model_fields else None
         choices = [annotation, *get_args(annotation)]
@@ -107,8 +123,8 @@ def _model_at(key: tuple[str, ...]) -> type[BaseModel]:
     return model
 
 
-def _spelling(key: tuple[str, ...]) -> str:
-    known = list(_model_at(key).model_fields)
+def _spelling(key: tuple[str, ...], file: type[BaseModel]) -> str:
+    known = list(_model_at(key, file).model_fields)
     close = get_close_matches(key[-1], known, n=1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else f"wanted one of {', '.join(known)}: correct or remove it"
 
