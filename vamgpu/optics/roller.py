@@ -38,7 +38,8 @@ class Roller:
     compensation: largest gain of columns that make up for Fresnel's loss, as `gain` says; None for columns as they are.
     divergence: half angle [rad] of the fan of light that each column is in the bath, even in its sine, about the point
     where the column meets the middle of the film.  neutral: depth of the line that bending does not stretch, in
-    thicknesses from the roller.  rays, fan: rays across the width and across the fan of a column.
+    thicknesses from the roller.  rays, fan: rays across the width and across the fan of a column; where the walls of
+    voxels run along the light, a voxel's share of a column is known to one ray.
 
     Raises `BadInput`: a value out of range, or legs left open for a film that absorbs nothing.
     """
@@ -51,7 +52,7 @@ class Roller:
     compensation: float | None = None
     divergence: float = 0.0
     neutral: float = 0.5
-    rays: int = 8
+    rays: int = 32
     fan: int = 9
 
     def __post_init__(self) -> None:
