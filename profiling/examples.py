@@ -151,6 +151,19 @@ def _refracted(n: int) -> Example:
     return Example(sizes, {**tables, "width": light.width, "radius": light.radius})
 
 
+def _oblique(n: int, source: str) -> Example:
+    """Refracted light that also climbs, past an axis that wobbles."""
+    example = _refracted(n)
+    volume, rows = example.sizes["z"], example.sizes["z"] + 3
+    light, poses = example.given["light"], example.given["directions"]
+    climb = np.broadcast_to(0.3 * np.arange(light.shape[1]) - 0.15 * light.shape[1], light.shape[:2])
+    table = np.concatenate([light, np.stack([climb, np.full_like(climb, 0.9)], axis=-1)], axis=-1)
+    places = 0.3 * np.stack([poses[:, 1], poses[:, 0]], axis=1)
+    given = {**example.given, "light": table, "poses": np.concatenate([poses, places], axis=1), "height": 1.0}
+    given |= {"radius": example.given["radius"] - 0.5, "lanes": lambda _, arguments: arguments[source].lanes}
+    return Example({**example.sizes, "z": volume if source == "sinogram" else rows, "row": rows, "slice": volume}, given)
+
+
 def _resampled(n: int) -> Example:
     source = n - n // 3
     given = {"ratio": source / n, "reach": 1.0, "most": 1.0, "gain": 0.7, "lanes": lambda _, a: a["source"].lanes}
@@ -272,11 +285,67 @@ def _mixed(n: int) -> Example:
     return Example(sizes, {"rows": 2 * np.arange(n + 1), "indices": indices, "shares": shares})
 
 
+def _carried(n: int, depth: int) -> np.ndarray:
+    """A bent, absorbing medium with an insert, two samples of bath around n × (n even) × depth voxels."""
+    shape = (n, n - n % 2, depth)
+    x, y, z = np.meshgrid(*(np.linspace(-1.0, 1.0, k) if k > 1 else np.zeros(1) for k in shape), indexing="ij")
+    blob = np.exp(-8.0 * ((x - 0.3) ** 2 + (y + 0.2) ** 2 + 0.3 * z**2))
+    medium = np.zeros((shape[0] + 4, shape[1] + 4, depth + 4 * (depth > 1), 4))
+    inner = medium[2:-2, 2:-2, 2:-2] if depth > 1 else medium[2:-2, 2:-2]
+    for axis, along in enumerate((x - 0.3, y + 0.2, 0.3 * z)):
+        inner[..., axis] = -1.6 / n * along * blob
+    inner[..., 3] = np.where((x + 0.4) ** 2 + (y - 0.37) ** 2 < 0.04, -1.0, 3.0 / n * (1.0 + blob))
+    return medium
+
+
+def _marched(n: int, depth: int, rows: int, **more: int) -> Example:
+    columns, bundle, poses = n + 2 * (n % 2), 2, np.array([0.1, 1.3, 4.0])
+    start = np.zeros((columns, rows, bundle, 8))
+    start[..., 0] = (np.arange(columns) - 0.5 * (columns - 1) + 0.013)[:, None, None]
+    start[..., 1], start[..., 2] = -n, 0.37 + np.arange(rows)[:, None]
+    start[..., 3], start[..., 5] = (0.1, -0.05), 0.07 * (depth > 1)
+    start[..., 4] = np.sqrt(1.0 - start[..., 3] ** 2 - start[..., 5] ** 2)
+    start[..., 6] = 0.05
+    sizes = {"p": n + 4, "q": n - n % 2 + 4, "s": depth + 4 * (depth > 1), "ray": columns * rows * bundle}
+    sizes |= {"angle": len(poses), "pixel": columns * rows, "r": columns, "row": rows, **more}
+    given = {"medium": _carried(n, depth), "starts": start.reshape(-1, 8), "step": 0.5, "kind": 7}
+    given |= {"directions": np.stack([np.cos(poses), np.sin(poses)], axis=1)}
+    given |= {"most": 20 * n, "top": depth + 1.0, "steps": np.full((len(poses), columns * rows), 20 * n)}
+    return Example(sizes, {**given, "lanes": lambda device, _: device.lanes_for(rows)})
+
+
+def _entries(n: int) -> Example:
+    def dense(pairs: np.ndarray) -> np.ndarray:
+        matrix = np.zeros((pairs.shape[0] * pairs.shape[1], n * n))
+        ray = np.arange(len(matrix))[:, None]
+        flat = pairs.reshape(len(matrix), -1, 2)
+        np.add.at(matrix, (ray, flat[..., 0].astype(int)), flat[..., 1])
+        return matrix
+
+    example = _marched(n, 1, 1, capacity=6 * n + 16)
+    return Example(example.sizes, example.given, combine={"entries": dense})
+
+
+def _through(n: int) -> Example:
+    depth = _slices(n)
+    return _marched(n, depth, 5, x=n, y=n - n % 2, z=depth)
+
+
+def _gathered(n: int) -> Example:
+    rng, columns = np.random.default_rng(3), n * (n + 1)
+    first = np.concatenate([[0], np.cumsum(rng.integers(0, 9, n * (n + n % 2)))])
+    entries = np.stack([rng.integers(0, columns, first[-1]), rng.random(first[-1])], axis=1)
+    sizes = {"u": n, "v": n + 1, "z": _slices(n), "row": len(first), "entry": len(entries)}
+    return Example({**sizes, "i": n, "j": n + n % 2}, {"first": first, "entries": entries})
+
+
 EXAMPLES: dict[str, Callable[[int], Example]] = {
     "forward_joseph": _straight,
     "back_joseph": _straight,
     "forward_refracted": _refracted,
     "back_refracted": _refracted,
+    "forward_oblique": lambda n: _oblique(n, "volume"),
+    "back_oblique": lambda n: _oblique(n, "sinogram"),
     "resample": _resampled,
     "partial_sum": _partial,
     "partial_dot": _partial,
@@ -304,6 +373,12 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "mask_rays": lambda n: Example(_light(n)),
     "rebin_rays": _rebinned,
     "voxelize": _solid,
+    "trace_entries": _entries,
+    "survey_rays": lambda n: _marched(n, _slices(n), 5),
+    "forward_traced": _through,
+    "back_traced": _through,
+    "clear_volume": lambda n: Example(_volume(n)),
+    "gather_rows": _gathered,
     "shift_window": _banded,
     "mix_poses": _mixed,
 }

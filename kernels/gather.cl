@@ -1,0 +1,21 @@
+#include "common.h"
+
+FIELD_KERNEL gather_rows(__global const float *restrict source, __global const int *restrict first,
+                         __global const float2 *restrict entries, __global float *restrict out,
+                         int n_u, int n_v, int n_z, int n_row, int n_entry, int n_i, int n_j) {
+    const int i = ITEM_MAJOR, begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_j) : n_j;
+    if (i >= n_i) return;
+    source += slab_offset(n_u, n_v);
+    out += slab_offset(n_i, n_j);
+    for (int j = begin; j < end; j++) {
+        const int row = i * n_j + j, stop = first[row + 1];
+        Vector sum[VECTORS];
+        EACH_VECTOR sum[v] = (Vector)(0.0f);
+        for (int k = first[row]; k < stop; k++) {
+            const float2 entry = entries[k];
+            __global const float *near = source + (size_t)(int)entry.x * LANES;
+            EACH_VECTOR sum[v] = fma((Vector)(entry.y), LOAD(near), sum[v]);
+        }
+        EACH_VECTOR STORE(out + SAMPLE(i, j, n_j), sum[v]);
+    }
+}

@@ -1,0 +1,32 @@
+"""Warp sibling of `gather`; a thread owns four lanes of one row."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from vamgpu.kernels.wide_warp import Flat, read
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+
+@wp.kernel
+def gather_rows(
+    source: Flat,
+    first: wp.array(dtype=int),
+    entries: wp.array2d(dtype=float),
+    out: Flat,
+    n_u: int,
+    n_v: int,
+    n_z: int,
+    n_row: int,
+    n_entry: int,
+    n_i: int,
+    n_j: int,
+):
+    slab, i, j, lane = wp.tid()
+    lanes = source.shape[1] // (n_u * n_v)
+    row = i * n_j + j
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for k in range(first[row], first[row + 1]):
+        total += entries[k, 1] * read(source, slab, int(entries[k, 0]) * lanes + lane)
+    out[slab, row * lanes + lane] = total

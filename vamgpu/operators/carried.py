@@ -1,0 +1,131 @@
+"""What the resin carries with it as it turns: an index of refraction, an extinction, opaque inserts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.geometry import Grid, positive
+from vamgpu.kernels.trace import ABSORBS, BENDS, BLOCKS, MARGIN
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """Fields on the voxels of a grid, [x, y] where nothing depends on z, else [x, y, z]; None where there is nothing.
+
+    index: refractive index.  extinction: absorbed share per length [1/mm], natural logarithm, or one number for every
+    voxel; without it nothing is absorbed.  opaque: true where an insert stops the light; light ends where the
+    interpolated share of insert passes 0.4.  bath: refractive index beyond the grid; None takes the median of the
+    index on the grid's faces, or 1.  Raises `BadInput`, and `ShapeMismatch` once it meets a grid.
+    """
+
+    index: np.ndarray | None = None
+    extinction: np.ndarray | float | None = None
+    opaque: np.ndarray | None = None
+    bath: float | None = None
+
+    def __post_init__(self) -> None:
+        index = _real("index", self.index)
+        extinction = _real("extinction [1/mm]", self.extinction)
+        _refuse_below("index", index, 1.0)
+        _refuse_below("extinction [1/mm]", extinction, 0.0)
+        opaque = None if self.opaque is None else np.asarray(self.opaque)
+        if opaque is not None and opaque.dtype != bool:
+            raise BadInput(f"opaque holds {opaque.dtype}; wanted booleans: true where the insert is")
+        if self.bath is not None:
+            object.__setattr__(self, "bath", positive("bath index", self.bath))
+            _refuse_below("bath index", np.asarray(self.bath), 1.0)
+        for name, value in (("index", index), ("extinction", extinction), ("opaque", opaque)):
+            object.__setattr__(self, name, value)
+
+    def fields(self) -> dict[str, np.ndarray]:
+        """The arrays that are given, by name."""
+        named = {"index": self.index, "extinction": self.extinction, "opaque": self.opaque}
+        return {name: np.asarray(value) for name, value in named.items() if value is not None and np.ndim(value) > 0}
+
+    @property
+    def is_level(self) -> bool:
+        """Whether nothing depends on z."""
+        return all(values.ndim == 2 for values in self.fields().values())
+
+    @property
+    def kind(self) -> int:
+        """Which of the three there are, as kernels are told."""
+        bends = BENDS * (self.index is not None)
+        return bends | ABSORBS * (self.extinction is not None) | BLOCKS * (self.opaque is not None)
+
+    def check(self, grid: Grid) -> None:
+        """Raise `ShapeMismatch` unless every field lives on the voxels of ``grid``."""
+        for name, values in self.fields().items():
+            if values.shape not in (grid.shape, grid.shape[:2]):
+                raise ShapeMismatch(
+                    f"carried {name} has shape {values.shape}; wanted {grid.shape[:2]} = [x, y] or {grid.shape} = "
+                    "[x, y, z]: sample it on the voxels of the grid"
+                )
+
+    def surroundings(self) -> float:
+        """Refractive index beyond the grid."""
+        if self.bath is not None:
+            return self.bath
+        if self.index is None:
+            return 1.0
+        faces = [np.take(self.index, end, axis=axis).ravel() for axis in (0, 1) for end in (0, -1)]
+        return float(np.median(np.concatenate(faces)))
+
+    def medium(self, grid: Grid) -> np.ndarray:
+        """The samples that rays look up, (x + 4, y + 4, z + 4 or 1, 4), float64; see `trace`."""
+        self.check(grid)
+        shape = (*grid.shape[:2], 1) if self.is_level else grid.shape
+        samples = np.zeros((*(n + 2 * MARGIN * (n > 1 or axis < 2) for axis, n in enumerate(shape)), 4))
+        if not self.is_level and shape[2] == 1:
+            raise ShapeMismatch(f"the fields depend on z, the grid {grid.shape} has one slice; give them as [x, y]")
+        if self.index is not None:
+            samples[..., :3] = _pull(_spread(self.index, shape) / self.surroundings())
+        if self.extinction is not None:
+            values = np.broadcast_to(self.extinction, shape) if np.ndim(self.extinction) == 0 else self.extinction
+            samples[_inner(shape)][..., 3] = grid.pitch * _spread(np.asarray(values), shape)
+        if self.opaque is not None:
+            samples[_inner(shape)][..., 3][_spread(self.opaque, shape)] = -1.0
+        return samples
+
+
+def _real(name: str, values: Any) -> np.ndarray | None:
+    if values is None:
+        return None
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+        raise BadInput(f"{name} holds {array.dtype} or values that are not finite; wanted real numbers")
+    return array.astype(np.float64)
+
+
+def _refuse_below(name: str, values: np.ndarray | None, least: float) -> None:
+    if values is not None and values.size and float(values.min()) < least:
+        raise BadInput(f"{name} falls to {float(values.min()):g}; wanted ≥ {least:g} everywhere")
+
+
+def _spread(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """A field over all of ``shape``."""
+    return np.broadcast_to(values[..., None] if values.ndim == 2 else values, shape)
+
+
+def _inner(shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """The voxels among the samples."""
+    return tuple(slice(MARGIN, MARGIN + n) if axis < 2 or n > 1 else slice(None) for axis, n in enumerate(shape))
+
+
+def _pull(index: np.ndarray) -> np.ndarray:
+    """½∇n² [1/voxel] by central differences, with ``MARGIN`` samples of bath (n = 1) around; (…, 3)."""
+    depth = MARGIN + 1
+    flat = index.shape[2] == 1
+    padded = np.pad(index**2, [(depth, depth), (depth, depth), (0, 0) if flat else (depth, depth)], constant_values=1.0)
+    axes = (0, 1) if flat else (0, 1, 2)
+    inner = (slice(1, -1), slice(1, -1), slice(None) if flat else slice(1, -1))
+    pull = np.zeros((*padded[inner].shape, 3))
+    for axis in axes:
+        ahead, behind = list(inner), list(inner)
+        ahead[axis], behind[axis] = slice(2, None), slice(None, -2)
+        pull[..., axis] = 0.25 * (padded[tuple(ahead)] - padded[tuple(behind)])
+    return pull
