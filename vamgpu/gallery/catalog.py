@@ -21,6 +21,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "transpose": "The back projector is the transpose, entry by entry",
         "targets": "The bundled parts",
         "voxels": "Voxels that are partly filled",
+        "lattices": "Periodic solids, and one wound from film",
         "optimizers": "Every optimizer on one part",
         "recipe": "The recipe of automatic exposure, step by step",
         "frames": "Frames of eight bits and of one",
