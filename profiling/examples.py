@@ -161,7 +161,8 @@ def _oblique(n: int, source: str) -> Example:
     places = 0.3 * np.stack([poses[:, 1], poses[:, 0]], axis=1)
     given = {**example.given, "light": table, "poses": np.concatenate([poses, places], axis=1), "height": 1.0}
     given |= {"radius": example.given["radius"] - 0.5, "lanes": lambda _, arguments: arguments[source].lanes}
-    return Example({**example.sizes, "z": volume if source == "sinogram" else rows, "row": rows, "slice": volume}, given)
+    written = volume if source == "sinogram" else rows
+    return Example({**example.sizes, "z": written, "row": rows, "slice": volume}, given)
 
 
 def _resampled(n: int) -> Example:

@@ -1,0 +1,105 @@
+"""Forward and back projection of light that moves along the axis on its way: cones, inclined light, a wobbling axis.
+
+As in `refract`, one map of one pose says which ray lights a point of the laboratory; here it also says where among the
+rows that ray stands, as an offset and a stretch of z, and each pose has its own place of the axis. Both directions are
+exact transposes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated
+
+import numpy as np
+
+from vamgpu.kernels.project import middle
+from vamgpu.kernels.refract import Edges
+from vamgpu.kernels.signature import Field, Integer, Real, SinogramOut, Table, Tiling, VolumeOut, kernel
+
+Poses = Annotated[np.ndarray, Table("float32", ("angle", "4"))]
+"""cos θ, sin θ, and the place (X, Y) of the axis in the laboratory, in voxels."""
+Rays = Annotated[np.ndarray, Table("float32", ("across", "along", "4"))]
+"""Column index, weight, row index of the slice z = 0, rows per slice; samples one voxel apart."""
+Images = Annotated[np.ndarray, Field(("angle", "r", "row"))]
+Slices = Annotated[np.ndarray, Field(("x", "y", "slice"))]
+
+
+def _looked_up(shape: tuple[int, ...], pose: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """(nx, ny, 4): the map at every voxel of a plane, continued in straight lines beyond its edge."""
+    x, y = (np.arange(n) - middle(n) for n in shape[:2])
+    c, s, shift_x, shift_y = pose
+    across = y[None, :] * c - x[:, None] * s + shift_x + middle(light.shape[0])
+    along = -(x[:, None] * c + y[None, :] * s) + shift_y + middle(light.shape[1])
+    i = np.clip(across.astype(int), 0, light.shape[0] - 2)
+    j = np.clip(along.astype(int), 0, light.shape[1] - 2)
+    a, b = (across - i)[..., None], (along - j)[..., None]
+    near = (1 - b) * light[i, j] + b * light[i, j + 1]
+    far = (1 - b) * light[i + 1, j] + b * light[i + 1, j + 1]
+    return (1 - a) * near + a * far
+
+
+def _taps(position: np.ndarray, width: float, count: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """(index, share) of the samples that something ``width`` samples wide overlaps; share 0 beyond ``count``."""
+    reach = 0.5 * (1.0 + width)
+    first = np.ceil(position - reach).astype(int)
+    for tap in range(int(np.ceil(2 * reach))):
+        index = first + tap
+        share = np.clip(reach - np.abs(position - index), 0.0, 1.0) / width
+        yield np.clip(index, 0, count - 1), share * ((index >= 0) & (index < count))
+
+
+def _struck(
+    volume: tuple[int, ...], sinogram: tuple[int, ...], pose: np.ndarray, light: np.ndarray, size: tuple[float, ...]
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """(column, row, weight), each (nx, ny, nz), of every pixel that reaches the voxels at one pose."""
+    width, height, radius = size
+    x, y, z = (np.arange(n) - middle(n) for n in volume)
+    u, strength, lift, stretch = np.moveaxis(_looked_up(volume, pose, light), -1, 0)[..., None]
+    strength = strength * (x[:, None] ** 2 + y[None, :] ** 2 <= radius**2)[..., None]
+    position = z * stretch + lift + middle(sinogram[2])
+    for column, part in _taps(u, width, sinogram[1]):
+        for row, share in _taps(position, height, sinogram[2]):
+            yield np.broadcast_to(column, row.shape), row, strength * part * share
+
+
+@kernel(over="sinogram", cpu=Tiling(major=1, minor=0))
+def forward_oblique(
+    volume: Slices,
+    poses: Poses,
+    light: Rays,
+    edges: Edges,
+    width: Real,
+    height: Real,
+    radius: Real,
+    lanes: Integer,
+    sinogram: SinogramOut,
+) -> None:
+    """The transpose of `back_oblique`. edges bound where a column's light falls; lanes: of the volume's layout."""
+    sinogram[...] = 0.0
+    for angle, pose in enumerate(poses):
+        size = (width, height, radius)
+        for column, row, weight in _struck(volume.shape, sinogram.shape, pose, light, size):
+            np.add.at(sinogram[angle], (column, row), weight * volume)
+
+
+@kernel(over="volume", cpu=Tiling(major=1, minor=0))
+def back_oblique(
+    sinogram: Images,
+    poses: Poses,
+    light: Rays,
+    width: Real,
+    height: Real,
+    radius: Real,
+    lanes: Integer,
+    volume: VolumeOut,
+) -> None:
+    """volume[x, y, z] = Σ over poses of the strength of the light there × the pixels around the ray that brings it.
+
+    A voxel is ``width`` ≥ 1 columns wide and ``height`` ≥ 1 rows high and takes of each what they overlap. Voxels
+    beyond ``radius`` voxels from the axis get nothing.  lanes: of the sinogram's layout (0 where it is plain).
+    """
+    volume[...] = 0.0
+    for angle, pose in enumerate(poses):
+        size = (width, height, radius)
+        for column, row, weight in _struck(volume.shape, sinogram.shape, pose, light, size):
+            volume += weight * sinogram[angle][column, row]

@@ -1,0 +1,122 @@
+"""Projection of light that also moves along the axis of rotation, or past an axis that wobbles."""
+
+from __future__ import annotations
+
+from math import ceil, inf
+from typing import Any, Protocol, final, runtime_checkable
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Beam, Grid, Turntable, Vessel
+from vamgpu.kernels.oblique import back_oblique, forward_oblique
+from vamgpu.operators.light import EQUAL, OpenAir, tabulate
+from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.space import SinogramSpace, VolumeSpace
+from vamgpu.operators.wobble import Wobble
+
+
+@runtime_checkable
+class Rising(Protocol):
+    """Light that moves along the axis: what it does in the plane, and where each ray stands among the rows."""
+
+    @property
+    def plane(self) -> Vessel:
+        """The vessel that says what happens across the axis."""
+        ...
+
+    def rows(self, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(lift, stretch, gain): the ray through (X, Y, z) belongs to the row at lift + stretch·z [mm], stretch > 0;
+        the weight of the plane is multiplied by gain."""
+        ...
+
+
+@final
+class Oblique(LinearOperator):
+    """Rays that have a column and a row: ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose.
+
+    Entries are those of `Projection`, lengths [mm] of rays in voxels times what a vessel passes and absorbs. One kernel
+    follows every ray through the slices, so a cone's rows spread with depth exactly as its columns do.
+
+    grid, beam, motion: the geometry.  light: a `Cone`, an `Inclined`, or any vessel (None for air), whose rows are
+    level.  wobble: where the axis stands at each pose; the light and all vessels stay where they are.  device: a name
+    or a device.  Raises `BadInput`, `DeviceError`.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        beam: Beam,
+        motion: Turntable,
+        light: Rising | Vessel | None = None,
+        wobble: Wobble | None = None,
+        device: str | Device | None = None,
+    ) -> None:
+        for value, kind in ((grid, Grid), (beam, Beam), (motion, Turntable)):
+            if not isinstance(value, kind):
+                raise BadInput(f"got {value!r} where a {kind.__name__} is wanted; Oblique(grid, beam, motion, …)")
+        if light is not None and not isinstance(light, (Rising, Vessel)):
+            raise BadInput(f"got {light!r} as light; wanted a Cone, an Inclined, a vessel, or None for straight light")
+        self.grid, self.beam, self.motion, self.light, self.wobble = grid, beam, motion, light, wobble
+        plane = light.plane if isinstance(light, Rising) else light
+        self.vessel: Any = None if isinstance(plane, OpenAir) else plane
+        self.domain, self.range = VolumeSpace(grid), SinogramSpace(beam, motion)
+        self.device = open_device(device)
+        self._places = np.zeros((motion.angles, 2)) if wobble is None else wobble.places(motion) / grid.pitch
+        self._check_places()
+        self._tables = self._tabulated(plane or OpenAir())
+        self._transpose = Transposed(self)
+
+    def __repr__(self) -> str:
+        return (f"Oblique({self.grid!r}, {self.beam!r}, {self.motion!r}, {self.light!r}, {self.wobble!r}, "
+                f"device={self.device.name!r})")  # fmt: skip
+
+    @property
+    def T(self) -> LinearOperator:  # noqa: N802
+        return self._transpose
+
+    def _check_places(self) -> None:
+        far = float(np.abs(self._places).max(initial=0.0)) * self.grid.pitch
+        half = 0.5 * self.beam.pixels[0] * self.beam.pitch
+        if far >= half:
+            raise BadInput(f"the axis wanders {far:.4g} mm off, beyond the beam of {half:.4g} mm either side; "
+                           "wanted less: check the wobble's unit, mm")  # fmt: skip
+
+    def _tabulated(self, plane: Vessel) -> dict[str, Any]:
+        """The projector's tables, with the rows beside them, over every place that a voxel may be carried to."""
+        grid, beam = self.grid, self.beam
+        margin = 2 * ceil(float(np.abs(self._places).max(initial=0.0)))
+        wide = Grid((grid.shape[0] + margin, grid.shape[1] + margin, grid.shape[2]), grid.pitch)
+        light = tabulate(wide, beam, plane)
+        n = light.map.shape[0]
+        position = (np.arange(n) - 0.5 * (n - 1)) * grid.pitch
+        lift, stretch, gain = self._rows(*np.meshgrid(position, position, indexing="ij"))
+        if not stretch.min() > 0.0:
+            raise BadInput(f"rows are stretched by {stretch.min():.3g}; wanted more than 0: light must not run along "
+                           "the axis or start inside the volume")  # fmt: skip
+        ratio = grid.pitch / beam.pitch
+        rows = [lift / beam.pitch, stretch * ratio]
+        strength = light.map[..., 1] * gain * ratio
+        table = np.stack([light.map[..., 0], strength, *rows], axis=-1)
+        poses = np.stack([np.cos(self.motion.poses), np.sin(self.motion.poses), *self._places.T], axis=1)
+        wander = float(np.hypot(*self._places.T).max(initial=0.0))
+        tall = ratio * float(stretch[n // 2, n // 2])
+        self._size = {"width": light.width, "height": 1.0 if tall <= EQUAL else tall,
+                      "radius": max(light.radius - (wander if light.radius < inf else 0.0), 0.0)}  # fmt: skip
+        upload = self.device.table
+        return {"poses": upload(poses), "light": upload(table), "edges": upload(light.edges)}
+
+    def _rows(self, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        if isinstance(self.light, Rising):
+            return self.light.rows(across, along)
+        return np.zeros_like(across), np.ones_like(across), np.ones_like(across)
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        self.device.launch(forward_oblique, volume=x, **self._tables, **self._size, lanes=x.lanes, sinogram=out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        tables = {name: self._tables[name] for name in ("poses", "light")}
+        self.device.launch(back_oblique, sinogram=y, **tables, **self._size, lanes=y.lanes, volume=out)

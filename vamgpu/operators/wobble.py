@@ -1,0 +1,48 @@
+"""Where the axis of rotation stands at every pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Turntable
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class Wobble:
+    """The place of the axis at every pose, in the laboratory: across the light (+r) and along it [mm].
+
+    across, along: one number, or one for every pose.  Parallel light in air is the same all along its way, so only
+    ``across`` matters to it; ``along`` counts where light spreads, is absorbed or casts shadows.  Raises `BadInput`.
+    """
+
+    across: np.ndarray
+    along: np.ndarray
+
+    def __init__(self, across: ArrayLike = 0.0, along: ArrayLike = 0.0) -> None:
+        for name, values in (("across", across), ("along", along)):
+            numbers = np.array(values, np.float64)
+            if numbers.ndim > 1 or not np.isfinite(numbers).all():
+                raise BadInput(f"Wobble {name} has shape {numbers.shape} and {np.count_nonzero(~np.isfinite(numbers))} "
+                               "values that are not finite; wanted one finite number [mm] for every pose")  # fmt: skip
+            numbers.setflags(write=False)
+            object.__setattr__(self, name, numbers)
+
+    @staticmethod
+    def circle(radius: float, phase: float, motion: Turntable) -> Wobble:
+        """An axis that runs round once a turn: the part was not centered on the turntable.
+
+        A point fixed to the table at ``radius`` [mm] and the angle ``phase`` [rad] from x carries the axis.
+        """
+        turn = motion.poses - phase
+        return Wobble(-radius * np.sin(turn), -radius * np.cos(turn))
+
+    def places(self, motion: Turntable) -> np.ndarray:
+        """(angles, 2): across and along [mm] at every pose. Raises `BadInput` for another number of poses."""
+        for name, values in (("across", self.across), ("along", self.along)):
+            if values.ndim and len(values) != motion.angles:
+                raise BadInput(f"Wobble {name} has {len(values)} values; wanted one for each of {motion.angles} poses")
+        return np.stack([np.broadcast_to(v, (motion.angles,)) for v in (self.across, self.along)], axis=1)
