@@ -211,7 +211,7 @@ def _refract(rays: dict[str, Any], before: Floats, after: Floats, where: np.ndar
     square = 1.0 - ratio**2 * (1.0 - cosine) * (1.0 + cosine)
     crossed = where & (square >= 0)
     beyond = np.sqrt(np.maximum(square, 0.0))
-    bend = np.copysign(beyond - ratio * cosine, facing)
+    bend = np.where(facing < 0, -1.0, 1.0) * (beyond - ratio * cosine)
     same = before == after
     share = np.where(same, 1.0, transmittance(cosine, beyond, before, after))  # type: ignore[arg-type] - per ray
     change = crossed & ~same
