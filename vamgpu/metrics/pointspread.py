@@ -1,0 +1,106 @@
+"""What a limited range of angles does to a point: its dose, how wide that is, and which frequencies reach the film.
+
+Light meets a film on a roller from a medium of index m times the resin's; refraction leaves only directions within
+arcsin m of the film's normal (eq. S11). Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive
+manufacturing, section S10.
+"""
+
+from __future__ import annotations
+
+from math import asin, log, pi
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import centers, counts, positive
+
+Array = npt.NDArray[np.float64]
+
+ANGLES = 1801
+"""Directions of a cumulative point spread, unless told otherwise."""
+
+
+def steepest(ratio: float) -> float:
+    """Greatest angle [rad] between light in the film and its normal: arcsin m, with m = n_medium/n_resin in 0..1.
+
+    Raises `BadInput`.
+    """
+    if positive("index ratio m = n_medium/n_resin", ratio) > 1.0:
+        raise BadInput(f"index ratio m = n_medium/n_resin is {ratio:g}; wanted at most 1: beyond, no angle is lost")
+    return asin(ratio)
+
+
+def coverage(ratio: float) -> float:
+    """Range [rad] of directions in the film: 2·arcsin m."""
+    return 2.0 * steepest(ratio)
+
+
+def point_dose(along: Array, depth: Array, fwhm: float, ratio: float, angles: int = ANGLES) -> Array:
+    """Cumulative dose at (l, ρ) [mm] from a point, 1 at the point: one Gaussian beam through it per direction.
+
+    fwhm: of the beam [mm].  ratio: m.  Directions are spread evenly over the range in the film, ±arcsin m; beams are
+    taken as wide everywhere, which holds within the depth of focus. Arguments broadcast.  Raises `BadInput`.
+    """
+    width, limit = positive("fwhm [mm]", fwhm), steepest(ratio)
+    number = counts("angles", (angles,), 1)[0]
+    along, depth = np.broadcast_arrays(np.asarray(along, np.float64), np.asarray(depth, np.float64))
+    dose = np.zeros(along.shape)
+    for angle in centers(number, 2.0 * limit / number):
+        dose += np.exp(-4.0 * log(2.0) * ((along * np.cos(angle) - depth * np.sin(angle)) / width) ** 2)
+    return dose / number
+
+
+def spread(fwhm: float, ratio: float, angles: int = ANGLES) -> tuple[float, float]:
+    """Full widths at half maximum [mm] of the cumulative point spread, along l and along ρ.
+
+    As m falls from 1, the one along l narrows and the one along ρ widens.  Raises `BadInput`.
+    """
+    return _width(fwhm, ratio, angles, 1.0, 0.0), _width(fwhm, ratio, angles, 0.0, 1.0)
+
+
+def _width(fwhm: float, ratio: float, angles: int, along: float, depth: float) -> float:
+    """Twice the distance at which the dose in one direction is half: bisection, it falls all the way."""
+    low, high = 0.0, positive("fwhm [mm]", fwhm)
+    while point_dose(np.array(high * along), np.array(high * depth), fwhm, ratio, angles) > 0.5:
+        low, high = high, 2.0 * high
+        if high > 1e6 * fwhm:
+            raise BadInput(f"at m = {ratio:g} and {angles} angles the point spread has no width; wanted more of either")
+    while high - low > 1e-9 * high:
+        middle = 0.5 * (low + high)
+        above = point_dose(np.array(middle * along), np.array(middle * depth), fwhm, ratio, angles) > 0.5
+        low, high = (middle, high) if above else (low, middle)
+    return low + high
+
+
+def wedge(shape: tuple[int, int], pitch: tuple[float, float] | float, ratio: float) -> npt.NDArray[np.bool_]:
+    """Which spatial frequencies of a plane [l, rho] some direction of light carries, in the order of ``numpy.fft``.
+
+    A direction carries those at right angles to it (the central slice theorem), so that frequencies closer than
+    90° − arcsin m to the ρ axis are missing, all but zero.  pitch: [mm] along l and rho.  Raises `BadInput`.
+    """
+    n_l, n_rho = counts("shape", shape, 2)
+    edges = (pitch, pitch) if isinstance(pitch, (int, float)) else tuple(pitch)
+    k_l, k_rho = (np.fft.fftfreq(n, positive("pitch [mm]", d)) for n, d in zip((n_l, n_rho), edges, strict=True))
+    angle = np.arctan2(np.abs(k_rho)[None, :], np.abs(k_l)[:, None])
+    covered = angle <= steepest(ratio) * (1.0 + 1e-12)
+    covered[0, 0] = True
+    return covered
+
+
+def covered_share(ratio: float) -> float:
+    """Share of all directions of the plane's frequencies that light carries: 2·arcsin m / π."""
+    return 2.0 * steepest(ratio) / pi
+
+
+def limited(plane: npt.ArrayLike, pitch: tuple[float, float] | float, ratio: float) -> Array:
+    """A plane [l, rho], or each of a film [l, rho, z], without the frequencies that no light carries.
+
+    It wraps around at the edges: pad where that matters.  Raises `BadInput`.
+    """
+    values = np.asarray(plane, np.float64)
+    if values.ndim not in (2, 3):
+        raise BadInput(f"the plane has shape {values.shape}; wanted [l, rho] or [l, rho, z]")
+    mask = wedge(values.shape[:2], pitch, ratio)  # type: ignore[arg-type]
+    mask = mask if values.ndim == 2 else mask[..., None]
+    return np.fft.ifft2(np.fft.fft2(values, axes=(0, 1)) * mask, axes=(0, 1)).real
