@@ -28,9 +28,7 @@ class Feed:
     start: float
 
     @classmethod
-    def past(
-        cls, columns: int, window: int, step: float, poses: int | None = None, start: float | None = None
-    ) -> Feed:
+    def past(cls, columns: int, window: int, step: float, poses: int | None = None, start: float | None = None) -> Feed:
         """The poses that see any of a web of ``columns``, or ``poses`` of them from ``start``.
 
         Raises `BadInput`, and `SkippedColumns` for a step longer than the window.
