@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, RayError
 from vamgpu.geometry import Beam
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
@@ -295,7 +295,7 @@ def test_bad_input_says_what_was_wanted(make: object, says: str) -> None:
 def test_ray_that_never_leaves_is_told() -> None:
     layers = Layers(7.5, 7.55, 7.55, 1000.0, 1.49, 1.33, 1.49, 0.0)
     one = np.ones(1)
-    with pytest.raises(BadInput, match="1 rays still run"):
+    with pytest.raises(RayError, match="1 rays still run"):
         trace(layers, 7.5499 * one, -one, 0 * one, one)
 
 

@@ -17,6 +17,7 @@ from vamgpu.gallery.style import styled
 CATALOG: MappingProxyType[str, str] = MappingProxyType(
     {
         "vial": "Light in a vial that turns in air",
+        "roller": "A film that a roller carries past the light",
         "projection": "A projection against its formula",
         "transpose": "The back projector is the transpose, entry by entry",
         "targets": "The bundled parts",

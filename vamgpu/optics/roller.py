@@ -8,7 +8,7 @@ from math import ceil, inf, pi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, RayError
 from vamgpu.geometry import Beam, centers, counts, positive
 from vamgpu.optics.faces import Face, transmit
 from vamgpu.optics.film import Film
@@ -41,7 +41,7 @@ class Roller:
     thicknesses from the roller.  rays, fan: rays across the width and across the fan of a column; where the walls of
     voxels run along the light, a voxel's share of a column is known to one ray.
 
-    Raises `BadInput`: a value out of range, or legs left open for a film that absorbs nothing.
+    Raises `BadInput`: a value out of range; `RayError`: legs left open for a film that absorbs nothing.
     """
 
     radius: float
@@ -72,7 +72,7 @@ class Roller:
         if self.legs is not None:
             object.__setattr__(self, "legs", positive("Roller legs [mm]", self.legs, zero=True))
         elif self.film.penetration == inf:
-            raise BadInput("the film absorbs nothing, so that a ray along a leg never leaves the window; "
+            raise RayError("the film absorbs nothing, so that a ray along a leg never leaves the window; "
                            "wanted the length of the legs [mm], or a film with an absorption above 0")
 
     @property
@@ -161,7 +161,8 @@ class Roller:
         a voxel of the flat film absorbs is what its bent self absorbs, and the sum over a column is the mean over its
         rays of T·(1 − exp(−α·L)), times its gain where the roller compensates.
 
-        Raises `BadInput`: the grid is not as thick as the film, or a column meets no film.
+        Raises `BadInput`: the grid is not as thick as the film, or a column misses it; `RayError`: a column is
+        reflected totally.
         """
         map = self.map(grid)
         columns = self._columns(beam)
@@ -190,7 +191,7 @@ class Roller:
         lost = int(np.count_nonzero(np.abs(columns) >= reach))
         fits = self.beam(beam.pitch, 1).pixels[0]
         if self.aperture < self.outer:
-            raise BadInput(f"{lost} of {columns.size} columns, out to {widest:.5g} mm, are totally reflected: from "
+            raise RayError(f"{lost} of {columns.size} columns, out to {widest:.5g} mm, are totally reflected: from "
                            f"index {self.film.bath_index:g} into {self.film.resin_index:g} light enters a film of "
                            f"radius {self.outer:.5g} mm out to {reach:.5g} mm only; take at most {fits} columns of "
                            f"{beam.pitch:g} mm, or a bath of lower index")

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from vamgpu.errors import BadInput
+from vamgpu.errors import RayError
 from vamgpu.optics.inputs import Floats
 from vamgpu.optics.interface import transmittance
 
@@ -89,7 +89,7 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Trace
     Snell's law and the unpolarized Fresnel transmittance at every face; a face that reflects totally does so, what a
     face reflects in part is dropped. A ray that meets the roller ends there, or goes on with the roller's reflectivity.
 
-    Raises `BadInput`: a ray meets more than `MOST_FACES` faces and still runs.
+    Raises `RayError`: a ray meets more than `MOST_FACES` faces and still runs.
     """
     rays = _entered(layers, x, y, dx, dy)
     first = np.where(rays["film"], rays["power"], 0.0)
@@ -112,7 +112,7 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Trace
         end[rays["ray"][done]] = np.where(share[rays["ray"][done]] > 0, fate[done], int(End.MISSED))
         rays = {name: value[~done] for name, value in rays.items()}
     else:
-        raise BadInput(f"{rays['ray'].size} rays still run in the film after {MOST_FACES} faces; wanted rays that "
+        raise RayError(f"{rays['ray'].size} rays still run in the film after {MOST_FACES} faces; wanted rays that "
                        f"leave: shorten the legs of {layers.leg:g} mm, or take a thicker film than "
                        f"{layers.outer - layers.inner:g} mm")
     return Traced(_joined(pieces), share, length, end)
