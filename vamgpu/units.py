@@ -26,6 +26,7 @@ mW_cm2 = mW / cm**2
 mJ_cm3 = mJ / cm**3
 mJ_cm2 = mJ / cm**2
 rpm = 2.0 * pi / minute
+dpt = 1.0 / m
 kg_m3 = 1e3 * mJ * s**2 / m**2 / m**3
 Pa_s = J * s / m**3
 
@@ -38,6 +39,7 @@ NAMES = {
     "mW/mm2": mW / mm**2, "mW/mm²": mW / mm**2, "mJ/mm3": mJ / mm**3, "mJ/mm³": mJ / mm**3,
     "1/mm": 1.0 / mm, "/mm": 1.0 / mm, "1/cm": 1.0 / cm, "/cm": 1.0 / cm,
     "rpm": rpm, "deg/s": deg / s, "mm/s": mm / s, "mm/min": mm / minute, "m/min": m / minute,
+    "dpt": dpt, "MB/s": 1e6 / s, "GB/s": 1e9 / s,
     "kg/m3": kg_m3, "kg/m³": kg_m3, "g/cm3": 1e3 * kg_m3, "g/cm³": 1e3 * kg_m3, "Pa s": Pa_s, "mPa s": 1e-3 * Pa_s,
 }  # fmt: skip
 """Spelling used in job files → factor."""

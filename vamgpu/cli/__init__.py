@@ -1,4 +1,4 @@
-"""The command line: ``vam demo | solve | prove | export | gallery | doctor | devices | bench``; all thin."""
+"""The command line: ``vam demo | solve | prove | export | limits | gallery | doctor | devices | bench``; all thin."""
 
 from __future__ import annotations
 

@@ -135,6 +135,30 @@ def export(
 
 
 @app.command
+def limits(machine: Path, *, png: Path | None = None, settings: Settings = None) -> None:
+    """Tell what a web machine can do, how fast at most, and what binds it.
+
+    Parameters
+    ----------
+    machine: the TOML file with the machine's tables, such as that of a web job
+    png: a picture of the limits
+    """
+    from vamgpu.jobs.limits import read_limits
+    from vamgpu.webs.limits_table import lines
+
+    found = read_limits(machine, settings or ())
+    screen = console()
+    for line in lines(found):
+        screen.print(f"  {line.name:<27} [bold]{line.value:<16}[/] [dim]{line.meaning}[/]")
+    for reason in found.broken:
+        screen.print(f"[yellow]cannot[/] {escape(reason)}")
+    if png is not None:
+        from vamgpu.gallery.limits import draw
+
+        screen.print(f"drew [bold]{_path(draw(found, png))}[/]")
+
+
+@app.command
 def gallery(
     name: str | None = None,
     *,

@@ -23,12 +23,14 @@ SPELLINGS = {
     "a rate": ("Hz", "kHz"),
     "a density": ("kg/m3", "kg/m³", "g/cm3", "g/cm³"),
     "a viscosity": ("Pa s", "mPa s"),
+    "a lens power": ("dpt",),
+    "a data rate": ("MB/s", "GB/s"),
 }
 """What is measured → the units it may be written in, the most usual first."""
 EXAMPLES = {
     "a length": "12.4 mm", "an absorption": "0.05 1/mm", "an irradiance": "5 mW/cm2", "a dose": "40 mJ/cm3",
     "a speed": "48 mm/min", "an angle": "0.5 deg", "a time": "5 ms", "a rate": "266 Hz", "a density": "1100 kg/m3",
-    "a viscosity": "40 Pa s",
+    "a viscosity": "40 Pa s", "a lens power": "5 dpt", "a data rate": "400 MB/s",
 }  # fmt: skip
 
 
@@ -66,3 +68,5 @@ Time = Annotated[float, _as("a time", zero=True)]
 Rate = Annotated[float, _as("a rate")]
 Density = Annotated[float, _as("a density")]
 Viscosity = Annotated[float, _as("a viscosity")]
+LensPower = Annotated[float, _as("a lens power", zero=True)]
+DataRate = Annotated[float, _as("a data rate")]

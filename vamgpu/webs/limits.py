@@ -1,0 +1,248 @@
+"""What a web machine can do, and what holds it back: sampling, speed, data, angles, flow. Formulas alone, no light.
+
+Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", sections S10 to S14.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import inf, pi
+
+import numpy as np
+
+from vamgpu.geometry import Beam, positive
+from vamgpu.optics.lens import TunableLens
+from vamgpu.optics.roller import Roller
+from vamgpu.printing.focus import FocusMasks, bins_needed
+from vamgpu.units import kg_m3
+from vamgpu.webs.display import Display
+
+GRAVITY = 9806.65
+"""Standard acceleration of free fall [mm/s²]."""
+
+
+@dataclass(frozen=True)
+class SpeedLimit:
+    """The greatest speed [mm/s] of the web that one part of the machine allows."""
+
+    name: str
+    speed: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Limits:
+    """A web machine at a speed, and what limits it.
+
+    roller: with its film.  lens: with its depth bins and settling time.  display: the mirrors.  speed: of the web's
+    neutral line [mm/s].  length: of the web to print [mm].  depth_of_focus: of the projector [mm].  density: of the
+    uncured resin [mJ·s²/mm⁵]; write ``1100 * units.kg_m3``.  viscosity: its dynamic viscosity [mJ·s/mm³], written as
+    ``40 * units.Pa_s``; None for a gel, which does not flow.  Raises `BadInput`; also where the lens cannot reach the
+    film or has more bins than it needs.
+    """
+
+    roller: Roller
+    lens: TunableLens = TunableLens()
+    display: Display = Display()
+    speed: float = 0.8
+    length: float = 600.0
+    depth_of_focus: float = 3.8
+    density: float = 1100.0 * kg_m3
+    viscosity: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "length", "depth_of_focus", "density"):
+            positive(name, getattr(self, name))
+        if self.viscosity is not None:
+            positive("viscosity", self.viscosity)
+        self.lens.power(np.array(self.masks.planes))
+
+    @cached_property
+    def masks(self) -> FocusMasks:
+        """Focus planes of the lens for the columns that meet the film."""
+        film = self.roller.film
+        return FocusMasks.around(self.beam, self.roller.radius, film.thickness, self.lens.bins)
+
+    @cached_property
+    def beam(self) -> Beam:
+        """The columns of the mirrors that meet the film."""
+        whole = self.roller.beam(self.display.pitch, 1).pixels[0]
+        return Beam((min(whole, self.display.pixels[0]), self.display.pixels[1]), self.display.pitch)
+
+    # ---- at the speed that is wanted ------------------------------------------------------------------------------
+    @property
+    def advance(self) -> float:
+        """Way of the web from pose to pose [mm], along its neutral line."""
+        return self.roller.advance
+
+    @property
+    def tangential_sampling(self) -> float:
+        """Poses per way of the web [1/mm] (S18)."""
+        return 1.0 / self.advance
+
+    @property
+    def pose_rate(self) -> float:
+        """Poses a second."""
+        return self.speed / self.advance
+
+    @property
+    def picture_rate(self) -> float:
+        """Pictures a second: every pose has one for each depth bin."""
+        return self.lens.bins * self.pose_rate
+
+    @property
+    def slot(self) -> float:
+        """Seconds from one picture to the next."""
+        return 1.0 / self.picture_rate
+
+    @property
+    def data_rate(self) -> float:
+        """Bytes a second."""
+        return self.picture_rate * self.display.nbytes
+
+    @property
+    def poses(self) -> float:
+        """Poses while the length passes one point."""
+        return self.length / self.advance
+
+    @property
+    def pictures(self) -> float:
+        """Pictures while the length passes one point."""
+        return self.lens.bins * self.poses
+
+    @property
+    def duty(self) -> float:
+        """Share of the time in which light can be on: the lens is neither told nor moving; negative: too fast."""
+        return 1.0 - self.moves * (self.display.wire + self.lens.settle) * self.pose_rate
+
+    @property
+    def nbytes(self) -> float:
+        """Bytes of all pictures of the length."""
+        return self.pictures * self.display.nbytes
+
+    @property
+    def smear(self) -> float:
+        """Way [mm] of the web while one picture's slot lasts."""
+        return self.speed * self.slot
+
+    @property
+    def moves(self) -> int:
+        """Moves of the lens a pose."""
+        bins = self.lens.bins
+        return 0 if bins == 1 else bins - 1 if self.display.turning else bins
+
+    # ---- what limits it -------------------------------------------------------------------------------------------
+    def sampling_limit(self, speed: float) -> float:
+        """Most poses per way of a web [1/mm] at a speed [mm/s] that the lens's settling allows: f/(M·v) (S20)."""
+        busy = self.moves * self.lens.settle
+        return inf if busy == 0 else 1.0 / (busy * positive("speed [mm/s]", speed))
+
+    @property
+    def pose_time(self) -> float:
+        """Least seconds a pose: every move is told, then waited for, then its picture is shown whole."""
+        return self.moves * (self.display.wire + self.lens.settle) + self.lens.bins / self.display.rate
+
+    @cached_property
+    def speeds(self) -> tuple[SpeedLimit, ...]:
+        """The greatest speed that each part allows by itself, and that of all of them one after the other (S17–S20)."""
+        shown, bins, moves = self.display, self.lens.bins, self.moves
+        parts = {
+            "mirrors": (bins / shown.rate, f"{bins} pictures a pose at {shown.rate:g} Hz"),
+            "lens": (moves * self.lens.settle, f"{moves} moves a pose of {1e3 * self.lens.settle:.3g} ms"),
+            "serial line": (moves * shown.wire, f"{moves} commands a pose of {1e3 * shown.wire:.3g} ms"),
+        }
+        longest = max(parts, key=lambda name: parts[name][0])
+        share = f"{100 * parts[longest][0] / self.pose_time:.0f} % of them for the {longest}"
+        parts["all in turn"] = (self.pose_time, f"{1e3 * self.pose_time:.3g} ms a pose, {share}")
+        parts["data link"] = (bins * shown.nbytes / shown.link, f"{bins} pictures a pose of {shown.nbytes:,} bytes")
+        return tuple(
+            SpeedLimit(name, inf if time == 0 else self.advance / time, reason)
+            for name, (time, reason) in parts.items()
+        )
+
+    @property
+    def binding(self) -> SpeedLimit:
+        """The limit that the web meets first."""
+        return min(self.speeds, key=lambda limit: limit.speed)
+
+    @property
+    def slowest(self) -> float:
+        """Least speed [mm/s] at which the resin flows less than one pose while it is lit; 0 for a gel (S22)."""
+        if self.viscosity is None:
+            return 0.0
+        return self.flow_speed(self.viscosity) * self.lit_way / self.advance
+
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """What the machine cannot do at its speed, with numbers; empty where it can do all."""
+        found = []
+        if self.speed > self.binding.speed:
+            found.append(f"{self.speed:.4g} mm/s is above {self.binding.speed:.4g} mm/s: {self.binding.reason}")
+        if self.speed < self.slowest:
+            found.append(f"{self.speed:.4g} mm/s is below {self.slowest:.4g} mm/s: the resin flows off while it is lit")
+        if self.defocus > 0.5 * self.depth_of_focus:
+            found.append(f"{self.lens.bins} depth bins leave {self.defocus:.3g} mm of defocus, more than half the "
+                         f"depth of focus of {self.depth_of_focus:g} mm; {self.bins_needed} bins would do")
+        return tuple(found)
+
+    # ---- film and focus -------------------------------------------------------------------------------------------
+    @property
+    def lit_way(self) -> float:
+        """Way [mm] of a piece of the film through the light: half a turn and both legs."""
+        return pi * self.roller.neutral_radius + 2.0 * self.roller.leg
+
+    @property
+    def lit_time(self) -> float:
+        """Seconds that a piece of the film is in the light."""
+        return self.lit_way / self.speed
+
+    @property
+    def tolerable_flow(self) -> float:
+        """Speed [mm/s] at which resin flows the way between two poses while it is lit."""
+        return self.advance / self.lit_time
+
+    @property
+    def viscosity_needed(self) -> float:
+        """Least viscosity [mJ·s/mm³] of a resin that flows no faster: ρ·g·τ²/(2·u) on a vertical film (S22)."""
+        return self.density * GRAVITY * self.roller.film.thickness**2 / (2.0 * self.tolerable_flow)
+
+    def flow_speed(self, viscosity: float) -> float:
+        """Speed [mm/s] of the surface of a film that hangs vertically (S22)."""
+        return self.density * GRAVITY * self.roller.film.thickness**2 / (2.0 * positive("viscosity", viscosity))
+
+    @property
+    def window(self) -> float:
+        """Least length [mm] of a straight leg in the window, where light falls to 5 %: −ln(0.05)/α; inf without α."""
+        return self.roller.film.penetration
+
+    @property
+    def defocus(self) -> float:
+        """Largest distance [mm] of a column's film from its focus plane."""
+        return float(self.masks.defocus.max())
+
+    @property
+    def bins_needed(self) -> int:
+        """Fewest depth bins that keep every column within half the depth of focus."""
+        film = self.roller.film
+        return bins_needed(self.beam, self.roller.radius, film.thickness, 0.5 * self.depth_of_focus)
+
+    # ---- angles ---------------------------------------------------------------------------------------------------
+    @property
+    def coverage(self) -> float:
+        """Range of angles [rad] from which light crosses the film: 2·asin(n_bath / n_resin) (S11)."""
+        return self.roller.film.coverage
+
+    @property
+    def covered_share(self) -> float:
+        """Share of the plane of spatial frequencies, along and into the film, that light reaches."""
+        return self.coverage / pi
+
+    def k_space(self, samples: int) -> np.ndarray:
+        """Which spatial frequencies [l, rho] light reaches, bool (samples, samples), zero frequency in the middle.
+
+        A projection fills the line across its light, so what is missing is a wedge about the rho axis.
+        """
+        k = np.arange(samples) - 0.5 * (samples - 1)
+        angle = np.arctan2(np.abs(k)[None, :], np.abs(k)[:, None])
+        return (angle <= 0.5 * self.coverage) & (np.hypot(k[:, None], k) <= 0.5 * samples)

@@ -1,0 +1,69 @@
+"""The limits of a web machine as lines to be read."""
+
+from __future__ import annotations
+
+from math import degrees, inf
+
+from vamgpu.printing.proof import Line
+from vamgpu.units import Pa_s
+from vamgpu.webs.limits import Limits
+
+PER_MINUTE = 60.0
+
+
+def lines(limits: Limits) -> tuple[Line, ...]:
+    """Every number of the report with its meaning: the speed that is wanted, what limits it, film, angles."""
+    return (*_wanted(limits), *_speeds(limits), *_film(limits), *_angles(limits))
+
+
+def _wanted(limits: Limits) -> tuple[Line, ...]:
+    shown = limits.display
+    return (
+        Line("speed wanted", speed(limits.speed), f"{limits.length:g} mm in {limits.length / limits.speed:,.0f} s"),
+        Line("way between poses", f"{1e3 * limits.advance:.1f} µm", f"{limits.tangential_sampling:.2f} poses per mm"),
+        Line("poses", f"{limits.pose_rate:.1f} /s", f"{limits.poses:,.0f} over the length"),
+        Line("pictures", f"{limits.picture_rate:.1f} /s",
+             f"{limits.pictures:,.0f} over the length, {limits.lens.bins} a pose"),
+        Line("slot", f"{1e3 * limits.slot:.1f} ms",
+             f"light can be on {100 * limits.duty:.0f} % of it; the web moves {1e3 * limits.smear:.0f} µm"),
+        Line("data", f"{limits.data_rate / 1e6:.1f} MB/s",
+             f"{limits.nbytes / 1e9:.1f} GB over the length, {shown.bits} bits a pixel"),
+    )  # fmt: skip
+
+
+def _speeds(limits: Limits) -> tuple[Line, ...]:
+    rate = limits.sampling_limit(1.0)
+    sampling = "any" if rate == inf else f"{rate:.1f} /mm"
+    binding = limits.binding
+    return (
+        *(Line(f"most by {limit.name}", speed(limit.speed), limit.reason) for limit in limits.speeds),
+        Line("greatest speed", speed(binding.speed), f"bound by {binding.name}: {binding.reason}"),
+        Line("sampling at 1 mm/s", sampling, "poses per mm for which the lens settles"),
+    )
+
+
+def _film(limits: Limits) -> tuple[Line, ...]:
+    window = "∞" if limits.window == inf else f"{limits.window:.2f} mm"
+    flows = "does not flow" if limits.viscosity is None else f"{limits.viscosity / Pa_s:.4g} Pa·s at hand"
+    return (
+        Line("window", window, f"least length of a leg, where light falls to 5 %; set to {limits.roller.leg:.2f} mm"),
+        Line("viscosity needed", f"{limits.viscosity_needed / Pa_s:,.4g} Pa·s",
+             f"flow under {1e3 * limits.tolerable_flow:.2f} µm/s for {limits.lit_time:.0f} s in the light; {flows}"),
+        Line("least speed", speed(limits.slowest), "slower, the resin flows off while it is lit"),
+        Line("defocus", f"{limits.defocus:.2f} mm",
+             f"at the worst column; {limits.bins_needed} bins keep it under {0.5 * limits.depth_of_focus:g} mm"),
+    )  # fmt: skip
+
+
+def _angles(limits: Limits) -> tuple[Line, ...]:
+    missing = 180.0 - degrees(limits.coverage)
+    return (
+        Line("angular coverage", f"{limits.coverage:.3f} rad", f"{180.0 - missing:.1f}° of directions in the film"),
+        Line("spatial frequencies", f"{100 * limits.covered_share:.1f} %",
+             f"of those along and into the film; a wedge of {missing:.1f}° about the normal is missing"),
+    )  # fmt: skip
+
+
+def speed(value: float) -> str:
+    """A speed [mm/s] as text."""
+    return "any" if value == inf else f"{PER_MINUTE * value:.4g} mm/min"
