@@ -16,9 +16,9 @@ import numpy as np
 from vamgpu.kernels.signature import Field, Integer, Real, Table, Tiling, Volume, VolumeOut, kernel
 
 Medium = Annotated[np.ndarray, Table("float32", ("p", "q", "s", "4"))]
-"""½∇(n/n_bath)² [1/voxel] and extinction [1/voxel], −1 where opaque; two samples of bath beyond every face, or s = 1."""
+"""½∇(n/n_bath)² [1/voxel] and extinction [1/voxel], −1 where opaque; two samples of bath beyond each face, or s = 1."""
 Starts = Annotated[np.ndarray, Table("float32", ("ray", "8"))]
-"""Across, along [voxels from the axis] and height [index of the slice], direction (across, along, up), weight, unused."""
+"""Across, along [voxels from the axis], height [index of the slice]; direction across, along, up; weight; unused."""
 Directions = Annotated[np.ndarray, Table("float32", ("angle", "2"))]  # cosθ, sinθ
 Steps = Annotated[np.ndarray, Table("int32", ("angle", "pixel"))]
 StepsOut = Annotated[np.ndarray, Table("int32", ("angle", "pixel"), writes=True)]
@@ -120,7 +120,7 @@ def forward_traced(
     lanes: Integer,
     sinogram: RowsOut,
 ) -> None:
-    """sinogram[a, r, row] = Σ over the steps of a pixel's rays of weight × volume, trilinear. lanes: of the sinogram."""
+    """sinogram[a, r, row] = Σ over the steps of a pixel's rays of weight × volume, trilinear. lanes: its own."""
     total = np.zeros(directions.shape[0] * starts.shape[0])
     unused = np.zeros(total.size, int)
     top, most = volume.shape[2] + 1, max(int(steps.max()), 0)

@@ -202,8 +202,9 @@ def advance(medium: Samples, ray: Ray, top: float, step: float, kind: int):
 
 @wp.func
 def write_pair(
-    entries: wp.array4d(dtype=float), angle: int, ray: int, count: int, x: int, y: int, n_x: int, n_y: int, weight: float
-):
+    entries: wp.array4d(dtype=float), angle: int, ray: int, count: int, x: int, y: int, n_x: int, n_y: int,
+    weight: float,
+):  # fmt: skip
     if weight <= 0.0 or x < 0 or y < 0 or x >= n_x or y >= n_y:
         return count
     if count < entries.shape[2]:
@@ -293,10 +294,7 @@ def survey_rays(
         while taken < most and ray.on == 1:
             ray = advance(medium, ray, top, step, kind)
             taken += 1
-        if ray.on == 1 or longest < 0:
-            longest = -1
-        else:
-            longest = wp.max(longest, taken)
+        longest = wp.where(ray.on == 1 or longest < 0, -1, wp.max(longest, taken))
     steps[angle, pixel] = longest
 
 

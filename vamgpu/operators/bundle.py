@@ -14,8 +14,9 @@ from vamgpu.geometry import Beam, Grid, centers, positive
 class RayBundle:
     """Where the rays of every pixel start and where they head, the same at every pose.
 
-    start: (columns, rows or 1, rays, 3) [mm], across the light from the axis, along it, and height above the middle of
-    the pixel's row.  direction: of that shape, in the same three axes, of any length > 0.  weight: share of the pixel's
+    start: any point of each ray, all from outside the grid; (columns, rows or 1, rays, 3) [mm]: across the light
+    from the axis, along it, and above the middle of the pixel's row.  direction: of that shape, in the same three axes,
+    of any length and not upright.  weight: share of the pixel's
     light in each ray, (rays,); None shares it equally.  Raises `BadInput`.
     """
 
@@ -31,8 +32,9 @@ class RayBundle:
                 "wanted (columns, rows or 1, rays, 3) of both"
             )
         length = np.linalg.norm(direction, axis=3, keepdims=True)
-        if not (np.isfinite(start).all() and np.isfinite(length).all() and (length > 0).all()):
-            raise BadInput("starts and directions of rays must be finite, and no direction zero")
+        flat = np.linalg.norm(direction[..., :2], axis=3, keepdims=True)
+        if not (np.isfinite(start).all() and np.isfinite(length).all() and (flat > 1e-3 * length).all()):
+            raise BadInput("starts and directions of rays must be finite, and no direction zero or upright")
         count = start.shape[2]
         weight = np.full(count, 1.0 / count) if self.weight is None else np.asarray(self.weight, np.float64)
         if weight.shape != (count,) or not np.isfinite(weight).all() or (weight < 0).any():
@@ -42,7 +44,7 @@ class RayBundle:
 
     @classmethod
     def parallel(cls, beam: Beam, rise: float = 0.0) -> RayBundle:
-        """Parallel light that climbs by ``rise`` [rad] above the level; in the middle of the axis at its row's height."""
+        """Parallel light that climbs by ``rise`` [rad]; above the axis it is at its row's height."""
         columns = beam.columns()
         start = np.zeros((columns.size, 1, 1, 3))
         start[:, 0, 0, 0] = columns
@@ -50,7 +52,7 @@ class RayBundle:
 
     @classmethod
     def fan(cls, beam: Beam, distance: float) -> RayBundle:
-        """Light from a level line of sources ``distance`` [mm] before the axis, a column's pitch measured at the axis."""
+        """Light from a level line of sources ``distance`` [mm] before the axis; columns as wide as the pitch there."""
         distance = positive("distance of the source [mm]", distance)
         columns = beam.columns()
         start = np.zeros((columns.size, 1, 1, 3))
@@ -60,8 +62,8 @@ class RayBundle:
         return cls(start, direction)
 
     @classmethod
-    def cone(cls, beam: Beam, half_angle: float, rays: int = 7, focus: float = 0.0, *, level: bool = False) -> RayBundle:
-        """Every pixel's light a cone about the level that crosses ``focus`` [mm] behind the axis; ``rays`` equal shares.
+    def cone(cls, beam: Beam, half_angle: float, rays: int = 7, focus: float = 0.0, level: bool = False) -> RayBundle:
+        """Each pixel's light a cone about the level, sharpest ``focus`` [mm] behind the axis; ``rays`` equal shares.
 
         half_angle: [rad]; directions fill the disc of a sunflower, or with ``level`` a line across.
         """
@@ -93,12 +95,13 @@ class RayBundle:
     def table(self, grid: Grid, beam: Beam, *, level: bool, unit: float) -> np.ndarray:
         """The rays as `trace` takes them, (columns · rows · rays, 8) in voxels, with weights × ``unit``.
 
-        level: one row, in slice 0.  Starts before the grid's circle are moved onto it, so that single precision does.
+        level: one row, in slice 0.  Starts are moved to the grid's circle, where single precision will do.
         """
         columns, rows = beam.pixels[0], 1 if level else beam.pixels[1]
         if self.start.shape[0] != columns or self.start.shape[1] not in (1, rows):
             raise ShapeMismatch(
-                f"rays are given for {self.start.shape[:2]} pixels; wanted ({columns}, {rows}) or ({columns}, 1) for {beam}"
+                f"rays are given for {self.start.shape[:2]} pixels; wanted ({columns}, {rows}) or "
+                f"({columns}, 1) for {beam}"
             )
         shape = (columns, rows, self.rays, 3)
         start = np.broadcast_to(self.start, shape) / grid.pitch
@@ -114,13 +117,10 @@ class RayBundle:
 
 
 def _nearer(start: np.ndarray, direction: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Starts moved along their rays to where they enter the cylinder, and which rays do.
-
-    A ray that starts inside goes back to its entry only if it is a parallel beam's, which starts at the axis.
-    """
+    """Where rays enter the cylinder about the axis, and which do."""
     across, heading = start[..., :2], direction[..., :2]
-    a = np.maximum((heading**2).sum(-1), 1e-30)
+    a = (heading**2).sum(-1)
     b, c = (across * heading).sum(-1), (across**2).sum(-1) - radius**2
     root = b**2 - a * c
     back = (-b - np.sqrt(np.maximum(root, 0.0))) / a
-    return start + back[..., None] * direction, (root > 0) & (back > -1e6)
+    return start + back[..., None] * direction, root > 0

@@ -107,10 +107,11 @@ class TracedProjection(LinearOperator):
             return
         angle, ray = np.argwhere(caught)[0]
         column, row = divmod(int(ray) // bundle, rows)
+        pose = np.degrees(self.motion.poses[angle])
         raise BadInput(
             f"{int(caught.sum())} of {caught.size} rays have not left after {self.most_steps} steps of {self.step:g} "
-            f"voxels ({self.most_steps * self.step * self.grid.pitch:.4g} mm), first that of column {column}, row {row} "
-            f"at {np.degrees(self.motion.poses[angle]):.4g}°; look at the index, or allow more with most_steps="
+            f"voxels ({self.most_steps * self.step * self.grid.pitch:.4g} mm), first that of column {column}, "
+            f"row {row} at {pose:.4g}°; look at the index, or allow more with most_steps="
         )
 
 
