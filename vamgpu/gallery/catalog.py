@@ -18,6 +18,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
     {
         "vial": "Light in a vial that turns in air",
         "roller": "A film that a roller carries past the light",
+        "web": "A film that passes the light, at every pose at once",
         "projection": "A projection against its formula",
         "transpose": "The back projector is the transpose, entry by entry",
         "targets": "The bundled parts",
@@ -26,6 +27,9 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "optimizers": "Every optimizer on one part",
         "recipe": "The recipe of automatic exposure, step by step",
         "frames": "Frames of eight bits and of one",
+        "focus": "A focus that follows a roller",
+        "calibration": "Focus and axis from recordings with noise",
+        "limits": "What a web machine can do, and what binds it",
         "proof": "A print, proven from its frames",
     }
 )

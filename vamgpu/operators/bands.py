@@ -79,6 +79,11 @@ class BoundBands:
     step: int
     phases: int
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the tables."""
+        return self.rows.nbytes + self.bands.nbytes + self.weights.nbytes
+
     def gather(self, source: DeviceArray, target: DeviceArray) -> None:
         """target = the bands' sums over ``source``."""
         tables = {"rows": self.rows, "bands": self.bands, "weights": self.weights}

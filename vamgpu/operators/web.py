@@ -105,6 +105,12 @@ class WebProjection(LinearOperator):
     def T(self) -> LinearOperator:  # noqa: N802
         return self._transpose
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the tables on the device: all that both directions keep."""
+        between = self._between.nbytes if self._between else 0
+        return self._forward.nbytes + self._transposed.nbytes + between
+
     def _light(self, poses: int) -> DeviceArray:
         return self.device.empty((poses, self.beam.pixels[0], self.grid.shape[2]))
 
@@ -144,6 +150,11 @@ class _Between:
         self.count = int(column.max()) + 1
         self._mix = _by_row(device, motion.poses, pose, column, weight)
         self._unmix = _by_row(device, self.count, column, pose, weight)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the tables."""
+        return sum(table.nbytes for table in (*self._mix.values(), *self._unmix.values()))
 
     def mix(self, whole: DeviceArray, poses: DeviceArray) -> None:
         """Light at the poses from light at whole columns."""
