@@ -169,12 +169,12 @@ class Roller:
         offsets, leans = self._bundle(beam.pitch)
         traced = self.trace(columns[:, None, None] + offsets[:, None], leans, map.leg)
         n_rho, n_l = grid.shape[1], round(map.length / grid.edges[0])
-        share = cells(map, traced.segments, self.film.absorption, (n_rho, n_l), (grid.edges[1], grid.edges[0]))
-        per_column = offsets.size * leans.size
-        column = share.ray // per_column
+        shape, per_column = (columns.size, n_rho, n_l), offsets.size * leans.size
+        *entries, weight = cells(map, traced.segments, traced.segments.ray // per_column, self.film.absorption, shape,
+                                 (grid.edges[1], grid.edges[0]))  # fmt: skip
         gain = np.ones(columns.size) if self.compensation is None else self.gain(columns)
-        weight = share.weight * (gain / per_column)[column]
-        return Propagation.gathered((columns.size, n_rho, n_l), column, share.rho, share.l, weight, map.middle)
+        r, rho, l = (index.astype(np.int32) for index in entries)  # noqa: E741 - the web's axis
+        return Propagation(shape, r, rho, l, weight * (gain / per_column)[r], map.middle)
 
     def _bundle(self, pitch: float) -> tuple[Floats, Floats]:
         """Offsets [mm] and angles [rad] of the rays of one column."""
