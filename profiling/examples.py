@@ -171,6 +171,17 @@ def _resampled(n: int) -> Example:
     return Example({"i": n, "j": n + n % 2, "source": source, "z": n}, given)
 
 
+def _shifted(n: int) -> Example:
+    """Two overlapping tiles, each a part of a pixel off."""
+    angles, rows = n + n % 2, n // 2 + 2
+    moves = np.stack([np.arange(2 * angles) % 3 - 1.0, np.linspace(0.0, 0.9, 2 * angles)] * 2, axis=1)
+    moves[angles:, 2] += rows - 3
+    tapers = np.linspace(0.2, 1.0, 2 * rows).reshape(2, rows)
+    sizes = {"image": angles, "column": n, "row": n, "move": 2 * angles, "angle": 2 * angles, "r": n + 1, "z": rows}
+    given = {"moves": moves, "tapers": tapers, "after": 1, "lanes": lambda _, arguments: arguments["source"].lanes}
+    return Example({**sizes, "tile": 2, "taper": rows}, given)
+
+
 def _array_sizes(n: int) -> dict[str, int]:
     return {"i": n, "j": n + n % 2, "z": _slices(n)}
 
@@ -340,6 +351,20 @@ def _gathered(n: int) -> Example:
     return Example({**sizes, "i": n, "j": n + n % 2}, {"first": first, "entries": entries})
 
 
+def _bent(n: int, *shape: int) -> Example:
+    """Rays that cross a box of a medium of mild index and leave it before their last step."""
+    rng = np.random.default_rng(n)
+    place, heading = rng.uniform(-1.0, 1.0, (n, 3)), rng.standard_normal((n, 3))
+    heading *= 1.5 / np.linalg.norm(heading, axis=1, keepdims=True)
+    region = np.array([1.0, 1.0, 0.0, 4.0, -1.9, -1.9, -1.7, 1.9, 1.9, 1.7])
+    given = {"starts": np.concatenate([place, heading], axis=1), "region": region, "step": 0.11, "steps": 60}
+    given |= {"scheme": n % 3, "every": 2, "corner": [-2.0, -2.0, -2.0, (8 + n % 3) / 4.0]}
+    given["formula"] = np.array([1.0, 0.8, 0.3, 2.3, -0.2, 0.01, 0.0, 1.0, 0.1, 0.0, 0.0, 0.0])
+    ramps = np.ix_(*(np.linspace(0.0, 1.0, size) for size in shape))
+    given["coefficients"] = 2.2 + 0.3 * np.sin(sum(ramps, np.zeros(shape)) * 2.0)
+    return Example({"ray": n, "row": 7, **dict(zip("ijk", shape, strict=False))}, given)
+
+
 EXAMPLES: dict[str, Callable[[int], Example]] = {
     "forward_joseph": _straight,
     "back_joseph": _straight,
@@ -348,6 +373,8 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "forward_oblique": lambda n: _oblique(n, "volume"),
     "back_oblique": lambda n: _oblique(n, "sinogram"),
     "resample": _resampled,
+    "shift_images": _shifted,
+    "blur_slices": lambda n: Example({**_array_sizes(n), "tap": 9}),
     "partial_sum": _partial,
     "partial_dot": _partial,
     "partial_extent": lambda n: _partial(n, lower=0.2, upper=0.8, reach=0.4 * n),
@@ -380,6 +407,9 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "back_traced": _through,
     "clear_volume": lambda n: Example(_volume(n)),
     "gather_rows": _gathered,
+    "march_formula": _bent,
+    "march_plane": lambda n: _bent(n, 11, 12),
+    "march_volume": lambda n: _bent(n, 11, 12, 13),
     "shift_window": _banded,
     "mix_poses": _mixed,
 }
