@@ -42,7 +42,7 @@ class BCLP:
     iterations: ClassVar[int] = 100
 
     def __post_init__(self) -> None:
-        self._band()
+        self.band()
         if self.q is not None and (not 1 <= self.q < inf or (self.ridge > 0 and self.q != self.p)):
             raise BadInput(
                 f"q is {self.q} with p = {self.p} and ridge = {self.ridge}; wanted q ≥ 1, and q = p with a ridge"
@@ -58,7 +58,8 @@ class BCLP:
         """
         return cls(p=3.0, ridge=0.04, momentum=0.5)
 
-    def _band(self) -> Band:
+    def band(self) -> Band:
+        """The loss of a voxel."""
         return Band((0.0, 1.0), self.slack, self.price, self.p, self.ridge, response=self.response)
 
     def steps(self, work: Work) -> Steps:
@@ -66,7 +67,7 @@ class BCLP:
             filtered_light(work, work.volume())
         order = self.q if self.q is not None and self.q != self.p else None
         yield from Descent(
-            self._band(),
+            self.band(),
             identity(work.operator),
             share=self.share,
             growth=self.growth,

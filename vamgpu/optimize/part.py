@@ -12,30 +12,34 @@ from vamgpu.errors import BadInput, EmptyMesh, OpticsWarning, TargetTooLarge
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import extent
 from vamgpu.operators.space import require
+from vamgpu.operators.web import WebProjection
+from vamgpu.optimize.projector import Projector
 
 
-def fractions_of(operator: Projection, target: Any) -> DeviceArray:
+def fractions_of(operator: Projector, target: Any) -> DeviceArray:
     """The target's fractions [x, y, z] on the operator's device, after checking that light can reach it all.
 
     target: a `Target`, or fractions (NumPy or on the device).  Raises `BadInput` for another pitch and for values
     beyond 0..1, `EmptyMesh` where nothing is to be printed, `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
     """
     radius = getattr(target, "radius", None)
-    check = getattr(operator.vessel, "check_fits", None)
-    if radius is not None and check is not None:
-        check(radius)
-    _check_beam(operator, radius, getattr(target, "height", None))
+    if not isinstance(operator, WebProjection):
+        check = getattr(operator.vessel, "check_fits", None)
+        if radius is not None and check is not None:
+            check(radius)
+        _check_beam(operator, radius, getattr(target, "height", None))
     fractions = on_device(operator, target)
     _check_values(fractions)
     return fractions
 
 
-def on_device(operator: Projection, target: Any) -> DeviceArray:
+def on_device(operator: Projector, target: Any) -> DeviceArray:
     """The target's fractions [x, y, z] on the operator's device; arguments and errors as for `fractions_of`."""
-    pitch = getattr(getattr(target, "grid", None), "pitch", operator.grid.pitch)
-    if abs(pitch / operator.grid.pitch - 1.0) > 1e-9:
+    wanted = operator.grid.pitch
+    pitch = getattr(getattr(target, "grid", None), "pitch", wanted)
+    if not np.allclose(pitch, wanted, rtol=1e-9, atol=0.0):
         raise BadInput(
-            f"the target has voxels of {pitch:g} mm, the operator of {operator.grid.pitch:g} mm; "
+            f"the target has voxels of {_edge(pitch)} mm, the operator of {_edge(wanted)} mm; "
             "build the operator on target.grid"
         )
     fractions = target.on(operator.device) if hasattr(target, "on") else target
@@ -44,6 +48,10 @@ def on_device(operator: Projection, target: Any) -> DeviceArray:
         return operator.device.upload(fractions)
     operator.device.check_mine(fractions)
     return fractions
+
+
+def _edge(pitch: Any) -> str:
+    return " × ".join(f"{edge:g}" for edge in np.atleast_1d(pitch))
 
 
 def _check_values(fractions: DeviceArray) -> None:

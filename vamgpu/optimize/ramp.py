@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.operators.projection import Projection
+from vamgpu.operators.web import WebProjection
+from vamgpu.optimize.projector import Projector
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +19,7 @@ class Taps:
     stride: int
 
 
-def ramp(operator: Projection) -> Taps:
+def ramp(operator: Projector) -> Taps:
     """The band-limited ramp, scaled so that Aᵀ·ramp·A is near the identity for straight rays that nothing absorbs.
 
     Source: G. Ramachandran & A. Lakshminarayanan, PNAS 68 (1971) 2236.
@@ -30,7 +31,7 @@ def ramp(operator: Projection) -> Taps:
     return Taps(operator.device.table(taps * _scale(operator)), 2)
 
 
-def capped_ramp(operator: Projection, cap: float, span: float = 1.0) -> Taps:
+def capped_ramp(operator: Projector, cap: float, span: float = 1.0) -> Taps:
     """The ramp |ω| up to ``cap`` cycles a column, level beyond: a preconditioner that spares the finest detail.
 
     span: share of the columns its taps reach over; below 1 they fade out, which costs little and saves most of the
@@ -45,12 +46,14 @@ def capped_ramp(operator: Projection, cap: float, span: float = 1.0) -> Taps:
     return Taps(operator.device.table(taps * _scale(operator)), 1)
 
 
-def identity(operator: Projection) -> Taps:
+def identity(operator: Projector) -> Taps:
     """No filter."""
     return Taps(operator.device.table(np.ones(1)), 1)
 
 
-def _scale(operator: Projection) -> float:
+def _scale(operator: Projector) -> float:
+    if isinstance(operator, WebProjection):
+        return 1.0  # A web sees less than half a turn of light that fades: no closed formula, scaled by what uses it
     # A voxel of Aᵀ gathers pitch² / beam pitch from each angle; π per half turn is what the inversion formula asks
     area = operator.grid.pitch**2 / operator.beam.pitch
     return np.pi / operator.motion.angles / area / operator.beam.pitch

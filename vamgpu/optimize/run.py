@@ -11,7 +11,6 @@ from typing import Any
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, Cancelled
 from vamgpu.geometry import positive
-from vamgpu.operators.projection import Projection
 from vamgpu.optimize.bclp import BCLP
 from vamgpu.optimize.calgd import GradientDescent
 from vamgpu.optimize.fbp import FilteredBackProjection
@@ -21,6 +20,7 @@ from vamgpu.optimize.osmo import OSMO
 from vamgpu.optimize.part import fractions_of
 from vamgpu.optimize.penalty import PenaltyMinimization
 from vamgpu.optimize.plan import Plan, Step
+from vamgpu.optimize.projector import Projector
 from vamgpu.optimize.recipe import Recipe
 from vamgpu.optimize.window import ProcessWindow
 from vamgpu.optimize.work import Work
@@ -42,7 +42,7 @@ Progress = Callable[[Step], None]
 
 
 def optimize(
-    operator: Projection,
+    operator: Projector,
     target: Any,
     method: str | Method = "default",
     iterations: int | None = None,
@@ -79,7 +79,7 @@ def optimize(
 class _Run:
     """One run in progress."""
 
-    operator: Projection
+    operator: Projector
     method: Method
     work: Work
     name: str
@@ -151,7 +151,7 @@ def _name(target: Any) -> str:
     return str(getattr(target, "name", "target"))
 
 
-def _memory(operator: Projection, method: Method, resume: Plan | None) -> dict[str, Any]:
+def _memory(operator: Projector, method: Method, resume: Plan | None) -> dict[str, Any]:
     """A copy of what a plan remembers, so that the plan stays what it is."""
     if resume is None:
         return {}
@@ -165,7 +165,7 @@ def _memory(operator: Projection, method: Method, resume: Plan | None) -> dict[s
     return _copied(operator, resume.state)
 
 
-def _copied(operator: Projection, value: Any) -> Any:
+def _copied(operator: Projector, value: Any) -> Any:
     if isinstance(value, DeviceArray):
         from vamgpu.kernels.update import linear
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from functools import cached_property
-from math import isfinite
+from math import isfinite, prod
 from typing import Any
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.geometry import Grid
 from vamgpu.kernels.filter import filter_rows, filtered_step
 from vamgpu.kernels.loss import band_loss
 from vamgpu.kernels.update import free_gradient, linear, paint
-from vamgpu.operators.projection import Projection
-from vamgpu.operators.reductions import dot, folded, parts_for, window
+from vamgpu.operators.reductions import EVERYWHERE, dot, folded, parts_for, window
 from vamgpu.operators.space import require
 from vamgpu.optimize.band import Band
+from vamgpu.optimize.projector import Projector
 from vamgpu.optimize.ramp import Taps
+from vamgpu.web import WebGrid
 
 NO_FLOOR = -3e38
 
@@ -22,12 +24,12 @@ NO_FLOOR = -3e38
 class Work:
     """One run: everything a method may use. ``memory`` outlives the run and is enough to resume it."""
 
-    def __init__(self, operator: Projection, target: DeviceArray, memory: dict[str, Any]) -> None:
+    def __init__(self, operator: Projector, target: DeviceArray, memory: dict[str, Any]) -> None:
         self.operator, self.target, self.memory = operator, target, memory
         self.device = operator.device
-        self.reach = operator.grid.inscribed_radius / operator.grid.pitch * (1.0 + 1e-6)
+        self.reach = _reach(operator.grid)
         self.pairs = float(memory.get("pairs", 0.0))
-        self.voxels = max(float(operator.grid.cylinder().sum()) * operator.grid.shape[2], 1.0)
+        self.voxels = _judged(operator.grid)
 
     def volume(self) -> DeviceArray:
         """An uninitialized volume."""
@@ -151,3 +153,13 @@ class Work:
             light=self.held("light"),
             ahead=self.held("ahead"),
         )
+
+
+def _reach(grid: Grid | WebGrid) -> float:
+    """Radius [voxels] of the cylinder that counts; all of a web does."""
+    return grid.inscribed_radius / grid.pitch * (1.0 + 1e-6) if isinstance(grid, Grid) else EVERYWHERE
+
+
+def _judged(grid: Grid | WebGrid) -> float:
+    """Voxels that count."""
+    return max(float(grid.cylinder().sum()) * grid.shape[2], 1.0) if isinstance(grid, Grid) else float(prod(grid.shape))

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from math import ceil
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from vamgpu.errors import BadInput, TileError
 from vamgpu.geometry import positive
-from vamgpu.targets.implicit import Implicit
 from vamgpu.targets.stream import Repeated, stream
 from vamgpu.web import WebGrid
+
+if TYPE_CHECKING:
+    from vamgpu.targets.implicit import Implicit
 
 ALONG = 64
 """Columns of a tile that is sampled from a function or a mesh."""
@@ -22,9 +24,9 @@ class Columns:
     """Columns of a target in the order they pass the light, fractions 0..1, float32 [l, rho, z].
 
     source: tiles [l, rho, z] of any thickness along l, arrays or things with ``pitch`` and ``numpy()``; a function of
-    (l, rho, z) that is negative in the solid; or `Repeated`, a mesh tiled along l.  grid: section and pitches; its extent
-    along l does not count.  length: of the web [mm]; needed for functions and meshes, and where it is None tiles may
-    end when they like. Raises `BadInput`.
+    (l, rho, z) that is negative in the solid; or `Repeated`, a mesh tiled along l.  grid: section and pitches; its
+    extent along l does not count.  length: of the web [mm]; needed for functions and meshes, and where it is None
+    tiles may end when they like. Raises `BadInput`.
     """
 
     def __init__(self, source: Any, grid: WebGrid, length: float | None = None) -> None:
@@ -46,7 +48,7 @@ class Columns:
 
         Raises `TileError` for a tile that does not fit, and for a stream that ends before the length it was to have.
         """
-        while not self._ended and self._read < stop:
+        while not self._ended and self._read <= stop:  # one more than asked tells whether it ends
             self._advance(start)
         out = np.zeros((stop - start, *self.grid.shape[1:]), np.float32)
         low, high = max(start, self._first), min(stop, self._first + len(self._held))
@@ -116,8 +118,7 @@ def _tiles(source: Any, grid: WebGrid, length: float | None) -> Iterable[Any]:
     if isinstance(source, Repeated) or (callable(source) and not isinstance(source, Iterator)):
         if length is None:
             raise BadInput(f"{source!r} has no end; give the length of the web [mm]")
-        shape: Implicit | Repeated = source
-        return stream(shape, (grid.shape[1], grid.shape[2]), grid.edges, length, ALONG)
+        return stream(cast("Implicit | Repeated", source), (grid.shape[1], grid.shape[2]), grid.edges, length, ALONG)
     if isinstance(source, np.ndarray):
         return (source,)
     if isinstance(source, Iterable):

@@ -1,0 +1,89 @@
+"""Where the segments of a web lie: which frames each one owns, and what it must see to decide them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from math import ceil
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+
+DENOMINATOR = 64
+"""Most poses after which windows begin at a whole column again."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A web cut into segments of ``core`` frames, each solved with ``overlap`` more on either side.
+
+    window: columns the light of one pose reaches.  step: columns from one pose to the next.  All segments have the same
+    shape, wherever they lie, so that one projector serves them all: cores and overlaps are whole multiples of the poses
+    after which windows begin at whole columns again. Frame 0 is the first whose window can meet column 0.
+    """
+
+    window: int
+    step: Fraction
+    core: int
+    overlap: int
+
+    @classmethod
+    def of(cls, window: int, step: float, core: float = 4.0, overlap: float = 1.0) -> Layout:
+        """From lengths in windows of light. Raises `BadInput` for steps that never meet whole columns again."""
+        exact = Fraction(step).limit_denominator(DENOMINATOR)
+        if exact <= 0 or abs(float(exact) / step - 1.0) > 1e-9:
+            near = float(exact) or 1.0 / DENOMINATOR
+            raise BadInput(
+                f"the web moves {step:.9g} columns a pose; wanted a ratio of whole numbers up to {DENOMINATOR}, "
+                f"so that segments begin at whole columns: take a pitch along l of {step / near:.9g} times this one"
+            )
+        if overlap < 0.0:
+            raise BadInput(f"overlap is {overlap!r} windows; wanted ≥ 0")
+        many = exact.denominator
+        poses = positive("core [windows]", core) * window / step
+        return cls(window, exact, many * ceil(poses / many), many * ceil(overlap * window / step / many))
+
+    @property
+    def lead(self) -> int:
+        """Frames before the one whose window begins at column 0."""
+        many = self.step.denominator
+        return many * ceil((self.window - 1) / float(self.step) / many)
+
+    @property
+    def poses(self) -> int:
+        """Poses that are solved together."""
+        return self.core + 2 * self.overlap
+
+    @property
+    def columns(self) -> int:
+        """Columns their windows reach."""
+        return ceil((self.poses - 1) * self.step) + self.window
+
+    @property
+    def columns_per_core(self) -> int:
+        """Columns the web moves while the frames of one segment are shown."""
+        return int(self.core * self.step)
+
+    def frames(self, columns: int) -> int:
+        """Frames of a web of that many columns: all whose window meets it."""
+        return self.lead + ceil(columns / self.step)
+
+    def segments(self, columns: int) -> int:
+        """Segments of a web of that many columns."""
+        return ceil(self.frames(columns) / self.core)
+
+    def origin(self, segment: int) -> int:
+        """Column of the web at which the columns of a segment begin; negative before the web."""
+        return int((segment * self.core - self.overlap - self.lead) * self.step)
+
+    def owned(self, segment: int, columns: int | None) -> tuple[int, int]:
+        """First frame a segment owns, and the one after its last; ``columns``: of the web, None where it goes on."""
+        first = segment * self.core
+        last = first + self.core
+        return first, last if columns is None else min(last, self.frames(columns))
+
+    def printed(self, segment: int, columns: int | None) -> tuple[int, int]:
+        """Columns of the web that belong to a segment when a web is judged; none for the last ones."""
+        first = segment * self.columns_per_core
+        last = first + self.columns_per_core
+        return (first, last) if columns is None else (min(first, columns), min(last, columns))

@@ -1,0 +1,216 @@
+"""What the frames of a web would print, computed from nothing but the folder, segment by segment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.geometry import Beam
+from vamgpu.operators.web import WebProjection
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.web import Propagation, WebGrid, Wrap
+from vamgpu.webs.layout import Layout
+from vamgpu.webs.store import WebFolder
+from vamgpu.webs.wraps import wrap_from
+
+BINS = 2048
+REACH = 4.0
+"""Doses are counted from 0 to this, in units of what the part should get; more counts as this much."""
+LEVEL = 128
+"""Fraction times 255 from which a voxel is in the part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Simulated print of the columns of one segment.
+
+    number: of the segment.  columns: first and one after the last.  dose: [l, rho, z] float32.  target: boolean
+    [l, rho, z].
+    """
+
+    number: int
+    columns: tuple[int, int]
+    dose: np.ndarray
+    target: np.ndarray
+
+
+@dataclass(frozen=True)
+class PieceScore:
+    """Scores of one segment's columns at the web's common threshold.
+
+    columns: first and one after the last.  iou: intersection over union.  window: strict process window, (least dose in
+    the part − greatest out of it) / greatest.  trimmed: the same without a hundredth of the voxels at either side.
+    missing, excess: voxels on the wrong side of the threshold.  loss: of the last iteration.  saturated: pixels at
+    full-on.
+    """
+
+    columns: tuple[int, int]
+    iou: float
+    window: float
+    trimmed: float
+    missing: int
+    excess: int
+    loss: float
+    saturated: int
+
+
+@dataclass(frozen=True, eq=False)
+class WebProof:
+    """A simulated print of a web and its scores.
+
+    iou, threshold: over the whole web, at the dose that makes iou greatest.  counts: voxels by dose, (out of the part,
+    in it) × bins.  edges: of the bins, in doses.
+    """
+
+    folder: WebFolder
+    grid: WebGrid
+    beam: Beam
+    light: Propagation
+    segments: tuple[PieceScore, ...]
+    iou: float
+    threshold: float
+    counts: np.ndarray
+    edges: np.ndarray
+    device: Device
+
+    @property
+    def window(self) -> float:
+        """The narrowest strict process window of any segment."""
+        return min(score.window for score in self.segments)
+
+    def pieces(self, numbers: Sequence[int] | None = None) -> Iterator[Piece]:
+        """The simulated print again, segment by segment."""
+        return _Simulation(self.folder, self.device).pieces(numbers)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the HTML page. Raises `StorageError`."""
+        from vamgpu.webs.report import write_report
+
+        return write_report(self, path)
+
+
+class _Simulation:
+    """Reads frames' bytes and makes dose of them; holds one segment at a time."""
+
+    def __init__(self, folder: WebFolder, device: Device) -> None:
+        self.folder, self.device = folder, device
+        try:
+            details = folder.details
+            rho, z = details["grid"]["section"]
+            self.beam = Beam(tuple(details["beam"]["pixels"]), details["beam"]["pitch"])
+            wrap: Wrap = wrap_from(details["wrap"])
+            self.gray, self.scale = GrayCurve.parse(details["frames"]["gray"]), details["frames"]["scale"]
+            known = details["layout"]
+            section = WebGrid((1, rho, z), tuple(details["grid"]["pitch"]))
+        except (KeyError, TypeError, BadInput) as error:
+            raise StorageError(f"{str(folder.path)!r} garbles its details: {error}; write the web again") from error
+        self.light = wrap.propagation(section, self.beam)
+        one = float(wrap.advance / section.edges[0])
+        layout = Layout.of(self.light.shape[2], one, known["core"] * one / self.light.shape[2] * (1 - 1e-12), 1.0)
+        if (layout.window, layout.core) != (known["window"], known["core"]):
+            raise StorageError(f"{str(folder.path)!r} has a light that its wrap does not give; write the web again")
+        self.layout = layout
+        self.grid = WebGrid((layout.columns, rho, z), section.pitch)
+        self.operator = WebProjection.from_light(
+            self.grid, self.light, float(layout.step), self.beam, device, poses=layout.poses, start=0.0
+        )
+
+    @property
+    def finished(self) -> int:
+        """Columns that all their poses have lit."""
+        folder, layout = self.folder, self.layout
+        lit = int((folder.frames - layout.lead) * layout.step)
+        return folder.columns if folder.complete else max(0, min(folder.columns, lit))
+
+    def pieces(self, numbers: Sequence[int] | None) -> Iterator[Piece]:
+        for number in range(len(self.folder.segments)) if numbers is None else numbers:
+            start, stop = self.layout.printed(number, self.finished)
+            if start < stop:
+                origin = self.layout.origin(number)
+                dose = self._dose(number)[start - origin : stop - origin]
+                yield Piece(number, (start, stop), dose, self.folder.read("target", start, stop) >= LEVEL)
+
+    def _dose(self, number: int) -> np.ndarray:
+        """Dose of the columns around a segment, from the frames of all poses that reach its own."""
+        layout, rows, columns = self.layout, self.beam.pixels[1], self.beam.pixels[0]
+        first = number * layout.core - layout.overlap
+        low, high = max(first, 0), min(first + layout.poses, self.folder.frames)
+        images = np.zeros((layout.poses, rows, columns), np.uint8)
+        images[low - first : high - first] = self.folder.read("frames", low, high)
+        frames = Frames.from_bytes(images, self.device, bits=8, gray=self.gray, scale=self.scale, columns=columns)
+        return self.operator.T(frames.irradiance()).numpy()
+
+
+def prove_web(web: WebFolder | str | Path, device: str | Device | None = None) -> WebProof:
+    """Simulate a web from its frames' bytes and gray curve, and score each segment against its target.
+
+    Of a web that is not complete, what all its poses have lit already. Raises `StorageError`, `BadInput` where no
+    column is lit yet, `DeviceError`.
+    """
+    folder = web if isinstance(web, WebFolder) else WebFolder.open(web)
+    simulation = _Simulation(folder, open_device(device))
+    edges = np.linspace(0.0, REACH, BINS + 1)
+    counts, extremes, spans = [], [], []
+    for piece in simulation.pieces(None):
+        counts.append(np.stack([_counted(piece.dose[piece.target == part], edges) for part in (False, True)]))
+        extremes.append(_extremes(piece))
+        spans.append((piece.number, piece.columns))
+    if not counts:
+        raise BadInput(
+            f"{str(folder.path)!r} has {folder.frames} frames, and no column that all its poses have lit; resume it"
+        )
+    total = np.sum(counts, axis=0)
+    at = _best(total)
+    scores = tuple(
+        _score(folder, span, count, extreme, at) for span, count, extreme in zip(spans, counts, extremes, strict=True)
+    )
+    return WebProof(
+        folder, simulation.grid, simulation.beam, simulation.light, scores, _iou(total, at), float(edges[at]), total,
+        edges, simulation.device,
+    )  # fmt: skip
+
+
+def _counted(dose: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    return np.histogram(np.minimum(dose, edges[-1]), edges)[0]
+
+
+def _extremes(piece: Piece) -> tuple[float, float]:
+    """Strict and trimmed process window of a piece; 0 where it has no part, or nothing but part."""
+    inside, outside = piece.dose[piece.target], piece.dose[~piece.target]
+    if not inside.size or not outside.size:
+        return 0.0, 0.0
+    peak = max(float(inside.max()), float(outside.max())) or 1.0
+    low, high = np.quantile(inside, 0.01), np.quantile(outside, 0.99)
+    return float(inside.min() - outside.max()) / peak, float(low - high) / peak
+
+
+def _split(counts: np.ndarray, at: int) -> tuple[int, int, int]:
+    """Voxels rightly printed, missing, and in excess at the threshold that is the lower edge of bin ``at``."""
+    return int(counts[1, at:].sum()), int(counts[1, :at].sum()), int(counts[0, at:].sum())
+
+
+def _iou(counts: np.ndarray, at: int) -> float:
+    right, missing, excess = _split(counts, at)
+    return right / max(1, right + missing + excess)
+
+
+def _best(counts: np.ndarray) -> int:
+    above = counts[:, ::-1].cumsum(axis=1)[:, ::-1]
+    return int(np.argmax(above[1] / np.maximum(1, counts[1].sum() + above[0])))
+
+
+def _score(
+    folder: WebFolder, span: tuple[int, tuple[int, int]], counts: np.ndarray, extremes: tuple[float, float], at: int
+) -> PieceScore:
+    number, columns = span
+    _, missing, excess = _split(counts, at)
+    record: Any = folder.segments[number]
+    return PieceScore(columns, _iou(counts, at), *extremes, missing, excess, record.loss[1], record.saturated)

@@ -1,0 +1,173 @@
+"""Light for one segment of a web, by steps that do not depend on what else the web holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Beam
+from vamgpu.kernels.update import linear
+from vamgpu.operators.rows import Rows
+from vamgpu.operators.web import WebProjection
+from vamgpu.optimize.band import Band
+from vamgpu.optimize.bclp import BCLP
+from vamgpu.optimize.ramp import identity, ramp
+from vamgpu.optimize.work import Work
+from vamgpu.web import Propagation, WebGrid
+from vamgpu.webs.layout import Layout
+
+PACE = 5 / 6
+"""Length of a step over the longest at which accelerated steps are stable where the loss is most curved."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Loss of a segment's first and last iteration; overlaps included."""
+
+    first: float
+    last: float
+
+
+class Solver:
+    """Band-constrained descent on segments of one shape.
+
+    The loss is a sum over voxels (q = p), the step is fixed by the light of one pose and the response alone, and the
+    first light is filtered and scaled likewise: what happens at a place depends on what is near it, never on where a
+    segment begins. An iteration carries influence one window further at most and weakens it, so that frames one window
+    inside a segment come out as they would from the whole web.
+
+    layout: shape of a segment.  section: voxels along rho and z.  edges: [mm].  light: of one pose.
+    """
+
+    def __init__(
+        self, layout: Layout, grid: WebGrid, beam: Beam, light: Propagation, method: BCLP, device: Device
+    ) -> None:
+        _check(method)
+        self.layout, self.method, self.device = layout, method, device
+        whole = WebGrid((layout.columns, *grid.shape[1:]), grid.pitch)
+        self.operator = WebProjection.from_light(
+            whole, light, float(layout.step), beam, device, poses=layout.poses, start=0.0
+        )
+        self.band = method.band()
+        stable = 2.0 * (1.0 + method.momentum) / (1.0 + 2.0 * method.momentum)
+        self.step = PACE * stable / (self._norm() * curvature(self.band))
+        self._fields: dict[str, DeviceArray] = {}
+
+    def _norm(self) -> float:
+        """‖A‖², from the light of one pose: no entry is negative, so that a web that is even along l is the worst."""
+        light, rows = self.operator.light, self._rows_norm()
+        sums = np.zeros(light.shape[:2])
+        np.add.at(sums, (light.r, light.rho), light.weight)
+        return rows * float(np.linalg.norm(sums, 2)) ** 2 / float(self.layout.step)
+
+    def _rows_norm(self) -> float:
+        """What rows unlike slices add to ‖A‖²; 1 where each row is a slice."""
+        grid, beam = self.operator.grid, self.operator.beam
+        rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2])
+        if rows.same:
+            return 1.0
+        slices, shown = (self.device.upload(np.ones((1, 1, n))) for n in (grid.shape[2], rows.rows))
+        forth, back = self.device.empty(shown.shape), self.device.empty(slices.shape)
+        rows.from_slices(slices, forth)
+        rows.to_slices(shown, back)
+        return float(forth.numpy().max() * back.numpy().max())
+
+    @cached_property
+    def gain(self) -> float:
+        """Scale of the filtered light: it gives the middle of a bar in the film, a quarter of it thick, dose 1."""
+        grid = self.operator.grid
+        along = (np.arange(grid.shape[0]) - grid.shape[0] // 2) * grid.edges[0]  # its voxels are the same on any grid
+        deep = grid.axes()[1] - 0.5 * grid.size[1]
+        bar = np.hypot(along[:, None], deep[None, :]) <= 0.25 * grid.size[1] * (1.0 + 1e-6)
+        work = Work(self.operator, self.device.upload(np.repeat(bar[:, :, None], grid.shape[2], 2)), {})
+        light, dose = self._filtered(work, 1.0), self._field("dose")
+        work.expose(light, dose)
+        return 1.0 / work.part_mean(dose)
+
+    @cached_property
+    def _unlit(self) -> np.ndarray:
+        """Share of the light of an endless run of poses that columns lack near the ends of a segment; (l, rho, 1).
+
+        Poses beyond a segment are taken to do their share of what is asked, so that those near its ends need not.
+        """
+        dark, dose = self._dark(), self._field("dose")
+        self.device.launch(linear, a=0.0, x=dark, b=0.0, y=dark, floor=1.0, out=dark)
+        self.operator.T(dark, out=dose)
+        lit = dose.numpy()[:, :, dose.shape[2] // 2, None]
+        return np.clip(1.0 - lit / lit[len(lit) // 2], 0.0, 1.0)
+
+    def _dark(self) -> DeviceArray:
+        """``light`` = what a web of nothing casts: darkness."""
+        nothing = self.device.upload(np.zeros(self.operator.domain.shape, np.float32))
+        self.operator(nothing, out=self._field("light"))
+        return self._field("light")
+
+    def _filtered(self, work: Work, gain: float) -> DeviceArray:
+        """``light`` = the target's filtered projection times a gain, never negative."""
+        shadow, light = self._field("gradient"), self._field("light")
+        work.project(work.target, shadow)
+        work.filter(shadow, ramp(self.operator), light, floor=0.0)
+        work.scale(gain, light, light)
+        return light
+
+    def solve(self, fractions: np.ndarray, iterations: int) -> tuple[DeviceArray, Outcome]:
+        """Light [pose, r, z] for fractions [l, rho, z] of the segment's columns; overwritten by the next call."""
+        work = Work(self.operator, self.device.upload(fractions), {})
+        if not fractions.any():
+            return self._dark(), Outcome(0.0, 0.0)
+        gain, unlit = self.gain, self._unlit
+        work.memory["light"] = self._filtered(work, gain)
+        work.memory["ahead"] = self._field("ahead")
+        work.scale(1.0, work.held("light"), work.held("ahead"))
+        rest = self.device.upload(fractions * unlit)
+        dose, gradient, plain = self._field("dose"), self._field("gradient"), identity(self.operator)
+        losses = []
+        for _ in range(iterations):
+            work.expose(work.held("ahead"), dose)
+            work.combine(1.0, dose, 1.0, rest, dose)
+            losses.append(work.loss(dose, self.band))
+            work.project(dose, gradient)
+            work.step(gradient, plain, self.step, self.method.momentum)
+        return work.held("light"), Outcome(losses[0], losses[-1])
+
+    def dose(self, light: DeviceArray) -> np.ndarray:
+        """Dose [l, rho, z] of a segment's light, on the host."""
+        self.operator.T(light, out=self._field("dose"))
+        return self._field("dose").numpy()
+
+    def _field(self, name: str) -> DeviceArray:
+        """A field that all segments share."""
+        if name not in self._fields:
+            shape = self.operator.domain.shape if name == "dose" else self.operator.range.shape
+            self._fields[name] = self.device.empty(shape)
+        return self._fields[name]
+
+
+def curvature(band: Band) -> float:
+    """Greatest second derivative by dose of a voxel's loss, in or out of the part."""
+    curve = band.response.curve()
+    dose = np.linspace(curve.start, curve.start + (len(curve.values) - 1) / curve.density, 257)
+    value = np.interp((dose - curve.start) * curve.density, np.arange(len(curve.values)), curve.values)
+    most = 0.0
+    for inside in (0, 1):
+        excess = np.maximum(0.0, np.abs(value - band.center[inside]) - band.slack[inside])
+        loss = band.gain[inside] * excess**band.power + band.ridge * value**2
+        slope = np.gradient(loss, dose)
+        most = max(most, float(np.abs(np.gradient(slope, dose)).max()))
+    return most
+
+
+def _check(method: Any) -> None:
+    """Refuse what would make a place depend on the rest of the web."""
+    if not isinstance(method, BCLP):
+        raise BadInput(f"got {method!r} as method of a web; wanted BCLP, such as BCLP.paper_002()")
+    if method.q is not None and method.q != method.p:
+        raise BadInput(f"q is {method.q} with p = {method.p}: that couples the whole web; wanted q = p, or None")
+    if method.weight is not None:
+        raise BadInput("a weight of single voxels has no place on an endless web; use price for inside and outside")

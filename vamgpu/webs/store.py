@@ -1,0 +1,239 @@
+"""The folder of a web: frames that only ever grow, and a record that counts what is whole."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.storage.atomic import explained
+from vamgpu.storage.manifest import plain
+
+FORMAT = "vamgpu web"
+VERSION = 1
+RECORD = "web.json"
+PARTIAL = ".partial"
+AXES = {"frames": ("pose", "row", "column"), "target": ("l", "rho", "z")}
+
+
+@dataclass(frozen=True)
+class SegmentRecord:
+    """What is kept of a segment: its frames, its columns of the target (fractions times 255), and their SHA-256.
+
+    frames, columns: first and one after the last.  loss: of the first and last iteration.  saturated: pixels that
+    wanted more light than a full-on mirror gives.
+    """
+
+    frames: tuple[int, int]
+    columns: tuple[int, int]
+    loss: tuple[float, float]
+    saturated: int
+    sha256: tuple[str, str]
+
+
+@dataclass(frozen=True)
+class WebFolder:
+    """A folder of a web that was opened: Zarr arrays ``frames`` and ``target``, one frame a chunk, one segment a file.
+
+    Only what ``segments`` counts is there, whatever else lies in the files: each segment is written, brought to the
+    disk, and only then counted, in a record that is replaced whole. details: what readers must know, by subject.
+    complete: whether the web has come to its end.
+    """
+
+    path: Path
+    details: dict[str, Any]
+    segments: tuple[SegmentRecord, ...] = ()
+    complete: bool = False
+
+    @classmethod
+    def open(cls, path: str | Path) -> WebFolder:
+        """Read the record of a folder. Raises `StorageError` where there is none or it is damaged."""
+        file = Path(path) / RECORD
+        try:
+            data = json.loads(file.read_text(encoding="utf-8"))
+            if data["format"] != FORMAT or data["version"] != VERSION:
+                raise KeyError(f"format {data['format']!r}, version {data['version']!r}")
+            segments = tuple(_segment(entry) for entry in data["segments"])
+            return cls(Path(path), dict(data["details"]), segments, bool(data["complete"]))
+        except FileNotFoundError as error:
+            raise StorageError(f"{str(path)!r} is no web: it has no {RECORD}; check the path") from error
+        except OSError as error:
+            raise explained("read", file, error) from error
+        except (KeyError, TypeError, ValueError) as error:
+            raise StorageError(f"{str(file)!r} is no record of a web: {error}; check the path") from error
+
+    @classmethod
+    def create(
+        cls, path: str | Path, details: Mapping[str, Any], frame: tuple[int, int], section: tuple[int, int],
+        lengths: tuple[int, int],
+    ) -> WebFolder:  # fmt: skip
+        """Begin a folder. frame: rows and columns.  section: voxels along rho and z.  lengths: frames and columns of a
+        segment. Raises `StorageError` for a path that is taken and whatever the system refuses."""
+        place = Path(path)
+        if os.path.lexists(place) and (not place.is_dir() or any(place.iterdir())):
+            raise StorageError(f"{str(path)!r} exists; choose another path, resume it, or allow overwriting it")
+        folder = cls(place, dict(plain(dict(details), "details")))
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+            for name, shape, length in (("frames", frame, lengths[0]), ("target", section, lengths[1])):
+                _array(place, name, shape, length)
+            folder._save()
+        except OSError as error:
+            raise explained("write", place, error) from error
+        return folder
+
+    @property
+    def frames(self) -> int:
+        """Frames that are whole."""
+        return self.segments[-1].frames[1] if self.segments else 0
+
+    @property
+    def columns(self) -> int:
+        """Columns of the target that are whole."""
+        return self.segments[-1].columns[1] if self.segments else 0
+
+    def append(
+        self, frames: np.ndarray, target: np.ndarray, loss: tuple[float, float], saturated: int, complete: bool
+    ) -> WebFolder:
+        """Add a segment: frames uint8 [pose, row, column], target uint8 [l, rho, z]. Raises `StorageError`."""
+        spans = ((self.frames, self.frames + len(frames)), (self.columns, self.columns + len(target)))
+        record = SegmentRecord(*spans, loss, saturated, (_digest(frames), _digest(target)))
+        longer = replace(self, segments=(*self.segments, record), complete=complete)
+        try:
+            _write(self.path, "frames", spans[0], frames)
+            _write(self.path, "target", spans[1], target)
+            longer._save()
+        except OSError as error:
+            raise explained("write", self.path, error) from error
+        return longer
+
+    def swept(self) -> WebFolder:
+        """The same folder without what an interrupted run left uncounted. Raises `StorageError`."""
+        try:
+            for name, length in (("frames", self.frames), ("target", self.columns)):
+                for file in (self.path / name).rglob(f"*{PARTIAL}"):
+                    file.unlink()
+                array = _open(self.path, name, "r+")
+                if array.shape[0] != length:
+                    array.resize((length, *array.shape[1:]))
+                kept = -(-length // _per_file(array))
+                for file in (self.path / name / "c").glob("*"):
+                    if file.name.isdigit() and int(file.name) >= kept:
+                        _remove(file)
+            (self.path / (RECORD + PARTIAL)).unlink(missing_ok=True)
+        except OSError as error:
+            raise explained("clean", self.path, error) from error
+        return self
+
+    def read(self, name: str, start: int, stop: int) -> np.ndarray:
+        """Entries of ``frames`` or ``target``. Raises `StorageError` where damaged, `BadInput` beyond the end."""
+        end = self.frames if name == "frames" else self.columns
+        if not 0 <= start <= stop <= end:
+            raise BadInput(f"{name} {start} to {stop}; wanted 0 to {end}")
+        try:
+            array = _open(self.path, name, "r")
+            for number in range(start // _per_file(array), -(-stop // _per_file(array))):
+                file = self.path / name / "c" / str(number) / "0" / "0"
+                if not file.is_file():  # Zarr would read darkness
+                    raise FileNotFoundError(f"{file.name} of segment {number} is missing")
+            return np.asarray(array[start:stop])
+        except Exception as error:  # noqa: BLE001 - damaged files raise whatever the codec that met them raises
+            raise StorageError(
+                f"cannot read {name} {start} to {stop} of {str(self.path)!r}: {type(error).__name__}: {error}; "
+                "the web is damaged, write it again"
+            ) from error
+
+    def frame(self, pose: int) -> np.ndarray:
+        """One frame, uint8 [row, column]."""
+        return self.read("frames", pose, pose + 1)[0]
+
+    def verify(self) -> None:
+        """Read everything and compare it with its hashes; raises `StorageError` at the first that differs."""
+        for k, segment in enumerate(self.segments):
+            for name, span, wanted in zip(AXES, (segment.frames, segment.columns), segment.sha256, strict=True):
+                found = _digest(self.read(name, *span))
+                if found != wanted:
+                    raise StorageError(
+                        f"{name} of segment {k} of {str(self.path)!r} has SHA-256 {found[:12]}…, its record says "
+                        f"{wanted[:12]}…; the web was changed or damaged, write it again"
+                    )
+
+    def files(self) -> Iterator[Path]:
+        """Every file that holds frames or target."""
+        for name in AXES:
+            yield from sorted(file for file in (self.path / name).rglob("*") if file.is_file())
+
+    def _save(self) -> None:
+        data = {
+            "format": FORMAT,
+            "version": VERSION,
+            "details": self.details,
+            "segments": [asdict(segment) for segment in self.segments],
+            "complete": self.complete,
+        }
+        draft, file = self.path / (RECORD + PARTIAL), self.path / RECORD
+        with open(draft, "w", encoding="utf-8") as stream:
+            json.dump(data, stream, indent=1, ensure_ascii=False)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(draft, file)
+
+
+def _segment(entry: Mapping[str, Any]) -> SegmentRecord:
+    pairs = {name: tuple(entry[name]) for name in ("frames", "columns", "loss", "sha256")}
+    return SegmentRecord(saturated=int(entry["saturated"]), **pairs)  # type: ignore[arg-type]
+
+
+def _array(place: Path, name: str, section: tuple[int, int], length: int) -> None:
+    import zarr
+    from zarr.codecs import ZstdCodec
+
+    zarr.open_group(place, mode="a", zarr_format=3).create_array(
+        name,
+        shape=(0, *section),
+        dtype=np.uint8,
+        chunks=(1, *section),
+        shards=(length, *section),
+        compressors=ZstdCodec(level=3, checksum=True),
+        dimension_names=AXES[name],
+        config={"write_empty_chunks": True},  # so that a file that went missing is not taken for darkness
+    )
+
+
+def _open(place: Path, name: str, mode: Any) -> Any:
+    import zarr
+
+    return zarr.open_array(place / name, mode=mode, zarr_format=3, config={"write_empty_chunks": True})
+
+
+def _per_file(array: Any) -> int:
+    return int(array.shards[0])
+
+
+def _write(place: Path, name: str, span: tuple[int, int], values: np.ndarray) -> None:
+    """Lengthen an array by a segment, and bring its file to the disk."""
+    if span[0] == span[1]:
+        return
+    array = _open(place, name, "r+")
+    array.resize((span[1], *array.shape[1:]))
+    array[span[0] : span[1]] = values
+    for number in range(span[0] // _per_file(array), -(-span[1] // _per_file(array))):
+        with open(place / name / "c" / str(number) / "0" / "0", "rb") as file:
+            os.fsync(file.fileno())
+
+
+def _remove(folder: Path) -> None:
+    import shutil
+
+    shutil.rmtree(folder)
+
+
+def _digest(values: np.ndarray) -> str:
+    return hashlib.sha256(np.ascontiguousarray(values).data).hexdigest()

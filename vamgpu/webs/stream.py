@@ -1,0 +1,275 @@
+"""An endless print: tiles in, frames out, one segment after the other, in memory that does not grow."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, StorageError, TileError
+from vamgpu.geometry import Beam, positive
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.optimize.bclp import BCLP
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.printing.pack import pack
+from vamgpu.storage.manifest import plain
+from vamgpu.web import WebGrid, Wrap
+from vamgpu.webs.layout import Layout
+from vamgpu.webs.segments import Outcome, Solver
+from vamgpu.webs.store import RECORD, WebFolder
+from vamgpu.webs.tiles import Columns
+
+QUANTILE = 0.9999
+"""Share of the first segment's lit pixels that a full-on mirror reaches."""
+
+Told = Callable[[int, int | None], None]
+"""Told after each segment: how many are done, of how many (None where nobody knows)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """One segment that is decided.
+
+    number: counted from 0.  first: number of its first frame on the web.  images: uint8 [pose, row, column].
+    target: uint8 [l, rho, z], fractions times 255, of the columns that are judged with this segment.  scale: light of a
+    full-on pixel.  loss: of the first and last iteration, overlaps included.  saturated: pixels that wanted more than
+    full-on.  seconds: it took.  last: whether the web ends here.
+    """
+
+    number: int
+    first: int
+    images: np.ndarray
+    target: np.ndarray
+    scale: float
+    loss: tuple[float, float]
+    saturated: int
+    seconds: float
+    last: bool
+    gray: GrayCurve
+
+    @property
+    def frames(self) -> Frames:
+        """The pictures, for whatever shows or simulates them."""
+        return Frames.from_bytes(
+            self.images, "numpy", bits=8, gray=self.gray, scale=self.scale, columns=self.images.shape[2]
+        )
+
+    def __str__(self) -> str:
+        return f"segment {self.number}: frames {self.first} to {self.first + len(self.images) - 1}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Packable:
+    """Light and the operator it belongs to, as `pack` takes them."""
+
+    sinogram: DeviceArray
+    operator: LinearOperator
+
+
+@dataclass(eq=False)
+class Stream:
+    """Frames for a web of any length, decided segment by segment.
+
+    tiles: an iterator of arrays [l, rho, z] of fractions, of any thickness along l; a function of (l, rho, z) [mm] that
+    is negative in the solid; or `Repeated`, a mesh tiled along l.  wrap: the machine, e.g. `Roller`.  beam: its light.
+    section: voxels along rho and z; by default those of a film of ``wrap`` in columns of the beam's width, with a slice
+    a row.  pitch: voxel edges [mm] along l, rho, z; by default one pose along l and the beam's pitch.  length: of the
+    web [mm]; tiles may leave it out and end when they like.  method: `BCLP` with q = p.  iterations: of each segment,
+    the method's own by default.  core, overlap: of a segment, in windows of light.  lens: masks of focus planes
+    (`FocusMasks`) to keep beside the frames.  gray: of the projector.  scale: light of a full-on pixel; by default what
+    the first segment needs, and from then on the same for all: a projector's lamp cannot change from frame to frame.
+
+    Raises `BadInput`, `DeviceError`; while it runs also `TileError`.
+    """
+
+    tiles: Any
+    wrap: Wrap
+    beam: Beam
+    lens: Any = None
+    method: BCLP = field(default_factory=BCLP.paper_002)
+    section: tuple[int, int] | None = None
+    pitch: tuple[float, float, float] | None = None
+    length: float | None = None
+    iterations: int | None = None
+    core: float = 4.0
+    overlap: float = 1.0
+    gray: GrayCurve | None = None
+    scale: float | None = None
+    device: str | Device | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.wrap, Wrap):
+            raise BadInput(f"got {self.wrap!r} as wrap; wanted a Roller, or anything that carries a web past light")
+        if not isinstance(self.beam, Beam):
+            raise BadInput(f"got {self.beam!r} as beam; wanted a Beam")
+        if self.scale is not None:
+            self.scale = positive("scale", self.scale)
+        count = self.method.iterations if self.iterations is None else self.iterations
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise BadInput(f"iterations is {count!r}; wanted a whole number ≥ 1")
+        self.iterations = count
+        self.gray = self.gray or GrayCurve.linear()
+        self.grid = self._section()
+        self.light = self.wrap.propagation(self.grid, self.beam)
+        step = self.wrap.advance / self.grid.edges[0]
+        self.layout = Layout.of(self.light.shape[2], step, self.core, self.overlap)
+        self.device = open_device(self.device)
+        self.solver = Solver(self.layout, self.grid, self.beam, self.light, self.method, self.device)
+
+    def _section(self) -> WebGrid:
+        """One column of the web: section and pitches."""
+        pitch = self.pitch or (self.wrap.advance, self.beam.pitch, self.beam.pitch)
+        if self.section is not None:
+            return WebGrid((1, *self.section), pitch)
+        thickness = getattr(getattr(self.wrap, "film", None), "thickness", None)
+        if thickness is None:
+            raise BadInput("a section is wanted: voxels along rho and z, such as section=(38, 32)")
+        height = self.beam.pixels[1] * self.beam.pitch
+        return WebGrid((1, max(1, round(thickness / pitch[1])), max(1, round(height / pitch[2]))), pitch)
+
+    def __iter__(self) -> Iterator[Segment]:
+        """Segments in order, from the first."""
+        return self.segments()
+
+    @property
+    def total(self) -> int | None:
+        """Segments of the web; None where nobody knows its length."""
+        return None if self.length is None else self.layout.segments(Columns((), self.grid, self.length).end or 0)
+
+    def segments(self, first: int = 0, scale: float | None = None) -> Iterator[Segment]:
+        """Segments from number ``first`` on; with its tiles from the very beginning, and the scale of those before.
+
+        Raises `TileError`: what was yielded before stays valid.
+        """
+        columns, scale = Columns(self.tiles, self.grid, self.length), scale or self.scale
+        number = first
+        while True:
+            began = time.perf_counter()
+            origin = self.layout.origin(number)
+            fractions = columns.take(origin, origin + self.layout.columns)
+            start, stop = self.layout.owned(number, columns.end)
+            if stop <= start:
+                return
+            light, outcome = self.solver.solve(fractions, self.iterations or 1)
+            here = slice(self.layout.overlap, self.layout.overlap + stop - start)
+            scale = scale or self._first_scale(light, here)
+            images = self._pack(light, scale)[here]
+            low, high = (edge - origin for edge in self.layout.printed(number, columns.end))
+            last = columns.end is not None and stop == self.layout.frames(columns.end)
+            yield self._segment(number, start, images, fractions[low:high], scale, outcome, began, last)
+            if last:
+                return
+            number += 1
+
+    def _segment(
+        self, number: int, start: int, images: np.ndarray, fractions: np.ndarray, scale: float, outcome: Outcome,
+        began: float, last: bool,
+    ) -> Segment:  # fmt: skip
+        assert self.gray is not None
+        saturated = int(np.count_nonzero(images == 255))
+        target = np.round(255.0 * fractions).astype(np.uint8)
+        loss = (outcome.first, outcome.last)
+        seconds = time.perf_counter() - began
+        return Segment(number, start, images, target, scale, loss, saturated, seconds, last, self.gray)
+
+    def _first_scale(self, light: DeviceArray, here: slice) -> float:
+        """Light that all but a few lit pixels of the first segment's own frames stay below."""
+        lit = light.numpy()[here]
+        lit = lit[lit > 0]
+        if not lit.size:
+            raise TileError(
+                f"the first {self.layout.core} frames have nothing to print, so that nothing tells how bright a "
+                "full-on pixel must be; begin with the part, or give scale="
+            )
+        rank = min(lit.size - 1, int(QUANTILE * lit.size))
+        return float(np.partition(lit, rank)[rank])
+
+    def _pack(self, light: DeviceArray, scale: float) -> np.ndarray:
+        return pack(_Packable(light, self.solver.operator), 8, self.gray, scale=scale).images.numpy()
+
+    # ---- to a folder -----------------------------------------------------------------------------------------
+    def write(
+        self, path: str | Path, *, resume: bool = True, overwrite: bool = False, told: Told | None = None
+    ) -> WebFolder:
+        """Write every segment to a folder as soon as it is decided, and return the folder.
+
+        resume: go on where an interrupted run of the same stream stopped; tiles are read again from the beginning.
+        overwrite: begin anew. A run that is killed leaves a folder that counts whole segments only.
+        Raises `StorageError` for a folder of another stream, and whatever `segments` raises.
+        """
+        folder = self._begun(Path(path), resume, overwrite)
+        if folder.complete:
+            return folder
+        known = folder.details["frames"]["scale"] if folder.segments else None
+        for segment in self.segments(len(folder.segments), known):
+            if not folder.segments:
+                folder.details["frames"]["scale"] = segment.scale
+            folder = folder.append(segment.images, segment.target, segment.loss, segment.saturated, segment.last)
+            if told is not None:
+                told(len(folder.segments), self.total)
+        return folder
+
+    def _begun(self, place: Path, resume: bool, overwrite: bool) -> WebFolder:
+        if overwrite and (place / RECORD).is_file():
+            shutil.rmtree(place)
+        details = self.details()
+        if resume and (place / RECORD).is_file():
+            folder = WebFolder.open(place).swept()
+            known = {**folder.details, "frames": {**folder.details["frames"], "scale": self.scale}}
+            if known != plain(details, "details"):
+                different = [key for key in details if known.get(key) != plain(details[key], key)]
+                raise StorageError(
+                    f"{str(place)!r} holds another web, with other {', '.join(different) or 'details'}; resume it with "
+                    "the stream that began it, choose another path, or allow overwriting it"
+                )
+            return folder
+        rows, columns = self.beam.pixels[1], self.beam.pixels[0]
+        lengths = self.layout.core, self.layout.columns_per_core
+        section = self.grid.shape[1], self.grid.shape[2]
+        return WebFolder.create(place, details, (rows, columns), section, lengths)
+
+    def details(self) -> dict[str, Any]:
+        """What it takes to read the frames and to go on with them, in plain values."""
+        assert self.gray is not None
+        layout = self.layout
+        return {
+            "grid": {"section": list(self.grid.shape[1:]), "pitch": list(self.grid.edges)},
+            "beam": {"pixels": list(self.beam.pixels), "pitch": self.beam.pitch},
+            "wrap": described(self.wrap),
+            "layout": {
+                "window": layout.window, "step": str(layout.step), "core": layout.core, "overlap": layout.overlap,
+                "lead": layout.lead,
+            },
+            "method": {**described(self.method), "iterations": self.iterations, "step": self.solver.step},
+            "frames": {"bits": 8, "gray": self.gray.describe(), "scale": self.scale, "focus": self._focus()},
+            "length": self.length,
+        }  # fmt: skip
+
+    def _focus(self) -> dict[str, Any] | None:
+        masks = getattr(self.lens, "masks", None)
+        if masks is None:
+            return None
+        return {"planes": list(self.lens.planes), "bin": np.argmax(masks, axis=0).tolist()}
+
+
+def described(value: Any) -> dict[str, Any]:
+    """A frozen noun as plain values: its kind and its fields."""
+    fields = asdict(value) if is_dataclass(value) and not isinstance(value, type) else {}
+    return {"kind": type(value).__name__, **{key: _simple(part) for key, part in fields.items()}}
+
+
+def _simple(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _simple(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_simple(part) for part in value]
+    return value if isinstance(value, (int, float, str, bool, type(None))) else repr(value)
