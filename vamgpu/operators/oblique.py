@@ -65,7 +65,7 @@ class Oblique(LinearOperator):
         self.vessel: Any = None if isinstance(plane, OpenAir) else plane
         self.domain, self.range = VolumeSpace(grid), SinogramSpace(beam, motion)
         self.device = open_device(device)
-        self._places = np.zeros((motion.angles, 2)) if wobble is None else wobble.places(motion) / grid.pitch
+        self._places = np.zeros((motion.angles, 2)) if wobble is None else wobble.places(motion.angles) / grid.pitch
         self._check_places()
         self._tables = self._tabulated(plane or OpenAir())
         self._transpose = Transposed(self)

@@ -40,9 +40,9 @@ class Wobble:
         turn = motion.poses - phase
         return Wobble(-radius * np.sin(turn), -radius * np.cos(turn))
 
-    def places(self, motion: Turntable) -> np.ndarray:
-        """(angles, 2): across and along [mm] at every pose. Raises `BadInput` for another number of poses."""
+    def places(self, poses: int) -> np.ndarray:
+        """(poses, 2): across and along [mm] at every pose. Raises `BadInput` for another number of poses."""
         for name, values in (("across", self.across), ("along", self.along)):
-            if values.ndim and len(values) != motion.angles:
-                raise BadInput(f"Wobble {name} has {len(values)} values; wanted one for each of {motion.angles} poses")
-        return np.stack([np.broadcast_to(v, (motion.angles,)) for v in (self.across, self.along)], axis=1)
+            if values.ndim and len(values) != poses:
+                raise BadInput(f"Wobble {name} has {len(values)} values; wanted one for each of {poses} poses")
+        return np.stack([np.broadcast_to(v, (poses,)) for v in (self.across, self.along)], axis=1)

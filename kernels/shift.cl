@@ -1,0 +1,28 @@
+#include "common.h"
+
+// One lane after the other: neighbors in z sit in one slab, or in the next.
+FIELD_KERNEL shift_images(__global const float *restrict source, __global const float4 *restrict moves,
+                          __global const float *restrict tapers, int after, int lanes, __global float *restrict moved,
+                          int n_image, int n_column, int n_row, int n_move, int n_tile, int n_taper,
+                          int n_angle, int n_r, int n_z) {
+    const int begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_r) : n_r, angle = ITEM_MAJOR;
+    if (angle >= n_angle) return;
+    const int poses = min(n_image, n_angle);
+    for (int r = begin; r < end; r++)
+        for (int lane = 0; lane < WIDTH * VECTORS; lane++) {
+            const int z = ITEM_SLAB * LANES + ITEM_LANE + lane;
+            float sum = 0.0f;
+            for (int k = angle; k < max(n_image, n_angle) && z < n_z; k += n_angle) {
+                const float4 move = moves[k];
+                __global const float *taper = tapers + (size_t)(k / poses) * n_taper;
+                for (int corner = 0; corner < 4; corner++) {
+                    const int column = r + (int)move.x + corner / 2, row = z + (int)move.z + corner % 2;
+                    if (column < 0 || column >= n_column || row < 0 || row >= n_row) continue;
+                    const float share = (corner / 2 ? move.y : 1.0f - move.y) * (corner % 2 ? move.w : 1.0f - move.w);
+                    const size_t at = (((size_t)(row / lanes) * n_image + k % n_image) * n_column + column) * lanes;
+                    sum = fma(share * taper[after ? z : row], source[at + row % lanes], sum);
+                }
+            }
+            moved[slab_offset(n_angle, n_r) + SAMPLE(angle, r, n_r) + lane] = sum;
+        }
+}

@@ -1,0 +1,45 @@
+"""Images moved by parts of a pixel, and cut into tiles or put together again."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
+from vamgpu.kernels.signature import Field, Integer, SinogramOut, Table, Tiling, kernel
+
+Source = Annotated[np.ndarray, Field(("image", "column", "row"))]
+Moves = Annotated[np.ndarray, Table("float32", ("move", "4"))]
+"""Where pixel (0, 0) of a moved image lies in its source: whole columns, part of one, whole rows, part of one."""
+Tapers = Annotated[np.ndarray, Table("float32", ("tile", "taper"))]
+"""Weight of every row of a tile."""
+
+
+def _moved(image: np.ndarray, move: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """One image [column, row] at the places of another of ``shape``, linear between pixels, 0 beyond the edge."""
+    for axis in (0, 1):
+        first, part = np.arange(shape[axis]) + int(move[2 * axis]), move[2 * axis + 1]
+        rows = np.pad(np.moveaxis(image, axis, 0), ((1, 1), (0, 0)))
+        near, far = (rows[np.clip(first + k, 0, len(rows) - 1)] for k in (1, 2))
+        image = np.moveaxis((1 - part) * near + part * far, 0, axis)
+    return image
+
+
+@kernel(over="moved", cpu=Tiling(major=1, minor=0))
+def shift_images(
+    source: Source, moves: Moves, tapers: Tapers, after: Integer, lanes: Integer, moved: SinogramOut
+) -> None:
+    """moved[a] = Σ of the source's images of the same pose, each moved, its rows weighted by its tile's taper.
+
+    Whichever has more images holds tiles: image k belongs to pose k % n, n being the smaller count, to the tile k // n
+    and to the move k.  after: 1 where tapers are of the moved rows, 0 where they are of the source's.  lanes: of the
+    source's layout. With source and moved swapped, the opposite moves and the other ``after`` this is the transpose.
+    """
+    images, angles = len(source), len(moved)
+    moved[...] = 0.0
+    for k in range(max(images, angles)):
+        taper, image = tapers[k // min(images, angles)], source[k % images]
+        if after:
+            moved[k % angles] += _moved(image, moves[k], moved.shape[1:]) * taper
+        else:
+            moved[k % angles] += _moved(image * taper, moves[k], moved.shape[1:])

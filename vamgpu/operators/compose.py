@@ -1,0 +1,111 @@
+"""Operators made of others: one after the other, or side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput, DeviceError, ShapeMismatch
+from vamgpu.kernels.update import linear
+from vamgpu.operators.linear import LinearOperator, Transposed
+
+GEOMETRY = ("grid", "beam", "motion", "vessel")
+"""What else optimizers and reports ask of a projector."""
+
+NO_FLOOR = -3e38
+
+
+def inherit(operator: LinearOperator, source: LinearOperator) -> None:
+    """Give ``operator`` the geometry of ``source``, as far as that has one."""
+    for name in GEOMETRY:
+        if hasattr(source, name):
+            setattr(operator, name, getattr(source, name))
+
+
+def same_device(first: LinearOperator, second: LinearOperator) -> None:
+    """Raise `DeviceError` unless both operators live on one device."""
+    if first.device is not second.device:
+        raise DeviceError(f"{first!r} lives on {first.device}, {second!r} on {second.device}; build both on one device")
+
+
+@final
+class Composed(LinearOperator):
+    """outer ∘ inner, with the geometry of the one that has it. Raises `ShapeMismatch`, `DeviceError`."""
+
+    def __init__(self, outer: LinearOperator, inner: LinearOperator) -> None:
+        if outer.domain != inner.range:
+            raise ShapeMismatch(
+                f"{outer!r} takes {outer.domain!r}, but {inner!r} gives {inner.range!r}; make them equal"
+            )
+        same_device(outer, inner)
+        self.outer, self.inner = outer, inner
+        self.domain, self.range, self.device = inner.domain, outer.range, inner.device
+        inherit(self, outer)
+        inherit(self, inner)
+        self._transpose = Transposed(self)
+
+    def __repr__(self) -> str:
+        return f"Composed({self.outer!r}, {self.inner!r})"
+
+    @property
+    def T(self) -> LinearOperator:  # noqa: N802
+        return self._transpose
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        between = self.device.empty(self.inner.range.shape)
+        self.inner.forward(x, between)
+        self.outer.forward(between, out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        between = self.device.empty(self.inner.range.shape)
+        self.outer.transposed(y, between)
+        self.inner.transposed(between, out)
+
+
+@final
+class Sum(LinearOperator):
+    """Σ weight·operator, e.g. over sub-rays of an aperture, with the geometry of the first.
+
+    weights: one a term, 1 where none are given.  Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
+    """
+
+    def __init__(self, terms: Sequence[LinearOperator], weights: Sequence[float] | None = None) -> None:
+        if not terms or (weights is not None and len(weights) != len(terms)):
+            raise BadInput(f"a sum got {len(terms)} operators and {len(weights or ())} weights; wanted at least one "
+                           "operator, and a weight for each")  # fmt: skip
+        for term in terms[1:]:
+            same_device(terms[0], term)
+            if (term.domain, term.range) != (terms[0].domain, terms[0].range):
+                raise ShapeMismatch(f"{term!r} maps {term.domain!r} to {term.range!r}, but {terms[0]!r} maps "
+                                    f"{terms[0].domain!r} to {terms[0].range!r}; make them equal")  # fmt: skip
+        self.terms = tuple(terms)
+        self.weights = (1.0,) * len(terms) if weights is None else tuple(float(w) for w in weights)
+        self.domain, self.range, self.device = terms[0].domain, terms[0].range, terms[0].device
+        inherit(self, terms[0])
+        self._transpose = Transposed(self)
+
+    def __repr__(self) -> str:
+        return f"Sum({len(self.terms)} of {self.terms[0]!r}, …)"
+
+    @property
+    def T(self) -> LinearOperator:  # noqa: N802
+        return self._transpose
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        self._add([term.forward for term in self.terms], x, out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        self._add([term.transposed for term in self.terms], y, out)
+
+    def _add(self, actions: list, x: DeviceArray, out: DeviceArray) -> None:
+        actions[0](x, out)
+        if self.weights[0] != 1.0:
+            self._combine(self.weights[0], out, 0.0, out, out)
+        part = self.device.empty(out.shape) if len(actions) > 1 else out
+        for weight, action in zip(self.weights[1:], actions[1:], strict=True):
+            action(x, part)
+            self._combine(1.0, out, weight, part, out)
+
+    def _combine(self, a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray) -> None:
+        self.device.launch(linear, a=a, x=x, b=b, y=y, floor=NO_FLOOR, out=out)

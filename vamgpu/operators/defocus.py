@@ -1,0 +1,189 @@
+"""Depth of focus: light that is blurred by how far it is from the focus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import hypot, log, pi, sqrt
+from typing import Any, final
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Chords, Vessel, positive
+from vamgpu.operators.blur import Blur, gaussian
+from vamgpu.operators.compose import Composed, Sum, inherit
+from vamgpu.operators.light import EQUAL, OpenAir
+from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.oblique import Oblique
+from vamgpu.operators.projection import Projection
+
+TO_SIGMA = 1.0 / sqrt(8.0 * log(2.0))
+MIXED = 0.055, 0.3
+"""Halfway between two Gaussians whose widths differ by exp(0.3), their mixture is 5.5 % narrower than its variance
+says; the gap grows with the square of the exponent."""
+
+Surface = float | Callable[[np.ndarray], Any]
+
+
+@dataclass(frozen=True)
+class Defocus:
+    """How wide one pixel's light is at every depth: FWHM(depth) = fwhm · sqrt(1 + (2·depth / depth_of_focus)²).
+
+    That is the waist of a beam of any quality: at the ends of the depth of focus light is √2 wider than in focus. A
+    projector's two numbers rarely agree with an ideal Gaussian; ``quality`` tells by how much.
+
+    Args:
+        fwhm: full width at half maximum of one pixel's light in focus, in the plane of the beam's pixels [mm].
+        depth_of_focus: length of the light's way over which it stays below √2·fwhm, in the resin [mm].
+        focus: where the light is in focus, downstream of the axis [mm]: a number, or a function of the columns' offsets
+            [mm] for a focus that a lens curves.
+
+    Raises:
+        BadInput: a width or a depth that is not above 0.
+    """
+
+    fwhm: float
+    depth_of_focus: float
+    focus: Surface = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("fwhm", "depth_of_focus"):
+            object.__setattr__(self, name, positive(f"Defocus {name} [mm]", getattr(self, name)))
+        if not callable(self.focus) and not np.isfinite(self.focus):
+            raise BadInput(f"Defocus focus is {self.focus!r}; wanted a depth [mm] or a function of the columns")
+
+    def width(self, depth: Any) -> np.ndarray:
+        """FWHM [mm] at a depth [mm] before or behind the focus."""
+        return self.fwhm * np.sqrt(1.0 + (2.0 * np.asarray(depth) / self.depth_of_focus) ** 2)
+
+    def variance(self, u: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """σ² [mm²] at depths [mm] downstream of the axis in the light of the columns at u."""
+        focus = self.focus(u) if callable(self.focus) else self.focus
+        return (TO_SIGMA * self.width(depth - np.asarray(focus))) ** 2
+
+    def quality(self, wavelength: float) -> float:
+        """Beam quality M² at a wavelength [mm]: 1 for an ideal Gaussian beam of this width."""
+        waist = self.fwhm / sqrt(2.0 * log(2.0))
+        return pi * waist**2 / (positive("wavelength [mm]", wavelength) * 0.5 * self.depth_of_focus)
+
+
+@dataclass(frozen=True, eq=False)
+class Graded:
+    """A vessel of whose light a share counts, which depends on the place: share(u, across, along)."""
+
+    vessel: Vessel
+    share: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+    @property
+    def absorption(self) -> float:
+        return self.vessel.absorption
+
+    @property
+    def lit_radius(self) -> float:
+        return self.vessel.lit_radius
+
+    def chords(self, u: np.ndarray) -> Chords:
+        return self.vessel.chords(u)
+
+    def illuminate(self, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        u, weight = self.vessel.illuminate(across, along)
+        return u, weight * self.share(u, across, along)
+
+
+def _depth(plane: Vessel, u: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """How far [mm] points lie downstream on their rays, counted from where a ray passes the axis."""
+    angle = plane.chords(u).angle
+    return along * np.cos(angle) - across * np.sin(angle)
+
+
+@dataclass(frozen=True, eq=False)
+class _GradedRows:
+    """The same for light that climbs."""
+
+    plane: Graded
+    rows: Callable[..., Any]
+
+
+@final
+class Defocused(LinearOperator):
+    """A projector whose light has a width that grows away from the focus, across columns and across rows.
+
+    A = Σ Bₖ·Pₖ: the projector Pₖ counts the light whose variance is near that of node k, straight lines between nodes,
+    and Bₖ blurs by that variance, so a pixel's light is as wide as ``defocus`` says at every depth, its interpolation
+    between pixels included (where that alone is wider, light stays that wide). Depths are counted
+    along the rays from where they pass the axis. Every pair costs as many as there are nodes.
+
+    operator: a `Projection` or an `Oblique`.  tolerance: largest share by which the FWHM may miss the formula between
+    nodes.  Raises `BadInput`.
+    """
+
+    def __init__(self, operator: Projection | Oblique, defocus: Defocus, tolerance: float = 0.02) -> None:
+        if not isinstance(operator, (Projection, Oblique)):
+            raise BadInput(f"Defocused got {operator!r}; wanted a Projection or an Oblique; wrap the result afterwards")
+        if not isinstance(defocus, Defocus):
+            raise BadInput(f"Defocused got {defocus!r}; wanted Defocus(fwhm=…, depth_of_focus=…)")
+        self.operator, self.defocus = operator, defocus
+        self.domain, self.range, self.device = operator.domain, operator.range, operator.device
+        inherit(self, operator)
+        self.nodes = self._chosen(positive("tolerance", tolerance))
+        blurs = (self._blur(node) for node in self.nodes)
+        self._sum = Sum([Composed(blur, self._part(k)) for k, blur in enumerate(blurs)])
+        self._transpose = Transposed(self)
+
+    def __repr__(self) -> str:
+        return f"Defocused({self.operator!r}, {self.defocus!r})"
+
+    @property
+    def T(self) -> LinearOperator:  # noqa: N802
+        return self._transpose
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        self._sum.forward(x, out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        self._sum.transposed(y, out)
+
+    @property
+    def _plane(self) -> Vessel:
+        return self.operator.vessel or OpenAir()
+
+    def _chosen(self, tolerance: float) -> np.ndarray:
+        """Variances [mm²] that light is sorted by, from the sharpest to the widest in the volume."""
+        grid = self.operator.grid
+        corner = hypot(*(0.5 * (n + 3) * grid.pitch for n in grid.shape[:2]))
+        reach = min(self._plane.lit_radius, corner)
+        position = np.linspace(-reach, reach, 257)
+        across, along = np.meshgrid(position, position, indexing="ij")
+        lit = np.hypot(across, along) <= reach
+        u, _ = self._plane.illuminate(across[lit], along[lit])
+        variance = self.defocus.variance(u, _depth(self._plane, u, across[lit], along[lit]))
+        if not np.isfinite(variance).all():
+            raise BadInput("the focus is not finite everywhere in the volume; wanted a depth [mm] for every column")
+        low, high = float(variance.min()), float(variance.max())
+        largest, step = MIXED
+        count = int(np.ceil(0.5 * log(high / low) / (step * sqrt(tolerance / largest)))) if high > low else 0
+        return np.geomspace(low, high, count + 1)
+
+    def _part(self, k: int) -> LinearOperator:
+        """The projector of the light near node k."""
+        nodes, defocus, A = self.nodes, self.defocus, self.operator
+
+        def share(u: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.ndarray:
+            hat = np.zeros(len(nodes))
+            hat[k] = 1.0
+            return np.interp(defocus.variance(u, _depth(A.vessel or OpenAir(), u, across, along)), nodes, hat)
+
+        plane = Graded(self._plane, share)
+        if isinstance(A, Projection):
+            return Projection(A.grid, A.beam, A.motion, plane, A.device)
+        rows = getattr(A.light, "rows", None)
+        light = plane if rows is None else _GradedRows(plane, rows)
+        return Oblique(A.grid, A.beam, A.motion, light, A.wobble, A.device)
+
+    def _blur(self, variance: float) -> Blur:
+        """The blur of a node."""
+        ratio = self.operator.grid.pitch / self.operator.beam.pitch
+        taps = gaussian(sqrt(variance) / TO_SIGMA / self.operator.beam.pitch, 1.0 if ratio <= EQUAL else ratio)
+        return Blur(self.range, self.device, taps, taps)

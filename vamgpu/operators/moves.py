@@ -1,0 +1,203 @@
+"""Images that are moved: an axis that wobbles together with its vessel, and tiles of a beam that is moved along z."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, floor
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Beam
+from vamgpu.kernels.shift import shift_images
+from vamgpu.operators.compose import inherit
+from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.space import require
+from vamgpu.operators.wobble import Wobble
+
+
+class Shift:
+    """Moves images by parts of a pixel, there and back; between pixels it interpolates linearly.
+
+    moves: (images, 2), columns and rows by which a moved pixel lies further on in its source, both counted from the
+    middle.  source, moved: shapes (columns, rows) of the images.
+    """
+
+    def __init__(self, device: Device, moves: np.ndarray, source: tuple[int, int], moved: tuple[int, int]) -> None:
+        start = moves + 0.5 * (np.array(source) - 1) - 0.5 * (np.array(moved) - 1)
+        start = np.where(np.abs(start - np.round(start)) < 1e-6, np.round(start), start)
+        self.device = device
+        self._there, self._back = (device.table(_whole_and_part(s)) for s in (start, -start))
+
+    def there(self, source: DeviceArray, tapers: DeviceArray, moved: DeviceArray) -> None:
+        """moved = tapers × the source's images, moved."""
+        self._launch(source, self._there, tapers, 1, moved)
+
+    def back(self, moved: DeviceArray, tapers: DeviceArray, source: DeviceArray) -> None:
+        """The transpose of ``there``."""
+        self._launch(moved, self._back, tapers, 0, source)
+
+    def _launch(self, source: Any, moves: DeviceArray, tapers: DeviceArray, after: int, out: DeviceArray) -> None:
+        given = {"source": source, "moves": moves, "tapers": tapers, "after": after, "moved": out}
+        self.device.launch(shift_images, **given, lanes=source.lanes)
+
+
+def _whole_and_part(start: np.ndarray) -> np.ndarray:
+    whole = np.floor(start)
+    return np.stack([whole[:, 0], start[:, 0] - whole[:, 0], whole[:, 1], start[:, 1] - whole[:, 1]], axis=1)
+
+
+def _check_projector(operator: Any, name: str) -> None:
+    if not isinstance(operator, LinearOperator) or not hasattr(operator.range, "beam"):
+        raise BadInput(f"{name} got {operator!r}; wanted a projector from a volume to the pixels of a beam")
+
+
+@final
+class Wobbled(LinearOperator):
+    """A projector whose axis, vessel and all, stands elsewhere at every pose: its images move along r.
+
+    Only `Wobble.across` moves them, by parts of a pixel: parallel light is the same all along its way. For light that
+    is not, give the wobble to `Oblique`, which also has no need to interpolate.
+
+    operator: any projector to [angle, r, z].  Raises `BadInput` for a wobble beyond the beam.
+    """
+
+    def __init__(self, operator: Any, wobble: Wobble) -> None:
+        _check_projector(operator, "Wobbled")
+        self.operator, self.wobble = operator, wobble
+        self.domain, self.range, self.device = operator.domain, operator.range, operator.device
+        inherit(self, operator)
+        beam, poses = operator.range.beam, operator.range.shape[0]
+        across, half = wobble.places(poses)[:, 0], 0.5 * beam.pixels[0] * beam.pitch
+        if np.abs(across).max() >= half:
+            raise BadInput(f"the axis wanders {np.abs(across).max():.4g} mm off, beyond the beam of {half:.4g} mm "
+                           "either side; wanted less: check the wobble's unit, mm")  # fmt: skip
+        moves = np.stack([-across / beam.pitch, np.zeros(poses)], axis=1)
+        self._shift = Shift(self.device, moves, beam.pixels, beam.pixels)
+        self._tapers = self.device.table(np.ones((1, beam.pixels[1])))
+        self._transpose = Transposed(self)
+
+    def __repr__(self) -> str:
+        return f"Wobbled({self.operator!r}, {self.wobble!r})"
+
+    @property
+    def T(self) -> LinearOperator:  # noqa: N802
+        return self._transpose
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        still = self.device.empty(self.range.shape)
+        self.operator.forward(x, still)
+        self._shift.there(still, self._tapers, out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        still = self.device.empty(self.range.shape)
+        self._shift.back(y, self._tapers, still)
+        self.operator.transposed(still, out)
+
+
+@dataclass(frozen=True)
+class TiledSpace:
+    """Images of a beam at several places, those of one tile after those of the other, axes ``[tile · pose, r, z]``."""
+
+    beam: Beam
+    poses: int
+    tiles: int
+    axes = ("tile · pose", "r", "z")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Tiles times poses, columns and rows."""
+        return (self.tiles * self.poses, *self.beam.pixels)
+
+
+@final
+class Tiles(LinearOperator):
+    """A volume taller than the beam, exposed in turns with the beam at several heights; range [tile·angle, r, row].
+
+    Optimize with the tall projector, then ``split`` its light: tiles overlap with complementary weights, so that their
+    dose is that of the tall light and a beam set down a little off leaves no seam. Or optimize the tiles themselves.
+
+    operator: a projector whose tall beam covers the volume.  rows: of the machine's beam.  overlap: least rows that
+    neighbors share.  centers: middles of the tiles [mm along z] in their order, if not evenly spaced whole rows.
+
+    Raises `BadInput` for overlaps as high as the beam and for tiles that leave a gap.
+    """
+
+    def __init__(self, operator: Any, rows: int, overlap: int = 0, centers: ArrayLike | None = None) -> None:
+        _check_projector(operator, "Tiles")
+        if not 0 <= overlap < rows:
+            raise BadInput(f"tiles of {rows} rows overlap by {overlap}; wanted 0 or more, and fewer than the rows")
+        self.operator, self.device, self.domain = operator, operator.device, operator.domain
+        inherit(self, operator)
+        tall: Beam = operator.range.beam
+        self.centers = _spread(tall, rows, overlap) if centers is None else np.atleast_1d(np.asarray(centers, float))
+        self.tapers = _tapers(tall, rows, self.centers)
+        tile, poses = Beam((tall.pixels[0], rows), tall.pitch), operator.range.shape[0]
+        self.range: Any = TiledSpace(tile, poses, len(self.centers))
+        moves = np.repeat(self.centers / tall.pitch, poses)
+        both = np.stack([np.zeros(len(moves)), moves], axis=1)
+        self._shift = Shift(self.device, both, tall.pixels, tile.pixels)
+        self._even, self._tapered = (self.device.table(t) for t in (np.ones_like(self.tapers), self.tapers))
+        self._transpose = Transposed(self)
+
+    def __repr__(self) -> str:
+        return f"Tiles({self.operator!r}, rows={self.range.beam.pixels[1]}, centers={self.centers.tolist()})"
+
+    @property
+    def T(self) -> LinearOperator:  # noqa: N802
+        return self._transpose
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        tall = self.device.empty(self.operator.range.shape)
+        self.operator.forward(x, tall)
+        self._shift.there(tall, self._even, out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        tall = self.device.empty(self.operator.range.shape)
+        self._shift.back(y, self._even, tall)
+        self.operator.transposed(tall, out)
+
+    def split(self, light: Any) -> Any:
+        """Light of the tall beam as tiles whose overlaps share it: ``T(split(light))`` is the tall light's dose."""
+        require(self.operator.range, light, "the light")
+        source = light if isinstance(light, DeviceArray) else self.device.upload(light)
+        tiles = self.device.empty(self.range.shape)
+        self._shift.there(source, self._tapered, tiles)
+        return tiles if isinstance(light, DeviceArray) else tiles.numpy()
+
+
+def _spread(tall: Beam, rows: int, overlap: int) -> np.ndarray:
+    """Middles [mm] of the fewest tiles that cover a beam, at whole rows."""
+    left = max(tall.pixels[1] - rows, 0)
+    count = 1 + ceil(left / (rows - overlap))
+    starts = np.array([floor(left * k / max(count - 1, 1)) for k in range(count)])
+    return (starts + 0.5 * (rows - 1) - 0.5 * (tall.pixels[1] - 1)) * tall.pitch
+
+
+def _tapers(tall: Beam, rows: int, centers: np.ndarray) -> np.ndarray:
+    """(tile, row): weights that fall in a straight line over every overlap and add up to one."""
+    if centers.ndim != 1 or not centers.size or not np.isfinite(centers).all() or (np.diff(centers) <= 0).any():
+        raise BadInput(f"centers of tiles are {centers}; wanted finite heights [mm] that rise from tile to tile")
+    low, high = (centers + side * 0.5 * rows * tall.pitch for side in (-1, 1))
+    edge = 0.5 * tall.pixels[1] * tall.pitch
+    bounds = np.concatenate([[-edge], high]), np.concatenate([low, [edge]])
+    for above, below in zip(*bounds, strict=True):
+        if below - above > 1e-6 * tall.pitch:
+            raise BadInput(f"tiles leave a gap from z = {above:.4g} to {below:.4g} mm; wanted neighbors that touch: "
+                           "more tiles, or more rows a tile")  # fmt: skip
+    z = centers[:, None] + (np.arange(rows) - 0.5 * (rows - 1)) * tall.pitch
+
+    def ramp(tile: int, where: np.ndarray) -> np.ndarray:
+        rise = fall = np.ones_like(where)
+        if tile > 0 and high[tile - 1] > low[tile]:
+            rise = np.clip((where - low[tile]) / (high[tile - 1] - low[tile]), 0.0, 1.0)
+        if tile < len(centers) - 1 and high[tile] > low[tile + 1]:
+            fall = np.clip((high[tile] - where) / (high[tile] - low[tile + 1]), 0.0, 1.0)
+        return np.where((where > low[tile]) & (where < high[tile]), np.minimum(rise, fall), 0.0)
+
+    total = sum(ramp(tile, z) for tile in range(len(centers)))
+    return np.stack([ramp(tile, z[tile]) for tile in range(len(centers))]) / np.asarray(total)
