@@ -95,6 +95,9 @@ def test_focus() -> None:
     assert PAPER.defocus <= 1.9 and PAPER.bins_needed == 3
     two = replace(PAPER, lens=TunableLens(bins=2))
     assert "2 depth bins leave 2.2" in two.broken[0] and "3 bins would do" in two.broken[0]
+    coarse = replace(PAPER, lens=TunableLens(index=1.33, quantum=0.005))
+    assert coarse.defocus - PAPER.defocus == pytest.approx(0.0025 * 53.2)
+    assert replace(PAPER, lens=TunableLens(index=1.33, quantum=0.02)).bins_needed == 4
     with pytest.raises(BadInput, match="the lens reaches 5 to 5.1 dpt"):
         replace(PAPER, lens=TunableLens(powers=(5.0, 5.1)))
 

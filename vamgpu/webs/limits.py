@@ -70,7 +70,6 @@ class Limits:
         whole = self.roller.beam(self.display.pitch, 1).pixels[0]
         return Beam((min(whole, self.display.pixels[0]), self.display.pixels[1]), self.display.pitch)
 
-    # ---- at the speed that is wanted ------------------------------------------------------------------------------
     @property
     def advance(self) -> float:
         """Way of the web from pose to pose [mm], along its neutral line."""
@@ -132,7 +131,6 @@ class Limits:
         bins = self.lens.bins
         return 0 if bins == 1 else bins - 1 if self.display.turning else bins
 
-    # ---- what limits it -------------------------------------------------------------------------------------------
     def sampling_limit(self, speed: float) -> float:
         """Most poses per way of a web [1/mm] at a speed [mm/s] that the lens's settling allows: f/(M·v) (S20)."""
         busy = self.moves * self.lens.settle
@@ -186,7 +184,6 @@ class Limits:
                          f"depth of focus of {self.depth_of_focus:g} mm; {self.bins_needed} bins would do")
         return tuple(found)
 
-    # ---- film and focus -------------------------------------------------------------------------------------------
     @property
     def lit_way(self) -> float:
         """Way [mm] of a piece of the film through the light: half a turn and both legs."""
@@ -218,16 +215,19 @@ class Limits:
 
     @property
     def defocus(self) -> float:
-        """Largest distance [mm] of a column's film from its focus plane."""
-        return float(self.masks.defocus.max())
+        """Largest distance [mm] of a column's film from its focus plane, the rounding of the lens's power added."""
+        return float(self.masks.defocus.max()) + self._rounding
 
     @property
     def bins_needed(self) -> int:
         """Fewest depth bins that keep every column within half the depth of focus."""
-        film = self.roller.film
-        return bins_needed(self.beam, self.roller.radius, film.thickness, 0.5 * self.depth_of_focus)
+        spare = max(0.5 * self.depth_of_focus - self._rounding, self.display.pitch)
+        return bins_needed(self.beam, self.roller.radius, self.roller.film.thickness, spare)
 
-    # ---- angles ---------------------------------------------------------------------------------------------------
+    @property
+    def _rounding(self) -> float:
+        return -0.5 * self.lens.quantum * self.lens.slope
+
     @property
     def coverage(self) -> float:
         """Range of angles [rad] from which light crosses the film: 2·asin(n_bath / n_resin) (S11)."""
