@@ -11,6 +11,7 @@ from vamgpu.errors import BadInput, RayError
 from vamgpu.geometry import Beam
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
+from vamgpu.optics.roller_index import IndexField
 from vamgpu.optics.roller_rays import End, Layers, trace
 from vamgpu.optics.wrap_map import WrapMap
 from vamgpu.web import Propagation, WebGrid, Wrap
@@ -305,3 +306,41 @@ def test_widest_beam_meets_the_film_everywhere() -> None:
         beam = machine.beam(pitch, 4)
         assert np.max(np.abs(beam.columns())) < 10.5
         assert 0.5 * beam.pixels[0] * pitch >= 10.5 * (1 - 1e-9)
+
+
+def graded(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Denser towards the roller, the same along the web."""
+    rho = np.hypot(x, np.minimum(y, 0.0)) - 7.5
+    return 1.49 + 0.03 * np.exp(-rho)
+
+
+def test_marching_through_one_index_is_going_straight() -> None:
+    same = IndexField(lambda x, y: np.full(x.shape, 1.49), stride=0.31)
+    machine, marched = roller(rays=4), roller(rays=4, index=same)
+    beam = Beam((100, 4), 0.2)
+    one, other = (m.propagation(grid(m), beam).dense() for m in (machine, marched))
+    assert np.max(np.abs(one - other)) < 1e-9
+
+
+def test_marched_rays_keep_the_invariant_of_a_graded_film() -> None:
+    """n(r)·p is the same all along a ray where n depends on r alone; the error falls with the stride squared."""
+    u = np.linspace(0.5, 9.5, 19)
+    errors = []
+    for stride in (0.2, 0.1, 0.05):
+        traced = roller(index=IndexField(graded, stride)).trace(u)
+        s = traced.segments
+        kept = [np.flatnonzero((s.ray == ray) & (s.side == 0))[-1] for ray in range(u.size)]
+        middle = np.hypot(s.x + 0.5 * s.length * s.dx, s.y + 0.5 * s.length * s.dy)[kept]
+        impact = (s.x * s.dy - s.y * s.dx)[kept]
+        found = (1.49 + 0.03 * np.exp(-(middle - 7.5))) * impact
+        errors.append(np.max(np.abs(found / (u * 1.33) - 1)))
+    assert errors[2] < 2e-5
+    assert errors[0] / errors[2] > 10
+    assert roller(index=IndexField(graded)).trace(u).length[-1] != pytest.approx(roller().trace(u).length[-1], rel=1e-4)
+
+
+def test_index_that_is_none_is_told() -> None:
+    with pytest.raises(BadInput, match="at least 1"):
+        roller(index=IndexField(lambda x, y: 0.5 + 0 * x)).trace([1.0])
+    with pytest.raises(BadInput, match="function"):
+        IndexField(1.5)  # type: ignore[arg-type]

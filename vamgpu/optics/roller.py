@@ -15,6 +15,7 @@ from vamgpu.optics.film import Film
 from vamgpu.optics.inputs import Floats, as_offsets
 from vamgpu.optics.roller_cells import cells
 from vamgpu.optics.roller_coverage import Coverage, coverage
+from vamgpu.optics.roller_index import IndexField
 from vamgpu.optics.roller_rays import Layers, Traced, trace
 from vamgpu.optics.wrap_map import WrapMap
 from vamgpu.web import Propagation, WebGrid
@@ -39,7 +40,8 @@ class Roller:
     divergence: half angle [rad] of the fan of light that each column is in the bath, even in its sine, about the point
     where the column meets the middle of the film.  neutral: depth of the line that bending does not stretch, in
     thicknesses from the roller.  rays, fan: rays across the width and across the fan of a column; where the walls of
-    voxels run along the light, a voxel's share of a column is known to one ray.
+    voxels run along the light, a voxel's share of a column is known to one ray.  index: of the resin where it changes
+    from place to place: rays are then marched through the film; coverage, gain and aperture keep to the film's own.
 
     Raises `BadInput`: a value out of range; `RayError`: legs left open for a film that absorbs nothing.
     """
@@ -54,6 +56,7 @@ class Roller:
     neutral: float = 0.5
     rays: int = 32
     fan: int = 9
+    index: IndexField | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.film, Film):
@@ -202,7 +205,7 @@ class Roller:
         film = self.film
         thick, sheet = film.substrate or (0.0, film.resin_index)
         return Layers(self.radius, self.outer, self.outer + thick, leg, film.resin_index, film.bath_index, sheet,
-                      self.reflectivity)
+                      self.reflectivity, self.index)
 
 
 def _bounded(name: str, value: float, most: float, wanted: str) -> None:

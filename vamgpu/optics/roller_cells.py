@@ -19,7 +19,7 @@ from vamgpu.optics.wrap_map import WrapMap
 
 Reals = NDArray[np.floating]
 
-MOST_CROSSINGS = 1 << 17
+MOST_CROSSINGS = 1 << 16
 """Crossings, and voxels, held at once: what stays in a processor's cache."""
 SMALLEST_IMPACT = 1e-12
 """Keeps the angle of a ray that runs through the axis defined [mm]; far below rounding."""

@@ -14,7 +14,8 @@ import numpy as np
 
 from vamgpu.errors import RayError
 from vamgpu.optics.inputs import Floats
-from vamgpu.optics.interface import transmittance
+from vamgpu.optics.roller_faces import reflect, refract
+from vamgpu.optics.roller_index import IndexField
 
 MOST_FACES = 2000
 """Faces a ray may meet before it is said never to leave."""
@@ -32,7 +33,8 @@ class End(IntEnum):
 @dataclass(frozen=True)
 class Layers:
     """What a ray can meet. inner, outer: radii of the film [mm].  shell: outer radius of the substrate, or outer.
-    leg: length of the legs [mm].  resin, bath, sheet: refractive indices.  reflectivity: of the roller.
+    leg: length of the legs [mm].  resin, bath, sheet: refractive indices.  reflectivity: of the roller.  field: index
+    of the resin where it changes from place to place, instead of ``resin``.
     """
 
     inner: float
@@ -43,6 +45,11 @@ class Layers:
     bath: float
     sheet: float
     reflectivity: float
+    field: IndexField | None = None
+
+    def resin_at(self, x: Floats, y: Floats) -> Floats:
+        """Index of the resin at wrapped places."""
+        return np.full(x.shape, self.resin) if self.field is None else self.field.at(x, y)
 
 
 @dataclass(frozen=True)
@@ -97,13 +104,10 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Trace
     end = np.full(x.size, int(End.MISSED), dtype=np.int8)
     share[rays["ray"]] = first
     pieces: list[dict[str, Any]] = []
-    for _ in range(MOST_FACES):
+    for _ in range(MOST_FACES + _strides(layers)):
         if not rays["ray"].size:
             break
-        far, face = _next_face(layers, rays)
-        pieces.append(_piece(rays, far))
-        rays["x"], rays["y"] = rays["x"] + far * rays["dx"], rays["y"] + far * rays["dy"]
-        rays["path"] = rays["path"] + np.where(rays["film"], far, 0.0)
+        face = _advance(layers, rays, pieces)
         fate = _meet(layers, rays, face)
         entering = rays["film"] & (share[rays["ray"]] == 0)
         share[rays["ray"][entering]] = rays["power"][entering]
@@ -119,7 +123,31 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Trace
 
 
 _GOES_ON = -1
-_INNER, _OUTER, _MIDDLE, _FINISH = range(4)
+_INNER, _OUTER, _MIDDLE, _FINISH, _NONE = range(5)
+
+
+def _strides(layers: Layers) -> int:
+    """More strides than a ray has that goes the length of the window four times."""
+    return 0 if layers.field is None else int(4.0 * (layers.leg + layers.shell) / layers.field.stride)
+
+
+def _advance(layers: Layers, rays: dict[str, Any], pieces: list[dict[str, Any]]) -> np.ndarray:
+    """Go straight on to the next face, or by a stride where the index changes; returns the faces that are met."""
+    far, face = _next_face(layers, rays)
+    strength, field = np.ones(far.size), layers.field
+    if field is not None:
+        far = np.where(rays["film"], np.minimum(far, field.stride), far)
+        strength = field.kick(rays, 0.5 * far, layers.resin_at(rays["x"], rays["y"]))
+        way, face = _next_face(layers, rays)
+        # A way that ends a hair before a face ends at it.
+        face = np.where(rays["film"] & (way > far * (1.0 + 1e-9) + 1e-12), _NONE, face)
+        far = np.where(face == _NONE, far, way)
+    pieces.append(_piece(rays, far))
+    rays["x"], rays["y"] = rays["x"] + far * rays["dx"], rays["y"] + far * rays["dy"]
+    rays["path"] = rays["path"] + np.where(rays["film"], far, 0.0)
+    if field is not None:
+        field.kick(rays, 0.5 * far, strength)
+    return face
 
 
 def _entered(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> dict[str, Any]:
@@ -140,8 +168,8 @@ def _entered(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> di
         "side": np.where(front, 0, side)[keep].astype(np.int8),
         "film": np.full(keep.size, layers.shell == layers.outer),
     }  # fmt: skip
-    inside = np.where(rays["film"], layers.resin, layers.sheet)
-    crossed = _refract(rays, np.full(keep.size, layers.bath), inside, np.ones(keep.size, dtype=bool))
+    inside = np.where(rays["film"], layers.resin_at(rays["x"], rays["y"]), layers.sheet)
+    crossed = refract(rays, np.full(keep.size, layers.bath), inside, np.ones(keep.size, dtype=bool))
     rays = {name: value[crossed] for name, value in rays.items()}
     grazing = (rays["side"] == 0) & (rays["y"] >= 0)
     rays["side"] = np.where(grazing, np.sign(rays["x"]), rays["side"]).astype(np.int8)
@@ -179,46 +207,17 @@ def _meet(layers: Layers, rays: dict[str, Any], face: np.ndarray) -> np.ndarray:
     roller = (face == _INNER) & film & curved
     within = ((face == _OUTER) & film & (layers.shell > layers.outer)) | ((face == _INNER) & ~film)
     bath = ((face == _INNER) | (face == _OUTER)) & ~roller & ~within
-    here = np.where(film, layers.resin, layers.sheet)
-    there = np.where(within, np.where(film, layers.sheet, layers.resin), layers.bath)
-    crossed = _refract(rays, here, there, within | bath)
+    resin = layers.resin_at(rays["x"], rays["y"])
+    here = np.where(film, resin, layers.sheet)
+    there = np.where(within, np.where(film, layers.sheet, resin), layers.bath)
+    crossed = refract(rays, here, there, within | bath)
     rays["film"] = film ^ (crossed & within)
     fate[crossed & bath] = End.BATH
-    _reflect(rays, roller | ((within | bath) & ~crossed))
+    reflect(rays, roller | ((within | bath) & ~crossed))
     if layers.reflectivity == 0:
         fate[roller] = End.ROLLER
     rays["power"] = np.where(roller, rays["power"] * (layers.reflectivity or 1.0), rays["power"])
     return fate
-
-
-def _normals(rays: dict[str, Any]) -> tuple[Floats, Floats]:
-    radius = np.hypot(rays["x"], rays["y"])
-    curved = rays["side"] == 0
-    return np.where(curved, rays["x"] / radius, rays["side"]), np.where(curved, rays["y"] / radius, 0.0)
-
-
-def _reflect(rays: dict[str, Any], where: np.ndarray) -> None:
-    nx, ny = _normals(rays)
-    back = np.where(where, 2.0 * (rays["dx"] * nx + rays["dy"] * ny), 0.0)
-    rays["dx"], rays["dy"] = rays["dx"] - back * nx, rays["dy"] - back * ny
-
-
-def _refract(rays: dict[str, Any], before: Floats, after: Floats, where: np.ndarray) -> np.ndarray:
-    """Cross a face with Snell's law and Fresnel's loss; returns which rays did, the others are totally reflected."""
-    nx, ny = _normals(rays)
-    facing = rays["dx"] * nx + rays["dy"] * ny
-    ratio, cosine = before / after, np.minimum(np.abs(facing), 1.0)
-    square = 1.0 - ratio**2 * (1.0 - cosine) * (1.0 + cosine)
-    crossed = where & (square >= 0)
-    beyond = np.sqrt(np.maximum(square, 0.0))
-    bend = np.where(facing < 0, -1.0, 1.0) * (beyond - ratio * cosine)
-    same = before == after
-    share = np.where(same, 1.0, transmittance(cosine, beyond, before, after))  # type: ignore[arg-type] - per ray
-    change = crossed & ~same
-    rays["dx"] = np.where(change, ratio * rays["dx"] + bend * nx, rays["dx"])
-    rays["dy"] = np.where(change, ratio * rays["dy"] + bend * ny, rays["dy"])
-    rays["power"] = np.where(crossed, rays["power"] * share, rays["power"])
-    return crossed
 
 
 _KEPT = ("ray", "x", "y", "dx", "dy", "power", "side")
