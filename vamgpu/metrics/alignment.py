@@ -1,0 +1,121 @@
+"""Where a measured surface lies: the rigid motion that lays it on its target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import counts
+from vamgpu.metrics.nearest import Array, Nearest, as_points
+
+_ROUGH = 12
+"""Steps that bring points to their nearest points before steps slide them along the surface."""
+_SETTLED = 1e-7
+"""A step that moves no point by more than this part of the points' extent is the last."""
+_PATIENCE, _BETTER = 5, 1e-4
+"""So is one after which several bettered the RMS distance by no more than this share."""
+_DAMPING = 1e-2
+"""Motions that change the distances less than this share of what others do, such as turns of a ball, are held back."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """p → rotation · p + shift [mm].  rms: of the distances left [mm].  steps: taken until it settled."""
+
+    rotation: Array
+    shift: Array
+    rms: float
+    steps: int
+
+    def __call__(self, points: npt.ArrayLike) -> Array:
+        """Points (n, 3) [mm], moved."""
+        return as_points(points) @ self.rotation.T + self.shift
+
+    @property
+    def angle(self) -> float:
+        """How far it turns [rad]."""
+        return float(np.arccos(np.clip(0.5 * (np.trace(self.rotation) - 1.0), -1.0, 1.0)))
+
+
+def align(
+    points: npt.ArrayLike, target: Nearest, *, start: Alignment | None = None, steps: int = 200, samples: int = 2000,
+    keep: float = 1.0,
+) -> Alignment:  # fmt: skip
+    """Lay points (n, 3) [mm] on a surface by iterated closest points.
+
+    Source: P. J. Besl and N. D. McKay, IEEE TPAMI 14 (1992) 239. First steps match points with their nearest ones; the
+    others, by the distances to the nearest faces (Y. Chen and G. Medioni, Image Vis. Comput. 10 (1992) 145), let them
+    slide. It finds the nearest of several fits: up to 10° and a tenth of the part away is a good start.  start: where
+    to begin.  samples: points used, drawn with a fixed seed.  keep: share of the points, those with the smallest
+    distances, that each step looks at: below 1 for damaged prints.  Raises `BadInput`, also where it does not settle.
+    """
+    cloud = as_points(points)
+    if len(cloud) < 3:
+        raise BadInput(f"got {len(cloud)} points to align; wanted at least 3, better thousands")
+    if not 0.1 <= keep <= 1.0:
+        raise BadInput(f"keep is {keep!r}; wanted a share of the points in 0.1..1")
+    most, size = counts("steps", (steps,), 1)[0], counts("samples", (samples,), 1)[0]
+    if len(cloud) > size:
+        cloud = cloud[np.random.default_rng(0).choice(len(cloud), size, replace=False)]
+    rotation, shift = (np.eye(3), np.zeros(3)) if start is None else (start.rotation, start.shift)
+    extent = float(np.linalg.norm(np.ptp(cloud, axis=0)))
+    best, last = Alignment(rotation, shift, np.inf, 0), most
+    moved = rms = np.inf
+    for step in range(1, most + 1):
+        at = cloud @ rotation.T + shift
+        found = target(at, exact=step > _ROUGH)
+        chosen = np.argsort(np.abs(found.distance), kind="stable")[: max(3, int(keep * len(at)))]
+        rms = float(np.sqrt(np.mean(found.distance[chosen] ** 2)))
+        if step > _ROUGH and rms < best.rms:
+            last = step + _PATIENCE if rms < (1.0 - _BETTER) * best.rms else last
+            best = Alignment(_orthogonal(rotation), shift, rms, step)
+        if step > _ROUGH and (moved <= _SETTLED * extent or step >= last < most):
+            return best
+        turn, move = (_matched if step <= _ROUGH else _slid)(at[chosen], found.point[chosen], found.normal[chosen])
+        rotation, shift = turn @ rotation, turn @ shift + move
+        moved = float(np.linalg.norm(cloud @ rotation.T + shift - at, axis=1).max())
+    raise BadInput(
+        f"the alignment did not settle in {most} steps: the last one moved points by up to {moved:.3g} mm at an RMS "
+        f"distance of {rms:.3g} mm; turn and move the print roughly into place first (start=), or allow more steps"
+    )
+
+
+def _matched(points: Array, feet: Array, normals: Array) -> tuple[Array, Array]:
+    """The motion that brings points closest to their feet (W. Kabsch, Acta Cryst. A 32 (1976) 922)."""
+    del normals
+    middle, goal = points.mean(axis=0), feet.mean(axis=0)
+    u, _, vt = np.linalg.svd((points - middle).T @ (feet - goal))
+    flip = np.diag([1.0, 1.0, np.linalg.det(vt.T @ u.T)])
+    turn = vt.T @ flip @ u.T
+    return turn, goal - turn @ middle
+
+
+def _slid(points: Array, feet: Array, normals: Array) -> tuple[Array, Array]:
+    """The small motion that brings points closest to the planes through their feet."""
+    middle = points.mean(axis=0)
+    size = float(np.sqrt(np.mean((points - middle) ** 2))) or 1.0
+    rows = np.concatenate([np.cross(points - middle, normals) / size, normals], axis=1)
+    u, s, vt = np.linalg.svd(rows, full_matrices=False)
+    goal = u.T @ np.einsum("ni,ni->n", feet - points, normals)
+    motion = vt.T @ (goal * s / (s**2 + (_DAMPING * s[0]) ** 2))
+    turn = _rotation(motion[:3] / size)
+    return turn, middle - turn @ middle + motion[3:]
+
+
+def _rotation(vector: Array) -> Array:
+    """Rotation matrix of a rotation vector [rad]."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+def _orthogonal(matrix: Array) -> Array:
+    """The nearest rotation, against rounding that piles up."""
+    u, _, vt = np.linalg.svd(matrix)
+    return u @ vt

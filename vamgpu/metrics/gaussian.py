@@ -1,0 +1,69 @@
+"""A Gaussian fitted to a histogram, as deviations of prints are summed up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import counts
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """height · exp(−(x − mean)² / 2σ²) over a histogram.
+
+    mean (μ), sigma (σ): in units of the values.  r2: coefficient of determination R² over the bins.  height: in counts.
+    edges: (bins + 1,).  counts: (bins,).
+    """
+
+    mean: float
+    sigma: float
+    r2: float
+    height: float
+    edges: np.ndarray
+    counts: np.ndarray
+
+    def __call__(self, values: npt.ArrayLike) -> np.ndarray:
+        """The curve, in counts per bin."""
+        return _bell(np.asarray(values, np.float64), self.height, self.mean, self.sigma)
+
+
+def fit_gaussian(values: npt.ArrayLike, bins: int = 100, limits: tuple[float, float] | None = None) -> Gaussian:
+    """Least squares fit of a Gaussian to the histogram of values.
+
+    limits: of the histogram; by default four standard deviations about the mean, but not beyond the values.  Raises
+    `BadInput` for fewer than 10 values in the limits, values that are all equal, and a fit that fails.
+    """
+    from scipy.optimize import curve_fit
+
+    data = np.asarray(values, np.float64).ravel()
+    number = counts("bins", (bins,), 1)[0]
+    if number < 4 or data.size < 10 or not np.isfinite(data).all():
+        bad = np.count_nonzero(~np.isfinite(data))
+        raise BadInput(
+            f"got {data.size} values, {bad} of them not finite, and {number} bins; wanted 10 finite values and 4 bins"
+        )
+    middle, spread = float(data.mean()), float(data.std())
+    if spread <= 1e-12 * max(1.0, abs(middle)):
+        raise BadInput(f"all {data.size} values are {middle:g}; wanted some spread for a Gaussian")
+    low, high = limits if limits else (max(data.min(), middle - 4 * spread), min(data.max(), middle + 4 * spread))
+    if not low < high:
+        raise BadInput(f"limits are {low:g} and {high:g}; wanted the lower one first")
+    count, edges = np.histogram(data, number, (low, high))
+    if count.sum() < 10:
+        raise BadInput(f"{count.sum()} of {data.size} values lie between {low:g} and {high:g}; wanted at least 10")
+    place = 0.5 * (edges[1:] + edges[:-1])
+    try:
+        (height, mean, sigma), _ = curve_fit(_bell, place, count, (float(count.max()), middle, spread), maxfev=5000)
+    except RuntimeError as error:
+        raise BadInput(f"no Gaussian fits {data.size} values in {number} bins; use fewer bins or limits=") from error
+    left = float(((count - _bell(place, height, mean, sigma)) ** 2).sum())
+    r2 = 1.0 - left / float(((count - count.mean()) ** 2).sum())
+    return Gaussian(float(mean), abs(float(sigma)), r2, float(height), edges, count)
+
+
+def _bell(x: np.ndarray, height: float, mean: float, sigma: float) -> np.ndarray:
+    return height * np.exp(-0.5 * ((x - mean) / sigma) ** 2)

@@ -1,0 +1,122 @@
+"""How far the surface of a print lies from its target, where it is too thick and where too thin.
+
+Sources: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing, Table 1; A. Orth et al.,
+Automatic exposure volumetric additive manufacturing, Fig. 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput, EmptyMesh
+from vamgpu.geometry import centers, counts, positive
+from vamgpu.metrics.alignment import Alignment, align
+from vamgpu.metrics.gaussian import Gaussian, fit_gaussian
+from vamgpu.metrics.nearest import Array, Nearest, as_points
+from vamgpu.targets.solid import Solid
+
+POINTS = 20_000
+"""Points drawn on a print's surface, unless told otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceDistance:
+    """Signed distances of points of a print from the target's surface: > 0 outside of it, where the print is too thick.
+
+    points: (n, 3) [mm], where the alignment put them.  distance: (n,) [mm].  alignment: None where none was wanted.
+    """
+
+    points: Array
+    distance: Array
+    alignment: Alignment | None
+
+    @property
+    def mean(self) -> float:
+        """Mean signed distance [mm]."""
+        return float(self.distance.mean())
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the distance [mm]."""
+        return float(np.sqrt(np.mean(self.distance**2)))
+
+    def gaussian(self, bins: int = 100) -> Gaussian:
+        """μ, σ [mm] and R² of a Gaussian fitted to the histogram of the distances. Raises `BadInput`."""
+        return fit_gaussian(self.distance, bins)
+
+
+def surface_distance(
+    printed: Solid | npt.ArrayLike, target: Solid | Nearest, *, aligned: bool = True, start: Alignment | None = None,
+    samples: int = POINTS, keep: float = 1.0,
+) -> SurfaceDistance:  # fmt: skip
+    """Distances of a print from its target.
+
+    printed: a mesh, e.g. `iso_solid` of a simulated print or `load_mesh` of a CT scan, on which ``samples`` points are
+    drawn evenly with a fixed seed; or points (n, 3) [mm], taken as they are.  target: a closed surface; `Nearest` of it
+    where several prints are compared.  aligned: whether to lay the print on the target first; start, keep: see `align`.
+    Raises `BadInput`, `NotWatertight`, `EmptyMesh`.
+    """
+    surface = target if isinstance(target, Nearest) else Nearest(target)
+    cloud = drawn(printed, samples) if isinstance(printed, Solid) else as_points(printed)
+    motion = align(cloud, surface, start=start, keep=keep) if aligned else start
+    cloud = cloud if motion is None else motion(cloud)
+    return SurfaceDistance(cloud, surface(cloud).distance, motion)
+
+
+def print_to_print(prints: Sequence[Solid], *, aligned: bool = True, samples: int = POINTS) -> npt.NDArray[np.float64]:
+    """RMS distance [mm] between each pair of prints, (n, n), symmetric: how well a machine repeats itself.
+
+    Both directions count alike. The inter-print RMS is the mean over pairs.  Raises as `surface_distance` does.
+    """
+    if len(prints) < 2:
+        raise BadInput(f"got {len(prints)} prints; wanted at least two to compare")
+    surfaces = [Nearest(solid) for solid in prints]
+    square = np.zeros((len(prints), len(prints)))
+    for i, solid in enumerate(prints):
+        for j, surface in enumerate(surfaces):
+            if i != j:
+                square[i, j] = surface_distance(solid, surface, aligned=aligned, samples=samples).rms ** 2
+    return np.sqrt(0.5 * (square + square.T))
+
+
+def drawn(solid: Solid, samples: int = POINTS) -> Array:
+    """Points (samples, 3) [mm] on a surface, as many on every mm², with a fixed seed."""
+    number = counts("samples", (samples,), 1)[0]
+    a, b, c = np.moveaxis(solid.vertices[solid.faces], 1, 0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).cumsum()
+    if not area[-1] > 0:
+        raise EmptyMesh(f"{solid.name}: its {len(solid.faces)} triangles have no area; export the part again")
+    random = np.random.default_rng(0)
+    # One point in each equal share of the area: no patch is left out.
+    face = np.searchsorted(area, (np.arange(number) + random.random(number)) * (area[-1] / number)).clip(max=len(a) - 1)
+    root, other = np.sqrt(random.random((number, 1))), random.random((number, 1))
+    return (1.0 - root) * a[face] + root * (1.0 - other) * b[face] + root * other * c[face]
+
+
+def iso_solid(
+    field: DeviceArray | npt.ArrayLike, pitch: tuple[float, float, float] | float, level: float = 0.5,
+    name: str = "print",
+) -> Solid:  # fmt: skip
+    """Where a field [x, y, z] or [l, rho, z] crosses a level, closed at the edges of its grid.
+
+    pitch: voxel edges [mm].  Coordinates [mm] count from the middle of the grid.  Raises `BadInput`, and `EmptyMesh`
+    where the field does not cross the level.
+    """
+    from skimage.measure import marching_cubes
+
+    values = np.asarray(field.numpy() if isinstance(field, DeviceArray) else field, np.float64)
+    if values.ndim != 3 or not values.size or not np.isfinite(values).all():
+        raise BadInput(f"the field has shape {values.shape} and must be finite; wanted three axes of numbers")
+    edges = np.array([positive("pitch [mm]", p) for p in np.broadcast_to(np.asarray(pitch, np.float64), 3)])
+    if not values.max() > level:
+        raise EmptyMesh(f"the field reaches {values.max():g}, which is not above the level of {level:g}: lower it")
+    below = min(float(values.min()), level - (float(values.max()) - level))
+    closed = np.pad(values, 1, constant_values=below)
+    points, faces, _, _ = marching_cubes(closed, level, gradient_direction="ascent")
+    low = np.array([centers(n, d)[0] for n, d in zip(closed.shape, edges, strict=True)])
+    return Solid(points * edges + low, faces, name)
