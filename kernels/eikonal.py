@@ -132,7 +132,7 @@ def march(
     ends: np.ndarray, path: np.ndarray, times: np.ndarray,
 ) -> None:  # fmt: skip
     """What the kernels of this file do, through any field; see `march_formula`."""
-    state = _State(look, starts)
+    state = State(look, starts)
     path[:, 0], times[...] = starts[:, :3], -1.0
     live = np.arange(len(starts))
     for k in range(int(steps)):
@@ -155,7 +155,7 @@ def march(
     ends[:, :3], ends[:, 3:6], ends[:, 6], ends[:, 7] = state.place, state.heading, state.optical, state.length
 
 
-class _State:
+class State:
     """Where rays are: place, heading, ½∇n² and n² there, optical path and length so far."""
 
     def __init__(self, look: Look | None, starts: np.ndarray) -> None:
@@ -164,19 +164,19 @@ class _State:
         if look is not None:
             self.pull, self.square = look(self.place)
 
-    def part(self, index: np.ndarray) -> _State:
+    def part(self, index: np.ndarray) -> State:
         """A copy of some rays."""
-        few = _State(None, np.zeros((0, 6)))
+        few = State(None, np.zeros((0, 6)))
         for name in ("place", "heading", "pull", "square", "optical", "length"):
             setattr(few, name, getattr(self, name)[index])
         return few
 
-    def put(self, index: np.ndarray, few: _State) -> None:
+    def put(self, index: np.ndarray, few: State) -> None:
         """Replace some rays."""
         for name in ("place", "heading", "pull", "square", "optical", "length"):
             getattr(self, name)[index] = getattr(few, name)
 
-    def advanced(self, look: Look, step: np.ndarray, scheme: int) -> _State:
+    def advanced(self, look: Look, step: np.ndarray, scheme: int) -> State:
         """After one step; the paths by the cubic through values and slopes at both ends, of fourth order."""
         end, h = self.part(np.arange(len(self.place))), step[:, None]
         if scheme == 0:
@@ -198,7 +198,7 @@ class _State:
         return end
 
 
-def _outside(state: _State, region: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _outside(state: State, region: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far outside the region, below zero inside, on the way out only; and its growth per t."""
     place, heading = state.place, state.heading
     round_value = (place**2) @ region[:3] - region[3]
@@ -209,7 +209,7 @@ def _outside(state: _State, region: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.take_along_axis(values, worst, 1)[:, 0], np.take_along_axis(growth, worst, 1)[:, 0]
 
 
-def _to_border(look: Look, now: _State, step: float, scheme: int, region: np.ndarray) -> tuple[_State, np.ndarray]:
+def _to_border(look: Look, now: State, step: float, scheme: int, region: np.ndarray) -> tuple[State, np.ndarray]:
     """The step that ends on the border, and its size."""
     h = np.full(len(now.place), step)
     for _ in range(SHORTEN):

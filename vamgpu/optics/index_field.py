@@ -162,7 +162,7 @@ class GridField:
         """
         square = np.asarray(index, np.float64) ** 2
         if square.ndim not in (2, 3) or min(square.shape) < 4 or not np.isfinite(square).all():
-            raise BadInput(f"an index field of shape {square.shape}; wanted finite samples, 4 or more along 2 or 3 axes")
+            raise BadInput(f"an index field of shape {square.shape}; wanted finite samples, 4 or more on 2 or 3 axes")
         if square.min() < 1e-6:
             raise BadInput(f"the index falls to {np.sqrt(square.min()):g}; wanted indices above 0")
         for axis in range(square.ndim):
@@ -178,7 +178,7 @@ class GridField:
         axes = [(np.arange(-2, n + 2) - 0.5 * (n - 1)) * positive("pitch [mm]", pitch) for n in shape]
         index = np.broadcast_to(function(*np.meshgrid(*axes, indexing="ij")), [n + 4 for n in shape])
         if len(shape) not in (2, 3) or min(shape) < 4 or not np.isfinite(index).all():
-            raise BadInput(f"an index field of shape {shape}; wanted finite samples, 4 or more along 2 or 3 axes")
+            raise BadInput(f"an index field of shape {shape}; wanted finite samples, 4 or more on 2 or 3 axes")
         return cls._of(np.asarray(index, np.float64) ** 2, pitch, region)
 
     @classmethod

@@ -197,8 +197,8 @@ def _refined(
             return best
     worst = todo[np.argmax(best.error[todo])]
     raise RayError(f"after {halvings} halvings, at steps of {step:.3g} mm, {todo.size} of {len(starts)} rays are off "
-                   f"by more than {tolerance:g} mm (ray {worst} by {best.error[worst]:.3g} mm); smooth the medium or ask "
-                   "for less")  # fmt: skip
+                   f"by more than {tolerance:g} mm (ray {worst} by {best.error[worst]:.3g} mm); smooth the medium or "
+                   "ask for less")  # fmt: skip
 
 
 def _with(all_rays: Marched, index: NDArray[np.intp], few: Marched) -> Marched:
