@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.kernels.filter import filter_rows
+from vamgpu.operators.reductions import dot
 from vamgpu.operators.web import WebProjection
 from vamgpu.optimize.projector import Projector
+from vamgpu.web import WebGrid
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +28,14 @@ def ramp(operator: Projector) -> Taps:
     Source: G. Ramachandran & A. Lakshminarayanan, PNAS 68 (1971) 2236.
     """
     columns = operator.beam.pixels[0]
+    return Taps(operator.device.table(_ramp_taps(columns) * _scale(operator)), 2)
+
+
+def _ramp_taps(columns: int) -> np.ndarray:
     taps = np.zeros(columns)
     taps[0] = 0.25
     taps[1::2] = -1.0 / (np.pi * np.arange(1, columns, 2)) ** 2
-    return Taps(operator.device.table(taps * _scale(operator)), 2)
+    return taps
 
 
 def capped_ramp(operator: Projector, cap: float, span: float = 1.0) -> Taps:
@@ -53,7 +60,26 @@ def identity(operator: Projector) -> Taps:
 
 def _scale(operator: Projector) -> float:
     if isinstance(operator, WebProjection):
-        return 1.0  # A web sees less than half a turn of light that fades: no closed formula, scaled by what uses it
+        return _web_scale(operator)
     # A voxel of Aᵀ gathers pitch² / beam pitch from each angle; π per half turn is what the inversion formula asks
     area = operator.grid.pitch**2 / operator.beam.pitch
     return np.pi / operator.motion.angles / area / operator.beam.pitch
+
+
+def bar(grid: WebGrid) -> np.ndarray:
+    """A round bar across the middle of a web, half its thickness wide: 0 and 1 [l, rho, z]."""
+    along = (np.arange(grid.shape[0]) - grid.shape[0] // 2) * grid.edges[0]  # its voxels are the same on any length
+    deep = grid.axes()[1] - 0.5 * grid.size[1]
+    inside = np.hypot(along[:, None], deep[None, :]) <= 0.25 * grid.size[1] * (1.0 + 1e-6)
+    return np.repeat(inside[:, :, None], grid.shape[2], 2).astype(np.float32)
+
+
+def _web_scale(operator: WebProjection) -> float:
+    # Less than half a turn of light that fades has no closed formula: measured, so that a bar comes back as high
+    device, columns = operator.device, operator.beam.pixels[0]
+    target, shadow, shown = device.upload(bar(operator.grid)), *map(device.empty, (operator.range.shape,) * 2)
+    operator(target, out=shadow)
+    taps = device.table(_ramp_taps(columns))
+    device.launch(filter_rows, sinogram=shadow, taps=taps, stride=2, floor=-3e38, filtered=shown)
+    back = operator.T(shown)
+    return dot(target, target) / max(dot(back, target), 1e-30)

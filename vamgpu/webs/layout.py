@@ -35,7 +35,7 @@ class Layout:
             near = float(exact) or 1.0 / DENOMINATOR
             raise BadInput(
                 f"the web moves {step:.9g} columns a pose; wanted a ratio of whole numbers up to {DENOMINATOR}, "
-                f"so that segments begin at whole columns: take a pitch along l of {step / near:.9g} times this one"
+                f"so that segments begin at whole columns: take a pitch along l of {step / near:.14g} times this one"
             )
         if overlap < 0.0:
             raise BadInput(f"overlap is {overlap!r} windows; wanted ≥ 0")

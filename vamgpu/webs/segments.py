@@ -17,7 +17,7 @@ from vamgpu.operators.rows import Rows
 from vamgpu.operators.web import WebProjection
 from vamgpu.optimize.band import Band
 from vamgpu.optimize.bclp import BCLP
-from vamgpu.optimize.ramp import identity, ramp
+from vamgpu.optimize.ramp import Taps, bar, identity, ramp
 from vamgpu.optimize.work import Work
 from vamgpu.web import Propagation, WebGrid
 from vamgpu.webs.layout import Layout
@@ -80,12 +80,8 @@ class Solver:
 
     @cached_property
     def gain(self) -> float:
-        """Scale of the filtered light: it gives the middle of a bar in the film, a quarter of it thick, dose 1."""
-        grid = self.operator.grid
-        along = (np.arange(grid.shape[0]) - grid.shape[0] // 2) * grid.edges[0]  # its voxels are the same on any grid
-        deep = grid.axes()[1] - 0.5 * grid.size[1]
-        bar = np.hypot(along[:, None], deep[None, :]) <= 0.25 * grid.size[1] * (1.0 + 1e-6)
-        work = Work(self.operator, self.device.upload(np.repeat(bar[:, :, None], grid.shape[2], 2)), {})
+        """Scale of the filtered light: a bar half as thick as the film gets dose 1 on average."""
+        work = Work(self.operator, self.device.upload(bar(self.operator.grid)), {})
         light, dose = self._filtered(work, 1.0), self._field("dose")
         work.expose(light, dose)
         return 1.0 / work.part_mean(dose)
@@ -108,11 +104,15 @@ class Solver:
         self.operator(nothing, out=self._field("light"))
         return self._field("light")
 
+    @cached_property
+    def _ramp(self) -> Taps:
+        return ramp(self.operator)
+
     def _filtered(self, work: Work, gain: float) -> DeviceArray:
         """``light`` = the target's filtered projection times a gain, never negative."""
         shadow, light = self._field("gradient"), self._field("light")
         work.project(work.target, shadow)
-        work.filter(shadow, ramp(self.operator), light, floor=0.0)
+        work.filter(shadow, self._ramp, light, floor=0.0)
         work.scale(gain, light, light)
         return light
 
@@ -136,10 +136,9 @@ class Solver:
             work.step(gradient, plain, self.step, self.method.momentum)
         return work.held("light"), Outcome(losses[0], losses[-1])
 
-    def dose(self, light: DeviceArray) -> np.ndarray:
-        """Dose [l, rho, z] of a segment's light, on the host."""
-        self.operator.T(light, out=self._field("dose"))
-        return self._field("dose").numpy()
+    def held(self) -> DeviceArray:
+        """Light [pose, r, z] of the segment solved last, its overlaps included."""
+        return self._field("light")
 
     def _field(self, name: str) -> DeviceArray:
         """A field that all segments share."""

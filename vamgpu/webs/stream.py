@@ -162,7 +162,7 @@ class Stream:
             light, outcome = self.solver.solve(fractions, self.iterations or 1)
             here = slice(self.layout.overlap, self.layout.overlap + stop - start)
             scale = scale or self._first_scale(light, here)
-            images = self._pack(light, scale)[here]
+            images = self._pack(light, scale)[here].copy()
             low, high = (edge - origin for edge in self.layout.printed(number, columns.end))
             last = columns.end is not None and stop == self.layout.frames(columns.end)
             yield self._segment(number, start, images, fractions[low:high], scale, outcome, began, last)
@@ -191,7 +191,8 @@ class Stream:
                 "full-on pixel must be; begin with the part, or give scale="
             )
         rank = min(lit.size - 1, int(QUANTILE * lit.size))
-        return float(np.partition(lit, rank)[rank])
+        lit.partition(rank)
+        return float(lit[rank])
 
     def _pack(self, light: DeviceArray, scale: float) -> np.ndarray:
         return pack(_Packable(light, self.solver.operator), 8, self.gray, scale=scale).images.numpy()

@@ -1,0 +1,190 @@
+"""Streams of tiles in, frames out: what fits, what does not, and what stays valid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from slanted import BEAM, EDGE, SECTION, WINDOW, Slanted, part, stream, tiled
+
+from vamgpu.errors import BadInput, StorageError, TileError
+from vamgpu.operators.web import WebProjection
+from vamgpu.optimize import optimize
+from vamgpu.optimize.bclp import BCLP
+from vamgpu.printing.focus import FocusMasks
+from vamgpu.web import WebGrid
+from vamgpu.webs.layout import Layout
+from vamgpu.webs.store import WebFolder
+from vamgpu.webs.stream import Stream
+
+LONG = 10 * WINDOW
+
+
+def images(job: Stream) -> np.ndarray:
+    return np.concatenate([segment.images for segment in job])
+
+
+def test_every_pose_that_meets_the_web_has_one_frame() -> None:
+    job = stream(tiled(part(LONG)), core=2.0)
+    segments = list(job)
+    assert [segment.number for segment in segments] == list(range(len(segments)))
+    assert [segment.first for segment in segments] == [k * 2 * WINDOW for k in range(len(segments))]
+    assert sum(len(segment.images) for segment in segments) == WINDOW - 1 + LONG
+    assert [segment.last for segment in segments] == [False] * (len(segments) - 1) + [True]
+    assert len({segment.scale for segment in segments}) == 1
+    assert segments[0].frames.shape == (2 * WINDOW, *BEAM.pixels[::-1])
+
+
+def test_tiles_may_be_of_any_thickness() -> None:
+    target = part(LONG)
+    cuts = np.split(target, np.sort(np.random.default_rng(0).choice(np.arange(1, LONG), 9, replace=False)))
+    assert np.array_equal(images(stream(cuts, core=2.0)), images(stream(target, core=2.0)))
+
+
+def test_functions_are_sampled_along_the_web() -> None:
+    def bar(l: np.ndarray, rho: np.ndarray, z: np.ndarray) -> np.ndarray:  # noqa: E741 - the web's axis
+        return np.abs(np.sin(2.0 * l + 0.0 * rho + 0.0 * z)) - 0.5
+
+    segments = list(stream(bar, length=LONG * EDGE, core=3.0))
+    target = np.concatenate([segment.target for segment in segments])
+    assert target.shape == (LONG, *SECTION)
+    l = (np.arange(LONG) + 0.5) * EDGE  # noqa: E741
+    inside = np.abs(np.sin(2.0 * l)) - 0.5 < -2.0 * EDGE
+    assert (target[inside] == 255).all()
+    assert (target[np.abs(np.sin(2.0 * l)) - 0.5 > 2.0 * EDGE] == 0).all()
+
+
+def test_a_function_without_a_length_is_refused() -> None:
+    with pytest.raises(BadInput, match="length"):
+        list(stream(lambda along, rho, z: along + rho + z))
+
+
+def test_a_stream_that_ends_early_keeps_what_was_written(tmp_path: Path) -> None:
+    target, place = part(LONG), tmp_path / "web.vam"
+    with pytest.raises(TileError, match=r"ended after 150 columns \(15 mm\); wanted 240 \(24 mm\)"):
+        stream(tiled(target[:150]), length=LONG * EDGE, core=2.0).write(place)
+    kept = WebFolder.open(place)
+    kept.verify()
+    assert kept.frames == 2 * 2 * WINDOW and not kept.complete
+    whole = stream(tiled(target), length=LONG * EDGE, core=2.0).write(place)
+    assert whole.complete
+    assert np.array_equal(whole.read("frames", 0, whole.frames), images(stream(target, core=2.0)))
+
+
+@dataclass
+class Tile:
+    """An array that knows its voxels."""
+
+    values: np.ndarray
+    pitch: float
+
+    def numpy(self) -> np.ndarray:
+        return self.values
+
+
+@pytest.mark.parametrize(
+    ("odd", "said"),
+    [
+        (np.zeros((10, 6, 5)), r"column 200 \(20 mm\) has shape \(10, 6, 5\); wanted \[l, 6, 4\]"),
+        (np.zeros((6, 4)), r"has shape \(6, 4\)"),
+        (np.zeros((0, 6, 4)), r"has shape \(0, 6, 4\)"),
+        (Tile(np.zeros((10, 6, 4)), 0.2), r"has voxels of 0.2 × 0.2 × 0.2 mm, the web of 0.1 × 0.1 × 0.1 mm"),
+        (np.full((10, 6, 4), 1.5), r"reaches from 1.5 to 1.5; wanted fractions"),
+        (np.full((10, 6, 4), np.nan), r"reaches from nan"),
+        (np.full((10, 6, 4), "a"), r"holds <U1"),
+    ],
+)
+def test_a_tile_that_does_not_fit_ends_the_stream_there(odd: object, said: str, tmp_path: Path) -> None:
+    place = tmp_path / "web.vam"
+    with pytest.raises(TileError, match=said):
+        stream([*tiled(part(200)), odd], core=2.0).write(place)
+    WebFolder.open(place).verify()
+    assert WebFolder.open(place).frames == 3 * 2 * WINDOW
+    assert list(stream([Tile(part(60), EDGE)], core=2.0))
+
+
+def test_what_couples_a_web_is_refused() -> None:
+    with pytest.raises(BadInput, match="q is 1.0 with p = 3.0: that couples the whole web"):
+        stream(part(60), method=BCLP(p=3.0, q=1.0))
+    with pytest.raises(BadInput, match="weight"):
+        stream(part(60), method=BCLP(weight=np.ones((60, *SECTION))))
+    with pytest.raises(BadInput, match="wanted BCLP"):
+        stream(part(60), method="osmo")
+
+
+def test_bad_numbers_are_refused() -> None:
+    for options in ({"iterations": 0}, {"core": 0.0}, {"overlap": -1.0}, {"scale": 0.0}, {"length": -1.0}):
+        with pytest.raises(BadInput, match=next(iter(options))):
+            list(stream(part(60), **options))  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="section"):
+        stream(part(60), section=None)
+    with pytest.raises(BadInput, match="wanted a Roller"):
+        Stream(part(60), "roller", BEAM)  # type: ignore[arg-type]
+
+
+def test_steps_that_never_meet_columns_are_refused_with_a_pitch_that_does() -> None:
+    with pytest.raises(BadInput, match="ratio of whole numbers up to 64") as error:
+        Layout.of(100, 2**-0.5)
+    better = float(str(error.value).split("pitch along l of ")[1].split(" times")[0])
+    assert Layout.of(100, 2**-0.5 / better).step.denominator <= 64
+
+
+@pytest.mark.parametrize("step", [0.5, 1.5, 2.0])
+def test_steps_of_other_lengths_than_a_column(step: float) -> None:
+    target = part(LONG)
+    options = {"section": SECTION, "pitch": (EDGE,) * 3, "device": "numpy", "iterations": 8}
+    jobs = [Stream(target, Slanted(advance=step * EDGE), BEAM, core=core, **options) for core in (2.0, 30.0)]  # type: ignore[arg-type]
+    cut, whole = (images(job) for job in jobs)
+    assert len(whole) == jobs[1].layout.frames(LONG)
+    assert cut.shape == whole.shape
+    assert jobs[0].layout.core < len(whole) <= jobs[1].layout.core
+    # one scale is that of the first segment, the other that of all, so that levels differ by that ratio
+    scales = [next(job.segments()).scale for job in jobs]
+    assert np.abs(cut * (scales[0] / scales[1]) - whole)[cut < 255].max() <= 2.0
+
+
+def test_an_empty_beginning_needs_a_scale() -> None:
+    target = np.concatenate([np.zeros((8 * WINDOW, *SECTION), np.float32), part(60)])
+    with pytest.raises(TileError, match="scale"):
+        list(stream(target, core=2.0))
+    segments = list(stream(target, core=2.0, scale=1.0))
+    assert not segments[0].images.any() and segments[-1].images.any()
+
+
+def test_focus_planes_are_kept_beside_the_frames(tmp_path: Path) -> None:
+    masks = FocusMasks.around(BEAM, 0.4, 0.6, bins=3)
+    folder = stream(part(60), lens=masks).write(tmp_path / "web.vam")
+    focus = folder.details["frames"]["focus"]
+    assert focus["planes"] == list(masks.planes)
+    assert np.array_equal(np.array(focus["bin"]), np.argmax(masks.masks, axis=0))
+
+
+def test_a_folder_of_another_web_is_not_resumed(tmp_path: Path) -> None:
+    place = tmp_path / "web.vam"
+    first = stream(part(60)).write(place)
+    assert stream(part(60)).write(place) == first
+    with pytest.raises(StorageError, match="holds another web, with other method"):
+        stream(part(60), iterations=9).write(place)
+    with pytest.raises(StorageError, match="exists"):
+        stream(part(60)).write(place, resume=False)
+    assert stream(part(60), iterations=9).write(place, overwrite=True).complete
+
+
+@pytest.mark.parametrize("method", ["osmo", "lbfgs", "window", "cal"])
+def test_every_method_works_on_a_web(method: str) -> None:
+    A = WebProjection(WebGrid((60, *SECTION), EDGE), BEAM, Slanted(), "numpy")
+    plan = optimize(A, part(60), method=method, iterations=6)
+    assert plan.sinogram.shape == A.range.shape
+    dose, inside = plan.dose().numpy(), part(60) >= 0.5
+    assert dose[inside].mean() > 1.5 * dose[~inside].mean()
+    assert plan.history[-1].loss < plan.history[-3].loss
+    with pytest.raises(BadInput, match="the operator of 0.1 × 0.1 × 0.1 mm"):
+        optimize(A, _Pitched(part(60)), method=method)
+
+
+class _Pitched:
+    def __init__(self, values: np.ndarray) -> None:
+        self.values, self.shape = values, values.shape
+        self.grid = WebGrid(values.shape, 0.2)  # type: ignore[arg-type]
