@@ -32,6 +32,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "calibration": "Focus and axis from recordings with noise",
         "limits": "What a web machine can do, and what binds it",
         "proof": "A print, proven from its frames",
+        "contrast": "Fewer angles: frequencies, spread and contrast",
     }
 )
 """Name → title. The picture of a name is made by the function of that name in the module of that name."""

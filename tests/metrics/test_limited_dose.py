@@ -1,0 +1,48 @@
+"""Contrast of the best dose falls with the range of angles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vamgpu.errors import BadInput
+from vamgpu.metrics.contrast import contrast
+from vamgpu.metrics.limited_dose import limited_dose, random_plane, responded
+
+RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_contrast_falls_with_the_index_ratio(seed: int) -> None:
+    target = random_plane(48, seed)
+    doses = [limited_dose(target, 3.0 / 48, m, angles=120, iterations=30) for m in RATIOS]
+    for made in (doses, [responded(dose) for dose in doses]):
+        xi = np.array([contrast(dose, target) for dose in made])
+        assert (np.diff(xi) < 0).all() and 0.03 < 1 - xi[-1] / xi[0] < 0.2
+    error = [float(((dose - target) ** 2).mean()) for dose in doses]
+    assert (np.diff(error) > 0).all() and error[0] < 0.4 * target.mean()  # no light at all misses by the mean
+
+
+def test_lines_across_the_film_suffer_most() -> None:
+    lines = np.zeros((40, 40))
+    lines[12:28, 12:28] = (np.arange(16) % 4 < 2)[None, :]
+    fall = []
+    for target in (lines.T, lines):  # lines that vary along l, then along rho
+        xi = [contrast(limited_dose(target, 0.05, m, angles=96, iterations=20), target) for m in (1.0, 0.67)]
+        fall.append(1 - xi[1] / xi[0])
+    assert fall[1] > fall[0] + 0.1
+
+
+def test_random_planes_are_seeded_and_filled() -> None:
+    plane = random_plane(64, 3)
+    assert np.array_equal(plane, random_plane(64, 3)) and not np.array_equal(plane, random_plane(64, 4))
+    assert 0.2 < plane.mean() < 0.45 and not plane[0].any()
+
+
+def test_bad_input_is_named() -> None:
+    with pytest.raises(BadInput, match="1.3"):
+        limited_dose(random_plane(32), 0.1, 1.3)
+    with pytest.raises(BadInput, match="32, 16"):
+        limited_dose(random_plane(32)[:, :16], 0.1, 0.9)
+    with pytest.raises(BadInput, match="n = 4"):
+        random_plane(4)
