@@ -21,7 +21,7 @@ from vamgpu.optics.vat import Vat
 
 MOST_STEPS = 60
 STEP_DONE = 1e-9
-"""Share of the throw that a column may still move by when the search for it ends."""
+"""Share of the farthest point's distance that a column may still move by when the search for it ends."""
 
 
 @dataclass(frozen=True)
@@ -101,20 +101,21 @@ class Aimed:
         farthest = float(np.hypot(x, y).max(initial=0.0))
         if farthest >= self.distance:
             raise _too_short(self.distance, farthest)
-        u = np.full(x.shape, self.offset)
+        u, weight, moving = np.full(x.shape, self.offset), np.zeros(x.shape), np.zeros(x.shape, bool)
         for _ in range(MOST_STEPS):
             turn = self._entry(u)[1]
             q, weight = self.inner.illuminate(*turned(x, y, turn))
             # q = (u - offset) / sqrt(1 + (u / distance)^2), solved for u
             following = self.offset + q * np.sqrt(1.0 + (u / self.distance) ** 2)
-            moved = float(np.abs(following - u).max(initial=0.0))
+            moving = (np.abs(following - u) > STEP_DONE * (1.0 + farthest)) & (self.distance < inf)
             u = following
-            if moved <= STEP_DONE * min(self.distance, 1.0 + farthest) or self.distance == inf:
+            if not moving.any():
                 break
-        else:
+        if (moving & (np.hypot(x, y) < (1.0 - 1e-9) * self.lit_radius)).any():
             raise BadInput(f"the pupil is {self.distance:g} mm from the axis, too near to follow its rays to every "
                            f"point within {farthest:g} mm; wanted a throw of several times that")
-        return u, weight * self._denser(u, x, y)
+        # where rays cross or none comes, beyond the lit radius, the search may go on for ever
+        return u, np.where(moving, 0.0, weight * self._denser(u, x, y))
 
     def _denser(self, u: Floats, x: Floats, y: Floats) -> Floats:
         """Density of columns over that of parallel light that enters along the same ray."""
