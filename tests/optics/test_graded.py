@@ -73,8 +73,8 @@ def enter(vial: GradedVial, u: float) -> tuple[np.ndarray, np.ndarray, float]:
         place = place + (-b - np.sqrt(b**2 - place @ place + radius**2)) * along
         after = after or float(np.sqrt(vial.resin.look(np.array([[*place, 0.0]]))[1][0]))
         out = refract(along, place / radius, before, after)
-        cosines = (np.abs(np.array([d @ place / radius])) for d in (along, out))
-        share *= float(transmittance(*cosines, before, after)[0])
+        cos_in, cos_out = (np.abs(np.array([d @ place / radius])) for d in (along, out))
+        share *= float(transmittance(cos_in, cos_out, before, after)[0])
         along, before = out, after
     return place, along, share
 

@@ -78,7 +78,7 @@ class Bundle:
     @cached_property
     def _levels(self) -> tuple[Floats, Floats, Floats, NDArray[np.int_]]:
         """Levels of ``along``; ``across`` and share of some rays there, straight on beyond their ends; their index."""
-        rays = np.unique(np.append(np.arange(0, len(self.across), COARSE), len(self.across) - 1))
+        rays = np.append(np.arange(0, len(self.across) - 1, COARSE), len(self.across) - 1)
         levels = np.linspace(-self.size, self.size, self.across.shape[1])
         across, share = np.empty((rays.size, levels.size)), np.empty((rays.size, levels.size))
         steps = np.arange(self.across.shape[1], dtype=float)
@@ -120,7 +120,7 @@ class Bundle:
         t = np.where(far != near, near / np.where(far != near, near - far, 1.0), 0.0)
         t = np.clip(t, 0.0, 1.0)
         share = (shares[inner, low] * (1 - t) + shares[outer, low] * t)
-        return rays[inner] * (1 - t) + rays[outer] * t, share, found
+        return np.asarray(rays[inner] * (1 - t) + rays[outer] * t, np.float64), share, found
 
     def _newton(self, x: Floats, y: Floats, ray: Floats, share: Floats, found: NDArray[np.bool_]
                 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:  # fmt: skip

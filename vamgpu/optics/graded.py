@@ -172,9 +172,13 @@ class GradedVial:
         offset = x * np.cos(angle)[:, None] + y * np.sin(angle)[:, None]
         return 0.5 * (offset.min(axis=1) + offset.max(axis=1)), angle, self.bundle.path[:, -1]
 
-    @cached_property
+    @property
     def lit_radius(self) -> float:
         """Radius [mm] inside which no ray is missing and no two meet, at every pose."""
+        return self._lit_radius
+
+    @cached_property
+    def _lit_radius(self) -> float:
         distance = np.hypot(self.bundle.across, self.bundle.along)
         crossed = distance[2:-2][self.bundle.turned[2:-2] <= 0.0]
         outermost = (_least(self.bundle.across[ray], self.bundle.along[ray]) for ray in (0, -1))

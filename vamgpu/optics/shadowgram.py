@@ -1,0 +1,152 @@
+"""What a camera behind a print sees: cured resin bends light, and where rays crowd the picture is bright."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.geometry import Grid, centers, counts, positive
+from vamgpu.optics.index_field import GridField, Region
+from vamgpu.optics.inputs import Floats, index
+from vamgpu.optics.march import march
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera behind a telecentric lens, centered on the axis of rotation; lengths as in the resin.
+
+    pixels: across (X) and up (z).  pitch: of a pixel, in the resin [mm].  focus: how far behind the axis, along the
+    light, the plane lies that the lens images sharply [mm]; in focus at the print its shadow vanishes.
+    aperture: sine of the steepest ray, in the resin, that the lens accepts.  Raises `BadInput`.
+    """
+
+    pixels: tuple[int, int]
+    pitch: float
+    focus: float = 0.0
+    aperture: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pixels", counts("Camera pixels", self.pixels, 2))
+        object.__setattr__(self, "pitch", positive("Camera pitch [mm]", self.pitch))
+        object.__setattr__(self, "aperture", positive("Camera aperture", self.aperture))
+        if not np.isfinite(self.focus):
+            raise BadInput(f"Camera focus is {self.focus!r} mm; wanted a finite distance from the axis")
+
+
+@dataclass(frozen=True, eq=False)
+class Shadowgram:
+    """A picture and the rays it is made of.
+
+    image: light over that without a print, (pixels across, pixels up).  lost: light that missed the camera or its
+    aperture, in the same unit: image.sum() + lost is the number of pixels.  start: X and z [mm] of the rays in front
+    of the print, (rays, 2).  deflection: slopes dX/dY and dz/dY behind it, (rays, 2).
+    """
+
+    image: Floats
+    lost: float
+    start: Floats
+    deflection: Floats
+
+
+def cured_index(cured: ArrayLike, grid: Grid, resin_index: float, contrast: float) -> GridField:
+    """The index of partly cured resin, resin_index + contrast × cured, from a field of 0..1 on a grid, [x, y, z].
+
+    A grid of fewer than 4 slices gives a field of x and y, the mean over z. Raises `BadInput`, `ShapeMismatch`.
+    """
+    values = np.asarray(cured, np.float64)
+    if values.shape != grid.shape:
+        raise ShapeMismatch(f"the cured field has shape {values.shape}, the grid {grid.shape}; make them equal")
+    if grid.shape[2] < 4:
+        values = values.mean(axis=2)
+    return GridField.from_array(index("resin_index", resin_index) + contrast * values, grid.pitch)
+
+
+def shadowgram(
+    field: GridField, camera: Camera, resin_index: float, *, pose: float = 0.0, rays: int = 3,
+    step: float | None = None, device: str | Device | None = None,
+) -> Shadowgram:  # fmt: skip
+    """The shadow of a print that turns in resin of one index, lit by parallel light.
+
+    Parallel rays enter the largest upright cylinder inside the grid, are marched through it, run straight to the plane
+    the camera is focused on, and share their light between the pixels around. Rays beside the cylinder pass.
+
+    Args:
+        field: index in the print's own frame; resin_index at the cylinder's border.
+        camera: across a field of x and y alone, only its middle row of pixels is meaningful: give it one.
+        resin_index: around the cylinder.
+        pose: angle θ of the print [rad].
+        rays: per pixel and axis.
+        step: of ∫ds/n [mm]; by default a third of the grid's pitch over the index.
+        device: name or device.
+
+    Raises:
+        BadInput: values that cannot be used.
+        RayError: a ray never leaves.
+    """
+    if not isinstance(field, GridField):
+        raise BadInput(f"got {field!r} for the print; wanted a GridField, as made by cured_index")
+    flat = field.coefficients.ndim == 2
+    if flat and camera.pixels[1] != 1:
+        raise BadInput(f"a field of x and y lights one row of pixels; the camera has {camera.pixels[1]}")
+    radius = min(-field.corner[0], -field.corner[1])
+    n = index("resin_index", resin_index)
+    (rays,) = counts("rays", (rays,), 1)
+    combs = zip(camera.pixels, (rays, 1 if flat else rays), strict=True)
+    across, up = (centers(pixels * each, camera.pitch / each) for pixels, each in combs)
+    start = np.stack([g.ravel() for g in np.meshgrid(across, up, indexing="ij")], axis=1)
+    place, heading = _before(start, radius, pose), np.array([-np.cos(pose), -np.sin(pose), 0.0])
+    through = np.abs(start[:, 0]) < radius * (1.0 - 1e-6)
+    ends, slopes = place.copy(), np.tile(heading, (len(start), 1))
+    if through.any():
+        medium = replace(field, region=Region.cylinder(radius))
+        size = positive("step [mm]", step) if step is not None else field.pitch / (3.0 * n)
+        out = march(medium, place[through], slopes[through], step=size, device=device)
+        ends[through], slopes[through] = out.place, out.direction
+    return _seen(start, ends, slopes, camera, pose)
+
+
+def _before(start: Floats, radius: float, pose: float) -> Floats:
+    """Where rays meet the cylinder, or pass its middle, in the print's frame."""
+    along = -np.sqrt(np.maximum((radius - start[:, 0]) * (radius + start[:, 0]), 0.0))
+    c, s = np.cos(pose), np.sin(pose)
+    return np.stack([-start[:, 0] * s - along * c, start[:, 0] * c - along * s, start[:, 1]], axis=1)
+
+
+def _seen(start: Floats, place: Floats, direction: Floats, camera: Camera, pose: float) -> Shadowgram:
+    c, s = np.cos(pose), np.sin(pose)
+    across, along = place[:, 1] * c - place[:, 0] * s, -(place[:, 0] * c + place[:, 1] * s)
+    aside, ahead = direction[:, 1] * c - direction[:, 0] * s, -(direction[:, 0] * c + direction[:, 1] * s)
+    deflection = np.stack([aside, direction[:, 2]], axis=1) / ahead[:, None]
+    seen = (ahead > 0) & (np.hypot(aside, direction[:, 2]) <= camera.aperture)
+    meets = np.stack([across, place[:, 2]], axis=1) + (camera.focus - along)[:, None] * deflection
+    share = camera.pixels[0] * camera.pixels[1] / len(start)
+    image = share * _shared(meets[seen] / camera.pitch, camera.pixels)
+    return Shadowgram(image, float(camera.pixels[0] * camera.pixels[1] - image.sum()), start, deflection)
+
+
+def _shared(at: Floats, pixels: tuple[int, int]) -> Floats:
+    """Rays per pixel, each shared between the three pixels around along each axis by quadratic B-splines.
+
+    Smooth shares: with a kink a comb of rays that lands on it would count double there.
+    """
+    total = np.zeros(pixels)
+    shares = []
+    for axis, count in enumerate(pixels):
+        position = at[:, axis] + 0.5 * (count - 1)
+        near = np.floor(position + 0.5).astype(np.int64)
+        f = position - near
+        if count == 1:  # one row takes all the light that meets it
+            shares.append([(near, np.ones_like(f))])
+            continue
+        weights = (0.5 * (0.5 - f) ** 2, 0.75 - f**2, 0.5 * (0.5 + f) ** 2)
+        shares.append([(near + k, w) for k, w in zip((-1, 0, 1), weights, strict=True)])
+    for column, wx in shares[0]:
+        for row, wz in shares[1]:
+            inside = (column >= 0) & (column < pixels[0]) & (row >= 0) & (row < pixels[1])
+            flat = column[inside] * pixels[1] + row[inside]
+            total += np.bincount(flat, (wx * wz)[inside], minlength=total.size).reshape(pixels)
+    return total
