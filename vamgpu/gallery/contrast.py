@@ -81,7 +81,7 @@ def _falling(axis: Axes, xi: np.ndarray) -> None:
 
 
 def _profiles(axis: Axes, fwhm: float, angles: int) -> None:
-    place = np.linspace(-3.0, 3.0, 241) * fwhm
+    place = np.linspace(-2.6, 7.2, 393) * fwhm
     for m, color in zip((RATIOS[0], RATIOS[3], RATIOS[4]), style.HUES, strict=False):
         deep, along = (point_dose(*at, fwhm, m, angles) for at in ((0 * place, place), (place, 0 * place)))
         axis.plot(1e3 * place, deep, color=color, label=f"along ρ, m = {m:.2f}")

@@ -19,7 +19,7 @@ SAMPLES = 4
 """Their cube is the number of points in a voxel that the surface may cross, unless told otherwise."""
 PLASTIC = 1.2207440846057596
 """The root of x⁴ = x + 1: its powers spread points in three dimensions."""
-_POINTS = 1 << 21
+_POINTS = 1 << 19
 """Points whose function is held in memory at once."""
 
 
