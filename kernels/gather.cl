@@ -7,8 +7,9 @@ FIELD_KERNEL gather_rows(__global const float *restrict source, __global const i
     if (i >= n_i) return;
     source += slab_offset(n_u, n_v);
     out += slab_offset(n_i, n_j);
-    for (int j = begin; j < end; j++) {
-        const int row = i * n_j + j, stop = first[row + 1];
+    const int blocks = (n_row - 1) / (n_i * n_j);
+    for (int block = 0; block < blocks; block++) for (int j = begin; j < end; j++) {
+        const int row = (i * blocks + block) * n_j + j, stop = first[row + 1];
         Vector sum[VECTORS];
         EACH_VECTOR sum[v] = (Vector)(0.0f);
         for (int k = first[row]; k < stop; k++) {
@@ -16,6 +17,7 @@ FIELD_KERNEL gather_rows(__global const float *restrict source, __global const i
             __global const float *near = source + (size_t)(int)entry.x * LANES;
             EACH_VECTOR sum[v] = fma((Vector)(entry.y), LOAD(near), sum[v]);
         }
-        EACH_VECTOR STORE(out + SAMPLE(i, j, n_j), sum[v]);
+        __global float *total = out + SAMPLE(i, j, n_j);
+        EACH_VECTOR STORE(total, block ? LOAD(total) + sum[v] : sum[v]);
     }
 }

@@ -25,8 +25,10 @@ def gather_rows(
 ):
     slab, i, j, lane = wp.tid()
     lanes = source.shape[1] // (n_u * n_v)
-    row = i * n_j + j
+    blocks = (n_row - 1) // (n_i * n_j)
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    for k in range(first[row], first[row + 1]):
-        total += entries[k, 1] * read(source, slab, int(entries[k, 0]) * lanes + lane)
-    out[slab, row * lanes + lane] = total
+    for block in range(blocks):
+        row = (i * blocks + block) * n_j + j
+        for k in range(first[row], first[row + 1]):
+            total += entries[k, 1] * read(source, slab, int(entries[k, 0]) * lanes + lane)
+    out[slab, (i * n_j + j) * lanes + lane] = total

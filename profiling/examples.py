@@ -345,7 +345,7 @@ def _through(n: int) -> Example:
 
 def _gathered(n: int) -> Example:
     rng, columns = np.random.default_rng(3), n * (n + 1)
-    first = np.concatenate([[0], np.cumsum(rng.integers(0, 9, n * (n + n % 2)))])
+    first = np.concatenate([[0], np.cumsum(rng.integers(0, 5, 3 * n * (n + n % 2)))])
     entries = np.stack([rng.integers(0, columns, first[-1]), rng.random(first[-1])], axis=1)
     sizes = {"u": n, "v": n + 1, "z": _slices(n), "row": len(first), "entry": len(entries)}
     return Example({**sizes, "i": n, "j": n + n % 2}, {"first": first, "entries": entries})
@@ -365,7 +365,18 @@ def _bent(n: int, *shape: int) -> Example:
     return Example({"ray": n, "row": 7, **dict(zip("ijk", shape, strict=False))}, given)
 
 
+def _transported(n: int) -> Example:
+    """One step in a box with open and closed columns, fixed values at some faces, and radicals left over here and there."""
+    walls = np.zeros((3, 6, 2))
+    walls[..., 1] = 1.0
+    walls[0, 1], walls[1, 4], walls[2, 5], walls[0, 2] = (0.6, -1.0), (1.4, -1.0), (0.8, -1.0), (0.2, -1.0)
+    given = {"spread": np.array([[0.11, 0.1, 0.05], [0.03, 0.04, 0.02], [0.0, 0.01, 0.02]]), "walls": walls}
+    given |= {"rates": np.array([0.8, 0.6, 0.3, 0.2, 0.1, 0.1]), "order": n % 2, "reacting": 1, "steps": 1}
+    return Example({**_volume(n), "part": 0, "room": 1}, {**given, "optical": 0.4, "mechanical": 0.6, "time": 5.0})
+
+
 EXAMPLES: dict[str, Callable[[int], Example]] = {
+    "transport": _transported,
     "forward_joseph": _straight,
     "back_joseph": _straight,
     "forward_refracted": _refracted,

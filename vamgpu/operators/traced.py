@@ -20,11 +20,14 @@ from vamgpu.operators.carried import Carried
 from vamgpu.operators.light import EQUAL
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
+from vamgpu.operators.sparse import SparseEntries
 
 SCRATCH = 64 << 20
 """Bytes of the table that poses are traced into at once."""
 WHOLE = 1 << 24
 """Float32 tells whole numbers apart up to here."""
+PLANES, POSES = 32, 45
+"""Planes of voxels, and poses, whose entries are gathered together, so that neighbors find them in the cache."""
 PATIENCE = 8
 """A ray is lost that has not left after the way through this many grids."""
 
@@ -126,12 +129,10 @@ class _Matrix:
         cells, rays = grid.shape[0] * grid.shape[1], owner.motion.angles * beam.pixels[0]
         if max(cells, rays) > WHOLE:
             raise BadInput(f"{cells} voxels a slice and {rays} rays; at most {WHOLE} of each: use a coarser geometry")
-        first, pairs = _traced(owner)
-        self.entries = int(first[-1])
-        table = self.device.table
-        self.rows = {"first": table(first, "int32"), "entries": table(pairs)}
-        first, pairs = _by_columns(first, pairs, cells)
-        self.columns = {"first": table(first, "int32"), "entries": table(pairs)}
+        entries = _traced(owner)
+        self.entries = entries.weight.size
+        self.rows = entries.table(self.device, self.slices[:2], PLANES * grid.shape[1])
+        self.columns = entries.transposed().table(self.device, grid.shape[:2], POSES * beam.pixels[0])
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         rows = out if self.same_rows else self.device.empty(self.slices)
@@ -161,8 +162,8 @@ class _Matrix:
         )
 
 
-def _traced(owner: TracedProjection) -> tuple[np.ndarray, np.ndarray]:
-    """Where the pairs of each row [angle, r] begin, and the pairs (cell, weight); traced some poses at a time."""
+def _traced(owner: TracedProjection) -> SparseEntries:
+    """The matrix of one slice, rows being [angle, r]; traced some poses at a time."""
     device, bundle = owner.device, owner.rays.rays  # type: ignore[union-attr]
     inputs = owner.inputs(level=True) | {"most": owner.most_steps}
     rays = owner.beam.pixels[0] * bundle
@@ -189,22 +190,15 @@ def _traced(owner: TracedProjection) -> tuple[np.ndarray, np.ndarray]:
         counts.append(found.reshape(-1, bundle).sum(axis=1))
         pairs.append(part)
         at += some.size
-    ends = np.cumsum(np.concatenate([[0], *counts]), dtype=np.int64)
-    if ends[-1] >= 2**31:
-        raise OutOfMemory(f"the matrix has {ends[-1]} entries; below {2**31} can be told apart: use a coarser grid")
-    return ends, np.concatenate(pairs)
+    found, whole = np.concatenate(counts), np.concatenate(pairs)
+    if len(whole) >= 2**31:
+        raise OutOfMemory(f"the matrix has {len(whole)} entries; below {2**31} can be told apart: use a coarser grid")
+    row = np.repeat(np.arange(found.size, dtype=np.int32), found)
+    return SparseEntries(row, whole[:, 0].astype(np.int32), np.ascontiguousarray(whole[:, 1]))
 
 
 def _solid(owner: TracedProjection) -> np.ndarray | None:
     return None if owner.carried.opaque is None else owner.carried.opaque.ravel()
-
-
-def _by_columns(first: np.ndarray, pairs: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """The transpose: entries of each cell in the order of their rows."""
-    from scipy.sparse import csr_array
-
-    matrix = csr_array((pairs[:, 1], pairs[:, 0].astype(np.int32), first), shape=(first.size - 1, cells)).tocsc()
-    return matrix.indptr, np.stack([matrix.indices.astype(pairs.dtype), matrix.data], axis=1)
 
 
 class _March:
