@@ -159,7 +159,7 @@ def _oblique(n: int, source: str) -> Example:
     climb = np.broadcast_to(0.3 * np.arange(light.shape[1]) - 0.15 * light.shape[1], light.shape[:2])
     table = np.concatenate([light, np.stack([climb, np.full_like(climb, 0.9)], axis=-1)], axis=-1)
     places = 0.3 * np.stack([poses[:, 1], poses[:, 0]], axis=1)
-    given = {**example.given, "light": table, "poses": np.concatenate([poses, places], axis=1), "height": 1.0}
+    given = {**example.given, "light": table, "poses": np.concatenate([poses, places], axis=1)}
     given |= {"radius": example.given["radius"] - 0.5, "lanes": lambda _, arguments: arguments[source].lanes}
     written = volume if source == "sinogram" else rows
     return Example({**example.sizes, "z": written, "row": rows, "slice": volume}, given)
@@ -372,7 +372,24 @@ def _transported(n: int) -> Example:
     walls[0, 1], walls[1, 4], walls[2, 5], walls[0, 2] = (0.6, -1.0), (1.4, -1.0), (0.8, -1.0), (0.2, -1.0)
     given = {"spread": np.array([[0.11, 0.1, 0.05], [0.03, 0.04, 0.02], [0.0, 0.01, 0.02]]), "walls": walls}
     given |= {"rates": np.array([0.8, 0.6, 0.3, 0.2, 0.1, 0.1]), "order": n % 2, "reacting": 1, "steps": 1}
-    return Example({**_volume(n), "part": 0, "room": 1}, {**given, "optical": 0.4, "mechanical": 0.6, "time": 5.0})
+    given |= {"optical": 0.4, "mechanical": 0.6, "time": 5.0}
+    return Example({**_volume(n), "part": 0, "room": 1}, given, combine={"scratch": lambda _: 0.0})
+
+
+def _inhibited(n: int) -> Example:
+    """Resins of both orders under light of four intervals, some of it dark; most items are used up before the end."""
+    rng, resins, items = np.random.default_rng(n), 3, 3 * n
+    rates = np.ones((resins, 8))
+    rates[:, :4] = [[0.1, 0.05, 0.04, 0.2], [0.1, 0.3, 0.1, 0.01], [0.1, 0.02, 0.005, 1.0]]
+    rates[:, 5] = [0.0, 2.0, 0.5]
+    before = np.zeros((items, 4))
+    before[:, 0], before[:, 1] = rng.uniform(0.5, 1.0, items), 0.3 * rng.integers(0, 2, items)
+    before[:, 2] = rng.uniform(0.2, 2.0, items)
+    light = rng.uniform(0.5, 2.0, (n, 4, 2))
+    light[:, 1, 0] = light[:, 3, 1] = 0.0
+    given = {"before": before, "rates": rates, "light": light, "lengths": [2.0, 1.0, 3.0, 2.5]}
+    given |= {"first": 1, "count": 14, "every": 4, "tolerance": 1e-6}
+    return Example({"item": items, "resin": resins, "source": n, "interval": 4, "row": 3}, given)
 
 
 EXAMPLES: dict[str, Callable[[int], Example]] = {
@@ -421,6 +438,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "march_formula": _bent,
     "march_plane": lambda n: _bent(n, 11, 12),
     "march_volume": lambda n: _bent(n, 11, 12, 13),
+    "inhibit": _inhibited,
     "shift_window": _banded,
     "mix_poses": _mixed,
 }

@@ -1,0 +1,221 @@
+"""Warp sibling of `kinetics`: one thread an item."""
+
+from __future__ import annotations
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+DEPLETED = wp.constant(1.0e-6)
+FLOOR = wp.constant(1.0e-12)
+MOST = wp.constant(20000)
+NEVER = wp.constant(-1.0)
+UNSETTLED = wp.constant(-2.0)
+LONG = wp.constant(1.0e30)
+
+
+@wp.struct
+class Terms:
+    a: float
+    b: float
+    p: float
+    k2: float
+    slope: float
+    scale: float
+    steady: int
+
+
+@wp.struct
+class Matrix:
+    push: float
+    pull: float
+    first: float
+    last: float
+    pivot: float
+    share: float
+    pair: float
+    slope: float
+
+
+@wp.func
+def share_of(y: wp.vec3, terms: Terms):
+    return wp.clamp(y[0] / wp.max(y[0] + y[1], FLOOR * terms.scale), 0.0, 1.0)
+
+
+@wp.func
+def change_of(y: wp.vec3, terms: Terms):
+    share = share_of(y, terms)
+    made = terms.slope * y[2]
+    if terms.steady != 0:
+        made = terms.p
+    paired = terms.k2 * y[1] * y[1]
+    rest = wp.min(1.0 - share, wp.abs(y[1]) / (FLOOR * terms.scale))
+    return wp.vec3(-terms.a * share, -terms.b * rest + 2.0 * (made - paired), paired - made)
+
+
+@wp.func
+def reach_of(y: wp.vec3, change: wp.vec3, terms: Terms):
+    reach = float(LONG)
+    fall = -(change[0] + change[1])
+    if fall > 0.0:
+        reach = (y[0] + y[1] - 0.5 * DEPLETED * terms.scale) / fall
+    if terms.steady != 0 and change[2] < 0.0:
+        reach = wp.min(reach, -y[2] / change[2])
+    return reach
+
+
+@wp.func
+def solved(m: Matrix, right: wp.vec3):
+    pushed = m.push * (1.0 - m.share) * right[0] / m.first
+    middle = (right[1] + pushed + 2.0 * m.slope * right[2] / m.last) / m.pivot
+    return wp.vec3((right[0] + m.pull * m.share * middle) / m.first, middle, (right[2] + m.pair * middle) / m.last)
+
+
+@wp.func
+def stepped(y: wp.vec3, change: wp.vec3, terms: Terms, h: float):
+    """The end of a step of Rodas3, and its estimated error."""
+    whole = wp.max(y[0] + y[1], FLOOR * terms.scale)
+    g = 2.0 / h
+    m = Matrix()
+    m.share = share_of(y, terms)
+    m.pull = terms.a / whole
+    m.push = terms.b / whole
+    m.pair = 2.0 * terms.k2 * y[1]
+    m.slope = terms.slope
+    m.first = g + m.pull * (1.0 - m.share)
+    m.last = g + terms.slope
+    m.pivot = g + m.push * m.share * g / m.first + 2.0 * m.pair * g / m.last
+    per = 1.0 / h
+    k1 = solved(m, change)
+    k2 = solved(m, change + 4.0 * per * k1)
+    base = y + 2.0 * k1
+    k3 = solved(m, change_of(base, terms) + per * (k1 - k2))
+    near = base + k3
+    k4 = solved(m, change_of(near, terms) + per * (k1 - k2 - 8.0 / 3.0 * k3))
+    end = near + k4
+    return wp.vec4(end[0], end[1], end[2], wp.max(wp.abs(k4[0]), wp.max(wp.abs(k4[1]), wp.abs(k4[2]))))
+
+
+@wp.func
+def settled(y: wp.vec3, end: wp.vec4, terms: Terms):
+    moved = wp.min(end[2], 0.0)
+    if terms.steady != 0 and end[2] <= DEPLETED * terms.scale and end[2] < y[2]:
+        moved = end[2]
+    b = end[1] + 2.0 * moved
+    below = wp.min(b, 0.0)
+    return wp.vec3(wp.max(end[0], 0.0), b - below, wp.max(end[2] - moved + 0.5 * below, 0.0))
+
+
+@wp.kernel
+def inhibit(
+    before: wp.array2d(dtype=float),
+    rates: wp.array2d(dtype=float),
+    light: wp.array3d(dtype=float),
+    lengths: wp.array1d(dtype=float),
+    first: int,
+    count: int,
+    every: int,
+    tolerance: float,
+    after: wp.array2d(dtype=float),
+    path: wp.array3d(dtype=float),
+    times: wp.array1d(dtype=float),
+    n_item: int,
+    n_resin: int,
+    n_source: int,
+    n_interval: int,
+    n_row: int,
+):
+    item = wp.tid()
+    resin = int(wp.int64(item) * wp.int64(n_resin) // wp.int64(n_item))
+    source = item % n_source
+    terms = Terms()
+    terms.scale = rates[resin, 4]
+    terms.steady = 0
+    if rates[resin, 5] == 0.0:
+        terms.steady = 1
+    y = wp.vec3(before[item, 0], before[item, 1], before[item, 2])
+    dose = float(before[item, 3])
+    dose_rest = float(0.0)
+    clock = float(0.0)
+    clock_rest = float(0.0)
+    trial = float(LONG)
+    event = float(NEVER)
+    if y[0] + y[1] <= DEPLETED * terms.scale:
+        y = wp.vec3(0.0, 0.0, y[2])
+        event = float(0.0)
+    path[item, 0, 0] = y[0]
+    path[item, 0, 1] = y[1]
+    path[item, 0, 2] = y[2]
+    path[item, 0, 3] = dose
+    row = int(1)
+    due = int(every)
+    k = int(0)
+    while k < count and event == NEVER:
+        now = (first + k) % n_interval
+        length = lengths[now]
+        visible = light[source, now, 0]
+        made = rates[resin, 2] * light[source, now, 1]
+        terms.a = rates[resin, 0] * visible
+        terms.b = rates[resin, 1] * visible
+        left = float(length)
+        n = int(0)
+        while left > 0.0 and event == NEVER and n < MOST:
+            terms.p = made
+            terms.k2 = rates[resin, 3]
+            terms.slope = 0.0
+            if terms.steady == 0:
+                terms.slope = made / rates[resin, 5]
+            elif y[2] <= 0.0 and made >= terms.k2 * y[1] * y[1]:
+                terms.p = 0.0
+                terms.k2 = 0.0
+            change = change_of(y, terms)
+            h = wp.min(wp.min(trial, left), reach_of(y, change, terms))
+            end = stepped(y, change, terms, h)
+            error = end[3] / (tolerance * terms.scale)
+            low = -tolerance * terms.scale
+            grown = wp.clamp(0.9 / wp.cbrt(wp.max(error, 1.0e-6)), 0.2, 4.0)
+            if error <= 1.0 and end[0] >= low and end[1] >= low and end[2] >= low:
+                longer = h * grown
+                if h < trial:
+                    longer = wp.max(longer, trial)
+                trial = longer
+                y = settled(y, end, terms)
+                left = left - h
+                if y[0] + y[1] <= DEPLETED * terms.scale:
+                    y = wp.vec3(0.0, 0.0, y[2])
+                    event = clock + (length - left)
+            else:
+                trial = h * wp.min(grown, 0.5)
+            n += 1
+        if left > 0.0 and event == NEVER:
+            event = float(UNSETTLED)
+        spent = float(length)
+        if event != NEVER:
+            spent = wp.max(event - clock, 0.0)
+        wanted = visible * spent - dose_rest
+        total = dose + wanted
+        dose_rest = (total - dose) - wanted
+        dose = total
+        step = length - clock_rest
+        later = clock + step
+        clock_rest = (later - clock) - step
+        clock = later
+        k += 1
+        if k == due and row < n_row:
+            path[item, row, 0] = y[0]
+            path[item, row, 1] = y[1]
+            path[item, row, 2] = y[2]
+            path[item, row, 3] = dose
+            row += 1
+            due += every
+    while row < n_row:
+        path[item, row, 0] = y[0]
+        path[item, row, 1] = y[1]
+        path[item, row, 2] = y[2]
+        path[item, row, 3] = dose
+        row += 1
+    after[item, 0] = y[0]
+    after[item, 1] = y[1]
+    after[item, 2] = y[2]
+    after[item, 3] = dose
+    times[item] = event
