@@ -1,0 +1,166 @@
+"""A proven web as one self-contained HTML page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vamgpu.optics.roller import Roller
+from vamgpu.optimize.papers import BAND, RAMP, ROLL_TO_ROLL
+from vamgpu.printing import pictures, surface
+from vamgpu.storage.atomic import replacing
+from vamgpu.webs import views
+
+if TYPE_CHECKING:
+    from vamgpu.webs.proof import Piece, WebProof
+
+SHOWN = 9.0
+"""Length [mm] of the piece of web that is shown in three dimensions."""
+
+
+def write_report(
+    proof: WebProof, path: str | Path, *, title: str = "", contrast: Sequence[tuple[float, float]] = ()
+) -> Path:
+    """Write the page of a proven web. contrast: pairs of index ratio and ξ to plot. Raises `StorageError`."""
+    page = render(proof, title or proof.folder.path.stem, contrast)
+    with replacing(path, overwrite=True) as draft:
+        draft.write_text(page, encoding="utf-8")
+    return Path(path)
+
+
+def render(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]] = ()) -> str:
+    """The page as text."""
+    from jinja2 import Environment
+
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    css, js = (_template("vamgpu.printing", name) for name in ("report.css", "report.js"))
+    page = environment.from_string(_template("vamgpu.webs", "web.html"))
+    return page.render(css=css, js=js, title=title, **_content(proof, contrast))
+
+
+def _content(proof: WebProof, contrast: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    peak = _peak(proof)
+    strips, shown = views.Strips(proof.segments[-1].columns[1], proof.threshold), None
+    middle = len(proof.segments) // 2
+    for k, piece in enumerate(proof.pieces()):
+        strips.add(piece.columns[0], piece.dose, piece.target)
+        if k == middle:
+            shown = piece
+    assert shown is not None
+    data, note = _solid(proof, shown, peak)
+    missing, excess = (sum(getattr(score, name) for score in proof.segments) for name in ("missing", "excess"))
+    return {
+        "perfect": missing + excess == 0,
+        "verdict": f"{missing + excess:,} of {int(proof.counts.sum()):,} voxels print wrong: {missing:,} missing, "
+        f"{excess:,} excess.",
+        "tiles": _tiles(proof),
+        "strips": strips.pictures(peak),
+        "deviation_um": f"{1e3 * max(proof.grid.edges):.3g}",
+        "surface_note": note,
+        "slices_note": "Slices of the same piece across the web; l runs to the right, the outer face is up.",
+        "wrapped": _wrapped(proof),
+        "wrapped_note": "Light comes from below, refracts at the outer face, fades in the film and ends at the roller.",
+        "histogram": views.histogram_chart(proof.counts, proof.edges, proof.threshold),
+        "contrast": views.contrast_chart(contrast) if contrast else None,
+        "per_segment": views.segments_chart(proof.segments, proof.grid.edges[0]),
+        "frames": views.frame_pictures(proof),
+        "focus": proof.folder.details["frames"]["focus"] is not None,
+        "setup": _setup(proof),
+        "papers": (ROLL_TO_ROLL, BAND, RAMP),
+        "data": json.dumps(data, separators=(",", ":")),
+    }
+
+
+def _peak(proof: WebProof) -> float:
+    """Dose below which all but a thousandth of the voxels lie: what pictures show brightest."""
+    total = proof.counts.sum(axis=0).cumsum()
+    return float(proof.edges[int(np.searchsorted(total, 0.999 * total[-1])) + 1])
+
+
+def _solid(proof: WebProof, piece: Piece, peak: float) -> tuple[dict[str, Any], str]:
+    """Surfaces and slices of a stretch in the middle of a piece, as the page's script takes them."""
+    edges = np.array(proof.grid.edges)
+    count = min(len(piece.dose), round(SHOWN / edges[0]))
+    first = (len(piece.dose) - count) // 2
+    dose, target = (values[first : first + count].astype(np.float64) for values in (piece.dose, piece.target))
+    verdict = pictures.verdicts(target, dose >= proof.threshold, np.ones(dose.shape[:2], bool))
+    solids = [_surface(values, level, edges) for values, level in ((target, 0.5), (dose, proof.threshold))]
+    points = np.concatenate([solid.points for solid in solids])
+    reach = float(np.abs(points).max(initial=edges.max()))
+    radius = float(np.linalg.norm(points, axis=1).max(initial=edges.max()))
+    sheet = pictures.sheet(dose, target, verdict, peak)
+    wanted, printed = solids
+    data = {
+        "target": wanted.packed(np.zeros(len(wanted.points)), reach),
+        "printed": printed.packed(surface.deviation(printed, wanted) / edges.max(), reach),
+        "radius": 2 * radius / reach,
+        "sheet": sheet,
+        "heights": [float(z) for z in proof.grid.axes()[2][sheet["slices"]]],
+        "first": len(sheet["slices"]) // 2,
+        "heat": pictures.ramp("magma"),
+        "colors": pictures.COLORS.tolist(),
+    }
+    start = (piece.columns[0] + first) * edges[0]
+    note = (
+        f"The web from {start:.1f} to {start + count * edges[0]:.1f} mm where the dose reaches the threshold, colored "
+        "by its distance from the target; the scale ends at one voxel. Drag to turn, scroll to zoom."
+    )
+    return data, note
+
+
+def _surface(values: np.ndarray, level: float, edges: np.ndarray) -> surface.Surface:
+    found = surface.iso_surface(values, level, 1.0)
+    points = found.points * edges
+    return replace(found, points=points, normals=surface.vertex_normals(points, found.faces))
+
+
+def _wrapped(proof: WebProof) -> str:
+    from vamgpu.webs.wraps import wrap_from
+
+    roller = wrap_from(proof.folder.details["wrap"])
+    assert isinstance(roller, Roller)
+    frame = proof.folder.frame(proof.folder.frames // 2)
+    shown = frame[frame.shape[0] // 2].astype(np.float64)
+    return views.wrapped_chart(proof.light, proof.grid, roller, shown, np.ones(len(shown)))
+
+
+def _tiles(proof: WebProof) -> list[dict[str, str]]:
+    length = proof.segments[-1].columns[1] * proof.grid.edges[0]
+    worst = min(score.trimmed for score in proof.segments)
+    values = (
+        ("IoU", f"{proof.iou:.4f}"),
+        ("narrowest 1 % window", f"{worst:+.3f}".replace("-", "−")),
+        ("threshold", f"{proof.threshold:.3f}"),
+        ("length", f"{length:.4g} mm"),
+        ("frames", f"{proof.folder.frames:,}"),
+        ("segments", str(len(proof.segments))),
+    )
+    return [{"name": name, "value": value} for name, value in values]
+
+
+def _setup(proof: WebProof) -> list[tuple[str, str]]:
+    details = proof.folder.details
+    layout, grid = details["layout"], details["grid"]
+    film = details["wrap"].get("film", {})
+    columns, rows = details["beam"]["pixels"]
+    return [
+        ("section", f"{grid['section'][0]} × {grid['section'][1]} voxels along ρ and z"),
+        ("voxels", " × ".join(f"{1e3 * edge:.4g}" for edge in grid["pitch"]) + " µm along l, ρ and z"),
+        ("beam", f"{columns} × {rows} pixels of {1e3 * details['beam']['pitch']:.4g} µm"),
+        ("film", ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in film.items() if value is not None)),
+        ("roller", f"radius {details['wrap'].get('radius')} mm, {layout['step']} columns a pose"),
+        ("window of light", f"{layout['window']} columns, {layout['window'] * grid['pitch'][0]:.4g} mm"),
+        ("segments", f"{layout['core']} frames each, decided with {layout['overlap']} more on either side"),
+        ("method", ", ".join(f"{name} {value}" for name, value in details["method"].items())),
+        ("device", proof.device.description),
+    ]
+
+
+def _template(package: str, name: str) -> str:
+    return resources.files(package).joinpath("templates", name).read_text(encoding="utf-8")
