@@ -290,6 +290,10 @@ def test_fields_that_do_not_fit_are_named() -> None:
         Carried(extinction=-0.1)
     with pytest.raises(BadInput, match="booleans"):
         Carried(opaque=np.zeros(FLAT))
+    with pytest.raises(ShapeMismatch, match="0 axes"):
+        Carried(index=1.5)  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="most_steps"):
+        TracedProjection(GRID, BEAM, motion, device="numpy", most_steps=0)
     with pytest.raises(BadInput, match="finite"):
         Carried(index=np.full(FLAT, np.nan))
     with pytest.raises(BadInput, match="upright"):
@@ -298,6 +302,11 @@ def test_fields_that_do_not_fit_are_named() -> None:
         TracedProjection(GRID, BEAM, motion, rays=RayBundle.parallel(vam.Beam((7, 2), 0.1)), device="numpy")
     with pytest.raises(BadInput, match="Carried"):
         TracedProjection(GRID, BEAM, motion, np.ones(FLAT), device="numpy")  # type: ignore[arg-type]
+
+
+def test_no_light_passes_where_all_is_opaque(device: Device) -> None:
+    A = TracedProjection(GRID, BEAM, vam.Turntable(2), Carried(opaque=np.ones(FLAT, bool)), device=device)
+    assert not A(np.ones(A.domain.shape)).any() and not A.T(np.ones(A.range.shape)).any()
 
 
 @pytest.mark.parametrize("rise", [0.0, 0.05], ids=["matrix", "marched"])

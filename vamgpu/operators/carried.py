@@ -19,7 +19,7 @@ class Carried:
     index: refractive index.  extinction: absorbed share per length [1/mm], natural logarithm, or one number for every
     voxel; without it nothing is absorbed.  opaque: true where an insert stops the light; light ends where the
     interpolated share of insert passes 0.4.  bath: refractive index beyond the grid; None takes the median of the
-    index on the grid's faces, or 1.  Raises `BadInput`, and `ShapeMismatch` once it meets a grid.
+    index on the grid's faces, or 1.  Raises `BadInput`, `ShapeMismatch`.
     """
 
     index: np.ndarray | None = None
@@ -35,6 +35,9 @@ class Carried:
         opaque = None if self.opaque is None else np.asarray(self.opaque)
         if opaque is not None and opaque.dtype != bool:
             raise BadInput(f"opaque holds {opaque.dtype}; wanted booleans: true where the insert is")
+        for name, value in (("index", index), ("opaque", opaque), ("extinction", extinction)):
+            if value is not None and value.ndim not in ((0, 2, 3) if name == "extinction" else (2, 3)):
+                raise ShapeMismatch(f"carried {name} has {value.ndim} axes; wanted [x, y] or [x, y, z]")
         if self.bath is not None:
             object.__setattr__(self, "bath", positive("bath index", self.bath))
             _refuse_below("bath index", np.asarray(self.bath), 1.0)

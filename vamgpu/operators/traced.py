@@ -11,7 +11,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OutOfMemory
-from vamgpu.geometry import Beam, Grid, Turntable, positive
+from vamgpu.geometry import Beam, Grid, Turntable, counts, positive
 from vamgpu.kernels.gather import gather_rows
 from vamgpu.kernels.resample import resample
 from vamgpu.kernels.trace import ABSORBS, back_traced, clear_volume, forward_traced, survey_rays, trace_entries
@@ -68,7 +68,8 @@ class TracedProjection(LinearOperator):
         self.domain, self.range = VolumeSpace(grid), SinogramSpace(beam, motion)
         self.device = open_device(device)
         self.step = positive("step [voxels]", step)
-        self.most_steps = most_steps or ceil(PATIENCE * sum(grid.shape) / self.step)
+        patience = ceil(PATIENCE * sum(grid.shape) / self.step)
+        self.most_steps = patience if most_steps is None else counts("most_steps", (most_steps,), 1)[0]
         carried.check(grid)
         level = carried.is_level and rays.is_level  # type: ignore[union-attr]
         self._way: _Matrix | _March = _Matrix(self) if level else _March(self)
@@ -169,7 +170,7 @@ def _traced(owner: TracedProjection) -> SparseEntries:
     rays = owner.beam.pixels[0] * bundle
     capacity = 3 * sum(owner.grid.shape[:2]) + 16
     poses, solid = owner.motion.poses, _solid(owner)
-    counts, pairs, at = [], [], 0
+    entries, pairs, at = [], [], 0
     while at < poses.size:
         some = poses[at : at + max(1, SCRATCH // (8 * rays * capacity))]
         count = device.empty((some.size, rays), np.int32, table=True)
@@ -187,10 +188,10 @@ def _traced(owner: TracedProjection) -> SparseEntries:
             dark = solid[part[:, 0].astype(np.int64)]
             valid[valid] = ~dark
             found, part = valid.sum(axis=2), part[~dark]
-        counts.append(found.reshape(-1, bundle).sum(axis=1))
+        entries.append(found.reshape(-1, bundle).sum(axis=1))
         pairs.append(part)
         at += some.size
-    found, whole = np.concatenate(counts), np.concatenate(pairs)
+    found, whole = np.concatenate(entries), np.concatenate(pairs)
     if len(whole) >= 2**31:
         raise OutOfMemory(f"the matrix has {len(whole)} entries; below {2**31} can be told apart: use a coarser grid")
     row = np.repeat(np.arange(found.size, dtype=np.int32), found)
