@@ -20,6 +20,8 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "carried": "Lenses and inserts that turn with the resin",
         "roller": "A film that a roller carries past the light",
         "web": "A film that passes the light, at every pose at once",
+        "eikonal": "Rays through media of varying index",
+        "shadowgram": "The shadow of a print",
         "projection": "A projection against its formula",
         "transpose": "The back projector is the transpose, entry by entry",
         "targets": "The bundled parts",
