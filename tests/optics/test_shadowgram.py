@@ -55,22 +55,22 @@ def test_weak_shadows_are_the_divergence_of_the_deflection(device: Device) -> No
     slope = (expected(middle + [step, 0], 0.7, True) - expected(middle - [step, 0], 0.7, True))[:, 0] / (2.0 * step)
     want = 1.0 - focus * slope
     assert np.abs(want - 1.0).max() > 0.008
-    # Light beyond the rim of the camera is absent, so the outermost pixels are not compared.
-    np.testing.assert_allclose(seen.image[2:-2, 0], want[2:-2], atol=0.05 * np.abs(want - 1.0).max())
+    np.testing.assert_allclose(seen.image[:, 0], want, atol=0.05 * np.abs(want - 1.0).max())
 
 
 def test_no_light_is_lost(device: Device) -> None:
     for focus in (-30.0, 0.0, 50.0):
         seen = weak(0.3, device, focus)
-        assert seen.image.sum() + seen.lost == pytest.approx(24 * 18, rel=1e-12)
-        assert abs(seen.lost) < 0.1 * 24 * 18
+        assert seen.image.sum() + seen.lost == pytest.approx(seen.light, rel=1e-12)
+        assert seen.light == pytest.approx(28 * 22)
+        assert seen.image.sum() == pytest.approx(24 * 18, rel=0.01)
     bright = weak(0.3, device, 300.0)
     assert bright.image.max() > 1.15
 
 
 def test_focused_on_the_print_its_shadow_vanishes(device: Device) -> None:
     center = -(CENTER[0] * np.cos(0.3) + CENTER[1] * np.sin(0.3))
-    images = (weak(0.3, device, focus, flat=True).image[3:-3, 0] for focus in (center, center + 40.0))
+    images = (weak(0.3, device, focus, flat=True).image[:, 0] for focus in (center, center + 40.0))
     sharp, blurred = (np.abs(image - 1.0).max() for image in images)
     assert sharp < 0.05 * blurred
 
@@ -78,7 +78,7 @@ def test_focused_on_the_print_its_shadow_vanishes(device: Device) -> None:
 def test_nothing_cured_casts_no_shadow() -> None:
     field = GridField.from_array(np.full((20, 20), INDEX), 0.3)
     seen = shadowgram(field, Camera((30, 1), 0.3, 12.0), INDEX, device="numpy")
-    np.testing.assert_allclose(seen.image[1:-1], 1.0, rtol=1e-9)
+    np.testing.assert_allclose(seen.image, 1.0, rtol=1e-9)
     assert np.abs(seen.deflection).max() < 1e-12
 
 

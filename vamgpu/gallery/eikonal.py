@@ -122,5 +122,7 @@ def _slopes(axis: Axes, doublings: int) -> list[Fact]:
         axis.loglog(counts, errors, "o-", color=color, ms=4, label=f"{scheme} (order {order})")
         facts.append(Fact(f"slope of {scheme}", float(-np.polyfit(np.log(counts), np.log(errors), 1)[0]), "", 3, order))
     axis.set(title="Error over the number of steps", xlabel="steps", ylabel="distance from the exact end")
+    axis.set_xticks(counts, [str(n) for n in counts])
+    axis.minorticks_off()
     axis.legend()
     return facts

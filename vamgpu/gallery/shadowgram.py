@@ -36,7 +36,7 @@ def shadowgram(
                             vmax=1.8)  # fmt: skip
         inner = seen.image[n // 4 : -n // 4, n // 4 : -n // 4]
         contrasts[at] = float(inner.std() / inner.mean())
-        lost = max(lost, abs(seen.image.sum() + seen.lost - seen.image.size) / seen.image.size)
+        lost = max(lost, abs(seen.image.sum() + seen.lost - seen.light) / seen.light)
     style.bar(drawn, axes["e"], "light over that without a print")
     gap = _weak_blob(axes["d"], device, resin_index, quick)
     facts = (

@@ -14,6 +14,9 @@ from vamgpu.optics.index_field import GridField, Region
 from vamgpu.optics.inputs import Floats, index
 from vamgpu.optics.march import march
 
+MARGIN = 2
+"""Pixels by which the light is wider than the camera, so that its rim is lit like its middle."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -41,12 +44,14 @@ class Camera:
 class Shadowgram:
     """A picture and the rays it is made of.
 
-    image: light over that without a print, (pixels across, pixels up).  lost: light that missed the camera or its
-    aperture, in the same unit: image.sum() + lost is the number of pixels.  start: X and z [mm] of the rays in front
+    image: light over that without a print, (pixels across, pixels up).  light: all that was sent, a little wider than
+    the camera, in pixels without a print.  lost: what missed the camera or its aperture: image.sum() + lost is light.
+    start: X and z [mm] of the rays in front
     of the print, (rays, 2).  deflection: slopes dX/dY and dz/dY behind it, (rays, 2).
     """
 
     image: Floats
+    light: float
     lost: float
     start: Floats
     deflection: Floats
@@ -95,8 +100,8 @@ def shadowgram(
     radius = min(-field.corner[0], -field.corner[1])
     n = index("resin_index", resin_index)
     (rays,) = counts("rays", (rays,), 1)
-    combs = zip(camera.pixels, (rays, 1 if flat else rays), strict=True)
-    across, up = (centers(pixels * each, camera.pitch / each) for pixels, each in combs)
+    across = centers((camera.pixels[0] + 2 * MARGIN) * rays, camera.pitch / rays)
+    up = np.zeros(1) if flat else centers((camera.pixels[1] + 2 * MARGIN) * rays, camera.pitch / rays)
     start = np.stack([g.ravel() for g in np.meshgrid(across, up, indexing="ij")], axis=1)
     place, heading = _before(start, radius, pose), np.array([-np.cos(pose), -np.sin(pose), 0.0])
     through = np.abs(start[:, 0]) < radius * (1.0 - 1e-6)
@@ -106,7 +111,7 @@ def shadowgram(
         size = positive("step [mm]", step) if step is not None else field.pitch / (3.0 * n)
         out = march(medium, place[through], slopes[through], step=size, device=device)
         ends[through], slopes[through] = out.place, out.direction
-    return _seen(start, ends, slopes, camera, pose)
+    return _seen(start, ends, slopes, camera, pose, 1.0 / (rays if flat else rays**2))
 
 
 def _before(start: Floats, radius: float, pose: float) -> Floats:
@@ -116,16 +121,16 @@ def _before(start: Floats, radius: float, pose: float) -> Floats:
     return np.stack([-start[:, 0] * s - along * c, start[:, 0] * c - along * s, start[:, 1]], axis=1)
 
 
-def _seen(start: Floats, place: Floats, direction: Floats, camera: Camera, pose: float) -> Shadowgram:
+def _seen(start: Floats, place: Floats, direction: Floats, camera: Camera, pose: float, share: float) -> Shadowgram:
     c, s = np.cos(pose), np.sin(pose)
     across, along = place[:, 1] * c - place[:, 0] * s, -(place[:, 0] * c + place[:, 1] * s)
     aside, ahead = direction[:, 1] * c - direction[:, 0] * s, -(direction[:, 0] * c + direction[:, 1] * s)
     deflection = np.stack([aside, direction[:, 2]], axis=1) / ahead[:, None]
     seen = (ahead > 0) & (np.hypot(aside, direction[:, 2]) <= camera.aperture)
     meets = np.stack([across, place[:, 2]], axis=1) + (camera.focus - along)[:, None] * deflection
-    share = camera.pixels[0] * camera.pixels[1] / len(start)
     image = share * _shared(meets[seen] / camera.pitch, camera.pixels)
-    return Shadowgram(image, float(camera.pixels[0] * camera.pixels[1] - image.sum()), start, deflection)
+    light = share * len(start)
+    return Shadowgram(image, light, float(light - image.sum()), start, deflection)
 
 
 def _shared(at: Floats, pixels: tuple[int, int]) -> Floats:
