@@ -20,6 +20,9 @@ static inline float overlap(float distance, float reach, float inverse) {
     return clamp(reach - fabs(distance), 0.0f, 1.0f) * inverse;
 }
 
+// Height in rows of slices that stand so many rows apart: whole multiples of that share out every row evenly.
+static inline float even(float stretch) { return stretch * fmax(1.0f, floor(1.0f / stretch + 0.5f)); }
+
 // Where among the rows slice `z` stands; the same sum in both directions.
 static inline float row_of(float4 ray, int z, float z0, float row0) { return fma(z - z0, ray.w, ray.z + row0); }
 
@@ -52,13 +55,12 @@ static inline void fetch(__global const float *restrict column, int from, int co
 
 #ifdef COMPILE_back_oblique
 FIELD_KERNEL back_oblique(__global const float *restrict sinogram, __global const float4 *restrict poses,
-                          __global const float4 *restrict light, float width, float height, float radius, int lanes,
+                          __global const float4 *restrict light, float width, float radius, int lanes,
                           __global float *restrict volume,
                           int n_angle, int n_r, int n_row, int n_across, int n_along, int n_x, int n_y, int n_z) {
     const float reach = 0.5f * (1.0f + width), inverse = 1.0f / width;
-    const float reach_z = 0.5f * (1.0f + height), inverse_z = 1.0f / height;
     const float x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1), z0 = 0.5f * (n_z - 1), row0 = 0.5f * (n_row - 1);
-    const int taps = (int)ceil(2.0f * reach), taps_z = (int)ceil(2.0f * reach_z);
+    const int taps = (int)ceil(2.0f * reach);
     const size_t slab = (size_t)n_angle * n_r * lanes;
     const int row = ITEM_MAJOR, begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_y) : n_y;
     if (row >= n_x) return;
@@ -68,11 +70,12 @@ FIELD_KERNEL back_oblique(__global const float *restrict sinogram, __global cons
         const float x = row - x0, y = j - y0;
         if (within(x, y, radius)) for (int angle = 0; angle < n_angle; angle++) {
             const float4 ray = look_up(light, n_across, n_along, poses[angle], x, y);
-            const int first = (int)ceil(ray.x - reach);
+            const float height = even(ray.w), reach_z = 0.5f * (1.0f + height), most = fmin(1.0f, height);
+            const int first = (int)ceil(ray.x - reach), taps_z = (int)ceil(2.0f * reach_z);
             const int low = max((int)ceil(row_of(ray, FIRST_Z, z0, row0) - reach_z), 0);
             const int high = min((int)floor(row_of(ray, FIRST_Z + LANE_COUNT - 1, z0, row0) + reach_z), n_row - 1);
             for (int tap = max(first, 0); tap < min(first + taps, n_r); tap++) {
-                const float weight = ray.y * overlap(ray.x - tap, reach, inverse) * inverse_z;
+                const float weight = ray.y * overlap(ray.x - tap, reach, inverse) / even(ray.w);
                 if (weight == 0.0f) continue;
                 __global const float *column = sinogram + ((size_t)angle * n_r + tap) * lanes;
 #ifdef CPU
@@ -82,14 +85,14 @@ FIELD_KERNEL back_oblique(__global const float *restrict sinogram, __global cons
                     fetch(column, from, count, slab, lanes, buffer);
                     for (int t = 0; t < taps_z; t++) for (int k = 0; k < LANE_COUNT; k++) {
                         const float position = row_of(ray, FIRST_Z + k, z0, row0), place = ceil(position - reach_z) + t;
-                        const float part = weight * clamp(reach_z - fabs(position - place), 0.0f, 1.0f);
+                        const float part = weight * clamp(reach_z - fabs(position - place), 0.0f, most);
                         sum[k] = fma(part, buffer[BUFFERED((int)place)], sum[k]);
                     }
                 }
 #else
                 for (int t = 0; t < taps_z; t++) for (int k = 0; k < LANE_COUNT; k++) {
                     const float position = row_of(ray, FIRST_Z + k, z0, row0), place = ceil(position - reach_z) + t;
-                    const float part = weight * clamp(reach_z - fabs(position - place), 0.0f, 1.0f);
+                    const float part = weight * clamp(reach_z - fabs(position - place), 0.0f, most);
                     if (place >= 0.0f && place < n_row) sum[k] = fma(part, column[along_z((int)place, slab, lanes)], sum[k]);
                 }
 #endif
@@ -139,10 +142,9 @@ static inline int2 cells_of(const Span *span, int plane) {
 
 FIELD_KERNEL forward_oblique(__global const float *restrict volume, __global const float4 *restrict poses,
                              __global const float4 *restrict light, __global const float8 *restrict edges,
-                             float width, float height, float radius, int lanes, __global float *restrict sinogram,
+                             float width, float radius, int lanes, __global float *restrict sinogram,
                              int n_x, int n_y, int n_slice, int n_angle, int n_across, int n_along, int n_r, int n_z) {
     const float reach = 0.5f * (1.0f + width), inverse = 1.0f / width;
-    const float reach_z = 0.5f * (1.0f + height), inverse_z = 1.0f / height;
     const float x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1), z0 = 0.5f * (n_slice - 1), row0 = 0.5f * (n_z - 1);
     const size_t slab = (size_t)n_x * n_y * lanes;
     const int angle = ITEM_MAJOR, begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_r) : n_r;
@@ -158,8 +160,9 @@ FIELD_KERNEL forward_oblique(__global const float *restrict volume, __global con
                 const int i = span.along_y ? cell : plane, j = span.along_y ? plane : cell;
                 if (!within(i - x0, j - y0, radius)) continue;
                 const float4 ray = look_up(light, n_across, n_along, pose, i - x0, j - y0);
-                const float weight = ray.y * overlap(ray.x - r, reach, inverse) * inverse_z;
+                const float weight = ray.y * overlap(ray.x - r, reach, inverse) / even(ray.w);
                 if (weight == 0.0f) continue;
+                const float height = even(ray.w), reach_z = 0.5f * (1.0f + height), most = fmin(1.0f, height);
                 const float slices = 1.0f / ray.w, lead = z0 - (ray.z + row0) * slices, span_z = reach_z * slices;
                 const int taps_z = (int)ceil(2.0f * span_z) + 1;
                 const int low = max((int)floor(fma(FIRST_Z - reach_z, slices, lead)), 0);
@@ -173,7 +176,7 @@ FIELD_KERNEL forward_oblique(__global const float *restrict volume, __global con
                     for (int t = 0; t < taps_z; t++) for (int k = 0; k < LANE_COUNT; k++) {
                         const int z = (int)floor(fma(FIRST_Z + k - reach_z, slices, lead)) + t;
                         const float apart = row_of(ray, z, z0, row0) - (FIRST_Z + k);
-                        const float part = weight * clamp(reach_z - fabs(apart), 0.0f, 1.0f);
+                        const float part = weight * clamp(reach_z - fabs(apart), 0.0f, most);
                         sum[k] = fma(part, buffer[BUFFERED(z)], sum[k]);
                     }
                 }
@@ -181,7 +184,7 @@ FIELD_KERNEL forward_oblique(__global const float *restrict volume, __global con
                 for (int t = 0; t < taps_z; t++) for (int k = 0; k < LANE_COUNT; k++) {
                     const int z = (int)floor(fma(FIRST_Z + k - reach_z, slices, lead)) + t;
                     const float apart = row_of(ray, z, z0, row0) - (FIRST_Z + k);
-                    const float part = weight * clamp(reach_z - fabs(apart), 0.0f, 1.0f);
+                    const float part = weight * clamp(reach_z - fabs(apart), 0.0f, most);
                     if (z >= 0 && z < n_slice) sum[k] = fma(part, column[along_z(z, slab, lanes)], sum[k]);
                 }
 #endif

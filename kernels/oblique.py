@@ -24,6 +24,14 @@ Images = Annotated[np.ndarray, Field(("angle", "r", "row"))]
 Slices = Annotated[np.ndarray, Field(("x", "y", "slice"))]
 
 
+def even(stretch: np.ndarray) -> np.ndarray:
+    """Height in rows of slices that stand ``stretch`` rows apart: the multiple of it next to one, or more.
+
+    Slices as high as whole multiples of their distance share out every row evenly, whatever that distance is.
+    """
+    return stretch * np.maximum(1.0, np.floor(1.0 / stretch + 0.5))
+
+
 def _looked_up(shape: tuple[int, ...], pose: np.ndarray, light: np.ndarray) -> np.ndarray:
     """(nx, ny, 4): the map at every voxel of a plane, continued in straight lines beyond its edge."""
     x, y = (np.arange(n) - middle(n) for n in shape[:2])
@@ -38,27 +46,27 @@ def _looked_up(shape: tuple[int, ...], pose: np.ndarray, light: np.ndarray) -> n
     return (1 - a) * near + a * far
 
 
-def _taps(position: np.ndarray, width: float, count: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _taps(position: np.ndarray, width: np.ndarray, count: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """(index, share) of the samples that something ``width`` samples wide overlaps; share 0 beyond ``count``."""
     reach = 0.5 * (1.0 + width)
     first = np.ceil(position - reach).astype(int)
-    for tap in range(int(np.ceil(2 * reach))):
+    for tap in range(int(np.ceil(2 * reach.max()))):
         index = first + tap
-        share = np.clip(reach - np.abs(position - index), 0.0, 1.0) / width
+        share = np.clip(reach - np.abs(position - index), 0.0, np.minimum(width, 1.0)) / width
         yield np.clip(index, 0, count - 1), share * ((index >= 0) & (index < count))
 
 
 def _struck(
-    volume: tuple[int, ...], sinogram: tuple[int, ...], pose: np.ndarray, light: np.ndarray, size: tuple[float, ...]
+    volume: tuple[int, ...], sinogram: tuple[int, ...], pose: np.ndarray, light: np.ndarray, size: tuple[float, float]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """(column, row, weight), each (nx, ny, nz), of every pixel that reaches the voxels at one pose."""
-    width, height, radius = size
+    width, radius = size
     x, y, z = (np.arange(n) - middle(n) for n in volume)
     u, strength, lift, stretch = np.moveaxis(_looked_up(volume, pose, light), -1, 0)[..., None]
     strength = strength * (x[:, None] ** 2 + y[None, :] ** 2 <= radius**2)[..., None]
     position = z * stretch + lift + middle(sinogram[2])
-    for column, part in _taps(u, width, sinogram[1]):
-        for row, share in _taps(position, height, sinogram[2]):
+    for column, part in _taps(u, np.asarray(width), sinogram[1]):
+        for row, share in _taps(position, even(stretch), sinogram[2]):
             yield np.broadcast_to(column, row.shape), row, strength * part * share
 
 
@@ -69,7 +77,6 @@ def forward_oblique(
     light: Rays,
     edges: Edges,
     width: Real,
-    height: Real,
     radius: Real,
     lanes: Integer,
     sinogram: SinogramOut,
@@ -77,7 +84,7 @@ def forward_oblique(
     """The transpose of `back_oblique`. edges bound where a column's light falls; lanes: of the volume's layout."""
     sinogram[...] = 0.0
     for angle, pose in enumerate(poses):
-        size = (width, height, radius)
+        size = (width, radius)
         for column, row, weight in _struck(volume.shape, sinogram.shape, pose, light, size):
             np.add.at(sinogram[angle], (column, row), weight * volume)
 
@@ -88,18 +95,17 @@ def back_oblique(
     poses: Poses,
     light: Rays,
     width: Real,
-    height: Real,
     radius: Real,
     lanes: Integer,
     volume: VolumeOut,
 ) -> None:
     """volume[x, y, z] = Σ over poses of the strength of the light there × the pixels around the ray that brings it.
 
-    A voxel is ``width`` ≥ 1 columns wide and ``height`` ≥ 1 rows high and takes of each what they overlap. Voxels
-    beyond ``radius`` voxels from the axis get nothing.  lanes: of the sinogram's layout (0 where it is plain).
+    A voxel is ``width`` ≥ 1 columns wide and `even` rows high and takes of each what they overlap. Voxels beyond
+    ``radius`` voxels from the axis get nothing.  lanes: of the sinogram's layout (0 where it is plain).
     """
     volume[...] = 0.0
     for angle, pose in enumerate(poses):
-        size = (width, height, radius)
+        size = (width, radius)
         for column, row, weight in _struck(volume.shape, sinogram.shape, pose, light, size):
             volume += weight * sinogram[angle][column, row]

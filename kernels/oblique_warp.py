@@ -36,6 +36,12 @@ def look_up(
 
 
 @wp.func
+def even(stretch: float):
+    """Height in rows of slices that stand so many rows apart: whole multiples of that share out every row evenly."""
+    return stretch * wp.max(1.0, wp.floor(1.0 / stretch + 0.5))
+
+
+@wp.func
 def row_of(ray: wp.vec4, z: float, row0: float):
     """Where among the rows a slice stands, z counted from the middle; the same sum in both directions."""
     return z * ray[3] + (ray[2] + row0)
@@ -54,7 +60,6 @@ def back_oblique(
     poses: wp.array2d(dtype=float),
     light: wp.array3d(dtype=float),
     width: float,
-    height: float,
     radius: float,
     lanes: int,
     volume: Field,
@@ -71,9 +76,7 @@ def back_oblique(
     x = float(i) - 0.5 * float(n_x - 1)
     y = float(j) - 0.5 * float(n_y - 1)
     reach = 0.5 * (1.0 + width)
-    reach_z = 0.5 * (1.0 + height)
     taps = int(wp.ceil(2.0 * reach))
-    taps_z = int(wp.ceil(2.0 * reach_z))
     first_z = float(4 * (slab * volume.shape[3] + lane)) - 0.5 * float(n_z - 1)
     row0 = 0.5 * float(n_row - 1)
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -81,13 +84,16 @@ def back_oblique(
         for angle in range(n_angle):
             ray = look_up(light, n_across, n_along, poses, angle, x, y)
             first = int(wp.ceil(ray[0] - reach))
+            reach_z = 0.5 * (1.0 + even(ray[3]))
+            taps_z = int(wp.ceil(2.0 * reach_z))
             for tap in range(wp.max(first, 0), wp.min(first + taps, n_r)):
-                weight = ray[1] * overlap(ray[0] - float(tap), reach, 1.0 / width) / height
+                weight = ray[1] * overlap(ray[0] - float(tap), reach, 1.0 / width) / even(ray[3])
                 for k in range(4):
                     position = row_of(ray, first_z + float(k), row0)
                     place = int(wp.ceil(position - reach_z))
                     for row in range(wp.max(place, 0), wp.min(place + taps_z, n_row)):
-                        share = weight * wp.clamp(reach_z - wp.abs(position - float(row)), 0.0, 1.0)
+                        apart = position - float(row)
+                        share = weight * wp.clamp(reach_z - wp.abs(apart), 0.0, wp.min(1.0, even(ray[3])))
                         total[k] = total[k] + share * sample(sinogram, angle, tap, row, lanes)
     volume[slab, i, j, lane] = total
 
@@ -111,7 +117,6 @@ def forward_oblique(
     light: wp.array3d(dtype=float),
     edges: wp.array2d(dtype=float),
     width: float,
-    height: float,
     radius: float,
     lanes: int,
     sinogram: Field,
@@ -129,7 +134,6 @@ def forward_oblique(
     y0 = 0.5 * float(n_y - 1)
     z0 = 0.5 * float(n_slice - 1)
     reach = 0.5 * (1.0 + width)
-    reach_z = 0.5 * (1.0 + height)
     first_row = 4 * (slab * sinogram.shape[3] + lane)
     row0 = 0.5 * float(n_z - 1)
     c = poses[angle, 0] * edges[r, 1] - poses[angle, 1] * edges[r, 2]
@@ -160,8 +164,9 @@ def forward_oblique(
             y = float(j) - y0
             if x * x + y * y <= radius * radius:
                 ray = look_up(light, n_across, n_along, poses, angle, x, y)
-                weight = ray[1] * overlap(ray[0] - float(r), reach, 1.0 / width) / height
+                weight = ray[1] * overlap(ray[0] - float(r), reach, 1.0 / width) / even(ray[3])
                 if weight != 0.0:
+                    reach_z = 0.5 * (1.0 + even(ray[3]))
                     for k in range(4):
                         row = float(first_row + k)
                         middle = (row - row0 - ray[2]) / ray[3] + z0
@@ -170,6 +175,6 @@ def forward_oblique(
                         to_z = wp.min(int(wp.ceil(middle + span)), n_slice - 1)
                         for z in range(from_z, to_z + 1):
                             apart = row_of(ray, float(z) - z0, row0) - row
-                            share = weight * wp.clamp(reach_z - wp.abs(apart), 0.0, 1.0)
+                            share = weight * wp.clamp(reach_z - wp.abs(apart), 0.0, wp.min(1.0, even(ray[3])))
                             total[k] = total[k] + share * sample(volume, i, j, z, lanes)
     sinogram[slab, angle, r, lane] = total

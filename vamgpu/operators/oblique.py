@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, inf
+from math import ceil
 from typing import Any, Protocol, final, runtime_checkable
 
 import numpy as np
@@ -13,7 +13,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.kernels.oblique import back_oblique, forward_oblique
-from vamgpu.operators.light import EQUAL, OpenAir, tabulate
+from vamgpu.operators.light import OpenAir, tabulate
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
 from vamgpu.operators.wobble import Wobble
@@ -103,9 +103,7 @@ class Oblique(LinearOperator):
         table = np.stack([light.map[..., 0], strength, *rows], axis=-1)
         poses = np.stack([np.cos(self.motion.poses), np.sin(self.motion.poses), *self._places.T], axis=1)
         wander = float(np.hypot(*self._places.T).max(initial=0.0))
-        tall = ratio * float(stretch[n // 2, n // 2])
-        self._size = {"width": light.width, "height": 1.0 if tall <= EQUAL else tall,
-                      "radius": max(light.radius - (wander if light.radius < inf else 0.0), 0.0)}  # fmt: skip
+        self._size = {"width": light.width, "radius": max(light.radius - wander, 0.0)}
         upload = self.device.table
         return {"poses": upload(poses), "light": upload(table), "edges": upload(light.edges)}
 
