@@ -14,6 +14,7 @@ typedef struct {
 
 typedef struct {
     float3 position, heading;
+    float3 pull;                // half the gradient of the squared index there
     float3 missing;             // what rounding took from the position: hundreds of steps would add it up
     float light;
 } Ray;
@@ -81,6 +82,7 @@ static bool enter(const Medium m, const float8 start, float2 direction, float to
     clip(y, ray->heading.y, m.n_q - MARGIN - 1.0f, &near, &far);
     clip(start.s2, ray->heading.z, top, &near, &far);
     ray->position = (float3)(x, y, start.s2) + near * ray->heading;
+    ray->pull = bend(m, ray->position);
     ray->missing = (float3)(0.0f);
     ray->light = start.s6;
     return near < far && ray->light > 0.0f;
@@ -91,11 +93,11 @@ static bool advance(const Medium m, Ray *ray, float top, float step, int kind, f
     const float3 here = ray->position, heading = ray->heading;
     float3 way = step * heading, turned = heading;
     if (kind & BENDS) {
-        const float3 a = step * bend(m, here);
+        const float3 a = step * ray->pull;
         const float3 b = step * bend(m, here + step * (0.5f * heading + 0.125f * a));
-        const float3 c = step * bend(m, here + step * (heading + 0.5f * b));
+        ray->pull = bend(m, here + step * (heading + 0.5f * b));   // serves as the next step's first
         way = step * (heading + (a + 2.0f * b) / 6.0f);
-        turned = heading + (a + 4.0f * b + c) / 6.0f;
+        turned = heading + (a + 4.0f * b + step * ray->pull) / 6.0f;
     }
     way -= ray->missing;
     const float3 next = here + way, both = heading + turned;

@@ -23,6 +23,7 @@ Samples = wp.array4d(dtype=float)
 class Ray:
     position: wp.vec3
     heading: wp.vec3
+    pull: wp.vec3  # half the gradient of the squared index there
     missing: wp.vec3  # what rounding took from the position: hundreds of steps would add it up
     light: float
     on: int
@@ -144,6 +145,7 @@ def enter(
     span = clip(y, ray.heading[1], float(medium.shape[1]) - EDGE - 1.0, span)
     span = clip(z, ray.heading[2], top, span)
     ray.position = wp.vec3(x, y, z) + span[0] * ray.heading
+    ray.pull = bend(medium, ray.position)
     ray.missing = wp.vec3(0.0, 0.0, 0.0)
     ray.light = starts[index, 6]
     ray.on = 0
@@ -158,18 +160,20 @@ def advance(medium: Samples, ray: Ray, top: float, step: float, kind: int):
     heading = ray.heading
     way = step * heading
     turned = heading
+    pull = ray.pull
     if (kind & BENDS) != 0:
-        a = step * bend(medium, here)
+        a = step * pull
         b = step * bend(medium, here + step * (0.5 * heading + 0.125 * a))
-        c = step * bend(medium, here + step * (heading + 0.5 * b))
+        pull = bend(medium, here + step * (heading + 0.5 * b))  # serves as the next step's first
         way = step * (heading + (a + 2.0 * b) / 6.0)
-        turned = heading + (a + 4.0 * b + c) / 6.0
+        turned = heading + (a + 4.0 * b + step * pull) / 6.0
     way -= ray.missing
     following = here + way
     length = 0.5 * step * wp.length(heading + turned)
     moved = Ray()
     moved.position = following
     moved.heading = turned
+    moved.pull = pull
     moved.light = ray.light
     moved.missing = (following - here) - way
     moved.middle = here + 0.5 * way
