@@ -42,7 +42,8 @@ class TracedProjection(LinearOperator):
     traced once into a sparse matrix and its transpose, both on the device. Otherwise rays are marched in every product.
 
     grid, beam, motion: the geometry.  carried: what turns with the resin.  rays: `RayBundle`, None for parallel light.
-    device: a name or a device.  step: of a ray [voxels], at most 0.5 past thin inserts.  most_steps: after which a ray counts as caught.
+    device: a name or a device.  step: of a ray [voxels], at most 0.5 past thin inserts.  most_steps: after which a ray
+    counts as caught.
     Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
     """
 
