@@ -2,18 +2,21 @@
 
 #ifdef COMPILE_transport
 #define SPECIES 3
-#define AFTER_16(c, next) ((float16)(c.s12345678, c.s9abc, c.sde, c.sf, next))
-#define BEFORE_16(c, last) ((float16)(last, c.s01234567, c.s89ab, c.scd, c.se))
-#define AFTER_4(c, next) ((float4)(c.s123, next))
-#define BEFORE_4(c, last) ((float4)(last, c.s012))
+#define SPACING 256 // floats between rows of scratch, which would else fall to the same sets of the cache
+#define TINY 1e-30f
+#define VECTOR_AT(pointer) (*(__global const Vector *)(pointer))
+// Neighbors in z of the lanes of a vector, from it and the one before or after it.
+#define AFTER_16(c, next) shuffle2(c, next, (uint16)(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16))
+#define BEFORE_16(c, last) shuffle2(last, c, (uint16)(15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30))
+#define AFTER_4(c, next) ((float4)(c.s123, next.s0))
+#define BEFORE_4(c, last) ((float4)(last.s3, c.s012))
 #define AFTER PASTE(AFTER_, WIDTH)
 #define BEFORE PASTE(BEFORE_, WIDTH)
-#define TINY 1e-30f
 
 typedef struct {
-    __global const float *spread, *walls, *rates;
+    float spread[SPECIES][3], walls[SPECIES][6][2], rates[6];
     __global const uchar *open;
-    int order, reacting, n_x, n_y, n_z;
+    int order, n_x, n_y, n_z;
     float optical, mechanical;
 } Problem;
 
@@ -27,28 +30,37 @@ typedef struct {
     __global float *dose, *optical_time, *mechanical_time;
 } Light;
 
-// What a species becomes by diffusion; passes holds 1 for the faces x low, x high, y low, y high that are open.
-static inline Vector spread_one(const Problem p, Row row, int species, int x, int y, int slab, int base, float4 passes) {
-    __global const float *D = p.spread + 3 * species, *wall = p.walls + 12 * species;
-    __global const float *at = row.here + (long)y * LANES + base;
-    const Vector here = *(__global const Vector *)at;
-    const Vector x_low = x ? *(__global const Vector *)(row.low + (long)y * LANES + base) : wall[0] + wall[1] * here;
-    const Vector x_high =
-        x + 1 < p.n_x ? *(__global const Vector *)(row.high + (long)y * LANES + base) : wall[2] + wall[3] * here;
-    const Vector y_low = y ? *(__global const Vector *)(at - LANES) : wall[4] + wall[5] * here;
-    const Vector y_high = y + 1 < p.n_y ? *(__global const Vector *)(at + LANES) : wall[6] + wall[7] * here;
-    const int z = slab * LANES + base, top = p.n_z - 1 - z;
-    const float last = base ? at[-1] : slab ? row.before[(long)y * LANES + LANES - 1] : wall[8] + wall[9] * at[0];
-    const Vector z_low = BEFORE(here, last);
-    Vector z_high;
-    if (top >= WIDTH) {
-        const float next = base + WIDTH < LANES ? at[WIDTH] : row.behind[(long)y * LANES];
-        z_high = AFTER(here, next);
-    } else
-        z_high = select(AFTER(here, 0.0f), wall[10] + wall[11] * here, LANE_IDS == (Lanes)(top));
-    Vector out = fma((Vector)(D[0]), passes.x * (x_low - here) + passes.y * (x_high - here), here);
-    out = fma((Vector)(D[1]), passes.z * (y_low - here) + passes.w * (y_high - here), out);
-    return fma((Vector)(D[2]), (z_low - here) + (z_high - here), out);
+// What a species becomes by diffusion, all lanes of the item; passes: 1 for the open faces x low, x high, y low, y high.
+// inner: no face of the sample is one of the box's along x or y.
+static inline void spread_one(const Problem *p, Row row, int k, int x, int y, int slab, int lane, float4 passes,
+                              bool inner, Vector *out) {
+    const float *D = p->spread[k];
+    const float (*wall)[2] = p->walls[k];
+    const long sample = (long)y * LANES;
+    __global const float *at = row.here + sample + lane;
+    const int top = p->n_z - 1 - slab * LANES - lane;
+    Vector here[VECTORS + 2];
+    EACH_VECTOR here[v + 1] = VECTOR_AT(at + v * WIDTH);
+    here[0] = (Vector)(lane ? at[-1] : slab ? row.before[sample + LANES - 1] : wall[4][0] + wall[4][1] * at[0]);
+    here[VECTORS + 1] = (Vector)(lane + VECTORS * WIDTH < LANES ? at[VECTORS * WIDTH]
+                                 : top >= VECTORS * WIDTH       ? row.behind[sample]
+                                                                : 0.0f);
+    EACH_VECTOR {
+        const Vector own = here[v + 1];
+        const size_t near = sample + lane + v * WIDTH;
+        const Vector x_low = inner || x ? VECTOR_AT(row.low + near) : wall[0][0] + wall[0][1] * own;
+        const Vector x_high = inner || x + 1 < p->n_x ? VECTOR_AT(row.high + near) : wall[1][0] + wall[1][1] * own;
+        const Vector y_low = inner || y ? VECTOR_AT(at + v * WIDTH - LANES) : wall[2][0] + wall[2][1] * own;
+        const Vector y_high =
+            inner || y + 1 < p->n_y ? VECTOR_AT(at + v * WIDTH + LANES) : wall[3][0] + wall[3][1] * own;
+        const Vector z_low = BEFORE(own, here[v]);
+        Vector z_high = AFTER(own, here[v + 2]);
+        if (top < VECTORS * WIDTH)
+            z_high = select(z_high, wall[5][0] + wall[5][1] * own, LANE_IDS == (Lanes)(top - v * WIDTH));
+        Vector sum = fma((Vector)(D[0]), passes.x * (x_low - own) + passes.y * (x_high - own), own);
+        sum = fma((Vector)(D[1]), passes.z * (y_low - own) + passes.w * (y_high - own), sum);
+        out[v] = fma((Vector)(D[2]), (z_low - own) + (z_high - own), sum);
+    }
 }
 
 static inline void mark(__global float *when, Vector before, Vector after, float level, float time, float step) {
@@ -59,8 +71,8 @@ static inline void mark(__global float *when, Vector before, Vector after, float
 }
 
 // Reactions of one step in place; adds to the dose only in a voxel the item owns.
-static inline void react(const Problem p, Vector *a, Vector *b, Vector *c, Light light, size_t at, float time, bool own) {
-    __global const float *k = p.rates;
+static inline void react(const Problem *p, Vector *a, Vector *b, Vector *c, Light light, size_t at, float time, bool own) {
+    const float *k = p->rates;
     const Vector zero = (Vector)(0.0f);
     const Vector uv = *(__global const Vector *)(light.ultraviolet + at);
     const Vector power = *(__global const Vector *)(light.visible + at) + k[4] * uv;
@@ -70,34 +82,36 @@ static inline void react(const Problem p, Vector *a, Vector *b, Vector *c, Light
         const Vector left = select(fmax(zero, 1.0f - share_a - share_b), zero, whole >= most) * power * k[5];
         const Vector before = *(__global Vector *)(light.dose + at), after = before + left;
         *(__global Vector *)(light.dose + at) = after;
-        mark(light.optical_time + at, before, after, p.optical, time, k[5]);
-        mark(light.mechanical_time + at, before, after, p.mechanical, time, k[5]);
+        mark(light.optical_time + at, before, after, p->optical, time, k[5]);
+        mark(light.mechanical_time + at, before, after, p->mechanical, time, k[5]);
     }
     *a = fmax(zero, *a - want_a * share_a);
     *b = fmax(zero, *b - want_b * share_b);
-    const Vector rate = k[2] * uv, split = fmin(*c, p.order ? *c * rate : rate);
+    const Vector rate = k[2] * uv, split = fmin(*c, p->order ? *c * rate : rate);
     const Vector paired = k[3] * *b * *b / (1.0f + 2.0f * k[3] * *b);
     *b = fmax(zero, *b + 2.0f * (split - paired));
     *c = *c - split + paired;
 }
 
-static inline float4 passages(const Problem p, int x, int y) {
-    __global const uchar *open = p.open + (size_t)x * p.n_y + y;
-    return (float4)(x ? open[-p.n_y] : 1, x + 1 < p.n_x ? open[p.n_y] : 1, y ? open[-1] : 1, y + 1 < p.n_y ? open[1] : 1);
+static inline float4 passages(const Problem *p, int x, int y) {
+    __global const uchar *open = p->open + (size_t)x * p->n_y + y;
+    return (float4)(x ? open[-p->n_y] : 1, x + 1 < p->n_x ? open[p->n_y] : 1, y ? open[-1] : 1,
+                    y + 1 < p->n_y ? open[1] : 1);
 }
 
-// One step of WIDTH voxels of all species, from rows to rows; at is where they lie in a field.
-static inline void advance(const Problem p, const Row *rows, __global float *const *out, Light light, int x, int y,
-                           int slab, int base, float time, bool own) {
-    const size_t at = (((size_t)slab * p.n_x + x) * p.n_y + y) * LANES + base;
-    Vector s[SPECIES];
-    if (p.open[(size_t)x * p.n_y + y]) {
+// One step of the item's voxels of sample (x, y), all species, from rows to rows.
+static inline void advance(const Problem *p, const Row *rows, __global float *const *out, Light light, int x, int y,
+                           int slab, int lane, float time, bool own, bool inner, bool reacting) {
+    const size_t at = (((size_t)slab * p->n_x + x) * p->n_y + y) * LANES + lane;
+    const long near = (long)y * LANES + lane;
+    Vector s[SPECIES][VECTORS];
+    if (p->open[(size_t)x * p->n_y + y]) {
         const float4 passes = passages(p, x, y);
-        UNROLL for (int k = 0; k < SPECIES; k++) s[k] = spread_one(p, rows[k], k, x, y, slab, base, passes);
-        if (p.reacting) react(p, s, s + 1, s + 2, light, at, time, own);
+        UNROLL for (int k = 0; k < SPECIES; k++) spread_one(p, rows[k], k, x, y, slab, lane, passes, inner, s[k]);
+        if (reacting) EACH_VECTOR react(p, s[0] + v, s[1] + v, s[2] + v, light, at + v * WIDTH, time, own);
     } else
-        UNROLL for (int k = 0; k < SPECIES; k++) s[k] = *(__global const Vector *)(rows[k].here + (long)y * LANES + base);
-    UNROLL for (int k = 0; k < SPECIES; k++) *(__global Vector *)(out[k] + (long)y * LANES + base) = s[k];
+        UNROLL for (int k = 0; k < SPECIES; k++) EACH_VECTOR s[k][v] = VECTOR_AT(rows[k].here + near + v * WIDTH);
+    UNROLL for (int k = 0; k < SPECIES; k++) EACH_VECTOR STORE(out[k] + near, s[k][v]);
 }
 
 #ifdef CPU
@@ -108,29 +122,34 @@ typedef struct {
     int steps;
 } Block;
 
-static inline __global float *row_of(const Problem p, const Block b, int slabs, int level, int species, int slab, int x) {
-    const size_t row = (size_t)p.n_y * LANES, field = ((size_t)slab * p.n_x + x) * row;
-    if (level == 0) return b.from[species] + field;
-    if (level == b.steps) return b.to[species] + field;
-    return b.scratch + ((((level - 1) * 3 + x % 3) * SPECIES + species) * (size_t)slabs + slab) * row;
+static inline __global float *row_of(const Problem *p, const Block *b, int level, int species, int slab, int x) {
+    const size_t row = (size_t)p->n_y * LANES, field = ((size_t)slab * p->n_x + x) * row;
+    if (level == 0) return b->from[species] + field;
+    if (level == b->steps) return b->to[species] + field;
+    const size_t slabs = (p->n_z + LANES - 1) / LANES;
+    return b->scratch + ((((level - 1) * 3 + x % 3) * SPECIES + species) * slabs + slab) * (row + SPACING);
 }
 
 // Plane x of one step of the block.
-static void advance_plane(const Problem p, const Block b, Light light, int level, int x, float time, bool own) {
-    const int slabs = (p.n_z + LANES - 1) / LANES;
+static inline void advance_plane(const Problem *p, const Block *b, Light light, int level, int x, float time, bool own,
+                                 bool reacting) {
+    const int slabs = (p->n_z + LANES - 1) / LANES;
     for (int slab = 0; slab < slabs; slab++) {
         Row rows[SPECIES];
         __global float *out[SPECIES];
         UNROLL for (int k = 0; k < SPECIES; k++) {
-            rows[k].here = row_of(p, b, slabs, level - 1, k, slab, x);
-            rows[k].low = row_of(p, b, slabs, level - 1, k, slab, max(x - 1, 0));
-            rows[k].high = row_of(p, b, slabs, level - 1, k, slab, min(x + 1, p.n_x - 1));
-            rows[k].before = row_of(p, b, slabs, level - 1, k, max(slab - 1, 0), x);
-            rows[k].behind = row_of(p, b, slabs, level - 1, k, min(slab + 1, slabs - 1), x);
-            out[k] = row_of(p, b, slabs, level, k, slab, x);
+            rows[k].here = row_of(p, b, level - 1, k, slab, x);
+            rows[k].low = row_of(p, b, level - 1, k, slab, max(x - 1, 0));
+            rows[k].high = row_of(p, b, level - 1, k, slab, min(x + 1, p->n_x - 1));
+            rows[k].before = row_of(p, b, level - 1, k, max(slab - 1, 0), x);
+            rows[k].behind = row_of(p, b, level - 1, k, min(slab + 1, slabs - 1), x);
+            out[k] = row_of(p, b, level, k, slab, x);
         }
-        for (int y = 0; y < p.n_y; y++)
-            UNROLL for (int v = 0; v < VECTORS; v++) advance(p, rows, out, light, x, y, slab, v * WIDTH, time, own);
+        const bool inside = x && x + 1 < p->n_x;
+        const int first = inside ? min(1, p->n_y) : p->n_y, last = inside ? max(p->n_y - 1, first) : p->n_y;
+        for (int y = 0; y < first; y++) advance(p, rows, out, light, x, y, slab, 0, time, own, false, reacting);
+        for (int y = first; y < last; y++) advance(p, rows, out, light, x, y, slab, 0, time, own, true, reacting);
+        for (int y = last; y < p->n_y; y++) advance(p, rows, out, light, x, y, slab, 0, time, own, false, reacting);
     }
 }
 #endif
@@ -144,7 +163,11 @@ FIELD_KERNEL transport(__global const float *a, __global const float *b, __globa
                        __global float *scratch, __global float *a_out, __global float *b_out, __global float *c_out,
                        __global float *dose, __global float *optical_time, __global float *mechanical_time,
                        int n_x, int n_y, int n_z, int n_part, int n_room) {
-    const Problem p = {spread, walls, rates, open, order, reacting, n_x, n_y, n_z, optical, mechanical};
+    Problem p = {.open = open, .order = order, .n_x = n_x, .n_y = n_y, .n_z = n_z,
+                 .optical = optical, .mechanical = mechanical};
+    for (int i = 0; i < SPECIES * 3; i++) p.spread[i / 3][i % 3] = spread[i];
+    for (int i = 0; i < SPECIES * 12; i++) p.walls[i / 12][i / 2 % 6][i % 2] = walls[i];
+    for (int i = 0; i < 6; i++) p.rates[i] = rates[i];
     const Light light = {visible, ultraviolet, dose, optical_time, mechanical_time};
 #ifdef CPU
     const int first = ITEM_MAJOR * TILE_MAJOR, last = min(first + TILE_MAJOR, n_x);
@@ -155,7 +178,12 @@ FIELD_KERNEL transport(__global const float *a, __global const float *b, __globa
         for (int level = 1; level <= steps; level++) {
             const int x = front - (level - 1), halo = steps - level;
             if (x < max(first - halo, 0) || x >= min(last + halo, n_x)) continue;
-            advance_plane(p, block, light, level, x, time + (level - 1) * rates[5], x >= first && x < last);
+            const float now = time + (level - 1) * rates[5];
+            const bool own = x >= first && x < last;
+            if (reacting)
+                advance_plane(&p, &block, light, level, x, now, own, true);
+            else
+                advance_plane(&p, &block, light, level, x, now, own, false);
         }
 #else
     const int x = ITEM_MAJOR, y = ITEM_MINOR, slab = ITEM_SLAB, slabs = (n_z + LANES - 1) / LANES;
@@ -171,7 +199,7 @@ FIELD_KERNEL transport(__global const float *a, __global const float *b, __globa
         rows[k].before = slab ? rows[k].here - next : rows[k].here;
         rows[k].behind = slab + 1 < slabs ? rows[k].here + next : rows[k].here;
     }
-    advance(p, rows, to, light, x, y, slab, ITEM_LANE, time, true);
+    advance(&p, rows, to, light, x, y, slab, ITEM_LANE, time, true, false, reacting);
 #endif
 }
 #endif
