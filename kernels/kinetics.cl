@@ -7,12 +7,18 @@
 typedef float16 Real;
 typedef int16 Whole;
 #define ANY(mask) any(mask)
+#define LANE(value, n) (value).s##n
+#define EACH_LANE(M) M(0) M(1) M(2) M(3) M(4) M(5) M(6) M(7) M(8) M(9) M(a) M(b) M(c) M(d) M(e) M(f)
+#define LANE_NUMBERS (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
 #define KINETICS_KERNEL __kernel __attribute__((vec_type_hint(float16))) void
 #else
 #define PACK 1
 typedef float Real;
 typedef int Whole;
 #define ANY(mask) (mask)
+#define LANE(value, n) (value)
+#define EACH_LANE(M) M(0)
+#define LANE_NUMBERS 0
 #define KINETICS_KERNEL __kernel void
 #endif
 
@@ -94,13 +100,16 @@ static inline State settled(State y, State end, Terms terms) {
 }
 
 // ---- memory --------------------------------------------------------------------------------------------------------
-static inline Real taken(__global const float *from, const int *places, int stride, int column) {
+// Lanes are named, not indexed: an array of them would lie on the stack, once for every item of a group.
+static inline Real taken(__global const float *from, Whole places, int stride, int column) {
     Real value;
-    for (int s = 0; s < PACK; s++) ((float *)&value)[s] = from[(size_t)places[s] * stride + column];
+#define TAKE(s) LANE(value, s) = from[(size_t)LANE(places, s) * stride + column];
+    EACH_LANE(TAKE)
     return value;
 }
 static inline void put(Real value, __global float *to, size_t stride, int last) {
-    for (int s = 0; s < PACK && s <= last; s++) to[s * stride] = ((const float *)&value)[s];
+#define PUT(s) if (0x##s <= last) to[0x##s * stride] = LANE(value, s);
+    EACH_LANE(PUT)
 }
 static inline void put_state(State y, Real dose, __global float *to, size_t stride, int last) {
     put(y.a, to, stride, last);
@@ -115,12 +124,10 @@ KINETICS_KERNEL inhibit(__global const float *restrict before, __global const fl
                         __global float *restrict times, int n_item, int n_resin, int n_source, int n_interval, int n_row) {
     const int item = (int)get_global_id(0), last = n_item - item - 1;
     if (item % PACK) return;
-    int items[PACK], resins[PACK], sources[PACK];
-    for (int s = 0; s < PACK; s++) {
-        items[s] = min(item + s, n_item - 1);
-        resins[s] = (int)((long)items[s] * n_resin / n_item);
-        sources[s] = items[s] % n_source;
-    }
+    const Whole items = min((Whole)item + LANE_NUMBERS, (Whole)(n_item - 1)), sources = items % n_source;
+    Whole resins;
+#define RESIN(s) LANE(resins, s) = (int)((long)LANE(items, s) * n_resin / n_item);
+    EACH_LANE(RESIN)
     const Real k_a = taken(rates, resins, 8, 0), k_b = taken(rates, resins, 8, 1), k_c = taken(rates, resins, 8, 2);
     const Real k_2 = taken(rates, resins, 8, 3), scale = taken(rates, resins, 8, 4), reference = taken(rates, resins, 8, 5);
     State y = {taken(before, items, 4, 0), taken(before, items, 4, 1), taken(before, items, 4, 2)};
