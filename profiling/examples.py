@@ -392,8 +392,20 @@ def _inhibited(n: int) -> Example:
     return Example({"item": items, "resin": resins, "source": n, "interval": 4, "row": 3}, given)
 
 
+def _lit_through(n: int) -> Example:
+    """One pose through a cylinder that leaves some corners dark and some of its rays without resin."""
+    sizes = {**_volume(n), **_light(n)}
+    cosine, sine = np.cos(0.7), np.sin(0.7)
+    radius = 0.47 * n
+    given = {"pose": np.array([cosine, sine, 1.0, 1.1, 1.05, 0.9, radius, 0.0]), "angle": 2}
+    given["extinction"] = np.array([[0.5, 0.2], [0.3, 1.5]]) / n
+    return Example({**sizes, "s": int(2 * radius / 0.9) + 2}, given)
+
+
 EXAMPLES: dict[str, Callable[[int], Example]] = {
     "transport": _transported,
+    "column_density": _lit_through,
+    "expose": _lit_through,
     "forward_joseph": _straight,
     "back_joseph": _straight,
     "forward_refracted": _refracted,
