@@ -17,6 +17,7 @@ from vamgpu.gallery.style import styled
 CATALOG: MappingProxyType[str, str] = MappingProxyType(
     {
         "vial": "Light in a vial that turns in air",
+        "beams": "Beams that are not ideal",
         "carried": "Lenses and inserts that turn with the resin",
         "roller": "A film that a roller carries past the light",
         "web": "A film that passes the light, at every pose at once",

@@ -20,8 +20,8 @@ from vamgpu.operators.oblique import Oblique
 from vamgpu.operators.projection import Projection
 
 TO_SIGMA = 1.0 / sqrt(8.0 * log(2.0))
-MIXED = 0.055, 0.3
-"""Halfway between two Gaussians whose widths differ by exp(0.3), their mixture is 5.5 % narrower than its variance
+MIXED = 0.07, 0.3
+"""Halfway between two round Gaussians whose widths differ by exp(0.3), their mixture is 7 % narrower than its variance
 says; the gap grows with the square of the exponent."""
 
 Surface = float | Callable[[np.ndarray], Any]
