@@ -43,6 +43,14 @@ class RayError(BadInput):
     """A ray cannot be traced: it never leaves, is reflected where it should pass, or does not settle."""
 
 
+class UnstableStep(BadInput):
+    """An explicit step is longer than is stable; ``limit`` is the longest [s] that is."""
+
+    def __init__(self, message: str, limit: float) -> None:
+        super().__init__(message)
+        self.limit = limit
+
+
 class DeviceError(VamError, RuntimeError):
     """A device is missing, broken, or was asked for something it cannot do."""
 
