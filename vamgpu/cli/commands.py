@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 from rich.console import Console
@@ -15,6 +15,7 @@ import vamgpu
 
 if TYPE_CHECKING:
     from vamgpu.jobs.run import Proven
+    from vamgpu.webs.proof import WebProof
 
 app = App(
     name="vam",
@@ -33,13 +34,18 @@ def console() -> Console:
 
 
 @app.command
-def demo(*, out: Path = Path("vamgpu-demo"), settings: Settings = None) -> None:
-    """Print the bundled boat in simulation and draw a report.
+def demo(
+    what: Literal["boat", "web"] = "boat", /, *, out: Path = Path("vamgpu-demo"), settings: Settings = None
+) -> None:
+    """Print the bundled boat, or a gyroid film on an endless web, in simulation and draw a report.
 
     Parameters
     ----------
+    what: boat or web
     out: folder of the demo's files
     """
+    if what == "web":
+        return _demo_web(out, settings)
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.demo import demo as run
 
@@ -63,7 +69,10 @@ def solve(job: Path, *, out: Path | None = None, settings: Settings = None, over
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.read import read_job
     from vamgpu.jobs.run import solve as run
+    from vamgpu.jobs.web import is_web
 
+    if is_web(job):
+        return _solve_web(job, out, settings, overwrite)
     place = out if out is not None else job.with_suffix(".vam")
     wanted = read_job(job, settings or ())
     screen = console()
@@ -84,7 +93,10 @@ def prove(job: Path, *, report: Path | None = None, device: str | None = None) -
     """
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.run import prove as run
+    from vamgpu.jobs.web import is_web_folder
 
+    if is_web_folder(job):
+        return _prove_web(job, report, device)
     screen = console()
     with shown(screen) as told:
         told("proof", 0.0)
@@ -267,3 +279,52 @@ def _scores(screen: Console, proven: Proven) -> None:
     """The numbers of a proof."""
     for line in proven.proof.lines():
         screen.print(f"  {line.name:<27} [bold]{line.value:<22}[/] [dim]{line.meaning}[/]")
+
+
+def _demo_web(out: Path, settings: list[str] | None) -> None:
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.demo_web import demo_web
+
+    screen = console()
+    with shown(screen) as told:
+        done = demo_web(out, settings or (), told=told)
+    _web_scores(screen, done.proof)
+    screen.print(f"job     {_path(done.file)}\nframes  {_path(done.folder)}")
+    screen.print(f"report  [bold]{_path(done.report.resolve())}[/]")
+
+
+def _solve_web(job: Path, out: Path | None, settings: list[str] | None, overwrite: bool) -> None:
+    """Solve a web, or go on with one that was interrupted."""
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.web import read_web, solve_web
+
+    wanted, screen = read_web(job, settings or ()), console()
+    with shown(screen) as told:
+        folder = solve_web(wanted, out or job.with_suffix(".vam"), overwrite=overwrite, told=told)
+    screen.print(f"wrote [bold]{_path(folder.path)}[/]; prove it with: vam prove {_path(folder.path)}")
+
+
+def _prove_web(job: Path, report: Path | None, device: str | None) -> None:
+    from vamgpu.cli.progress import shown
+    from vamgpu.webs.proof import prove_web
+
+    screen = console()
+    with shown(screen) as told:
+        told("proof", 0.0)
+        proof = prove_web(job, device)
+        told("report", 0.0)
+        page = proof.report(report or job.with_suffix(".html"))
+    _web_scores(screen, proof)
+    screen.print(f"report  [bold]{_path(page.resolve())}[/]")
+
+
+def _web_scores(screen: Console, proof: WebProof) -> None:
+    """The numbers of a web."""
+    last = proof.segments[-1].columns[1]
+    rows = (
+        ("overlap (IoU)", f"{proof.iou:.4f}", f"at one threshold, {proof.threshold:.3f} of the wanted dose"),
+        ("narrowest window", f"{proof.window:+.4f}", "least dose in the part - greatest out of it, over the greatest"),
+        ("printed", f"{last * proof.grid.edges[0]:.4g} mm", f"{len(proof.segments)} segments, {last} columns"),
+    )
+    for name, value, meaning in rows:
+        screen.print(f"  {name:<27} [bold]{value:<22}[/] [dim]{meaning}[/]")

@@ -16,6 +16,7 @@ STAGES = {
     "light": "finding the light",
     "frames": "packing the frames",
     "folder": "writing the job",
+    "contrast": "weighing the angles that enter the film",
     "proof": "proving the print from its frames",
     "report": "drawing the report",
 }

@@ -90,11 +90,11 @@ class WebProof:
         """The simulated print again, segment by segment."""
         return _Simulation(self.folder, self.device).pieces(numbers)
 
-    def report(self, path: str | Path) -> Path:
-        """Write the HTML page. Raises `StorageError`."""
+    def report(self, path: str | Path, *, title: str = "", contrast: Sequence[tuple[float, float]] = ()) -> Path:
+        """Write the HTML page; contrast: pairs of index ratio and ξ to plot. Raises `StorageError`."""
         from vamgpu.webs.report import write_report
 
-        return write_report(self, path)
+        return write_report(self, path, title=title, contrast=contrast)
 
 
 class _Simulation:

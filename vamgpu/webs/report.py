@@ -66,7 +66,7 @@ def _content(proof: WebProof, contrast: Sequence[tuple[float, float]]) -> dict[s
         "slices_note": "Slices of the same piece across the web; l runs to the right, the outer face is up.",
         "wrapped": _wrapped(proof),
         "wrapped_note": "Light comes from below, refracts at the outer face, fades in the film and ends at the roller.",
-        "histogram": views.histogram_chart(proof.counts, proof.edges, proof.threshold),
+        "histogram": views.histogram_chart(proof.counts, proof.edges, proof.threshold, not contrast),
         "contrast": views.contrast_chart(contrast) if contrast else None,
         "per_segment": views.segments_chart(proof.segments, proof.grid.edges[0]),
         "frames": views.frame_pictures(proof),

@@ -85,7 +85,7 @@ def wrapped_chart(light: Propagation, grid: WebGrid, roller: Roller, frame: np.n
     return svg(draw, 11.6, 4.6, columns=2)
 
 
-def histogram_chart(counts: np.ndarray, edges: np.ndarray, threshold: float) -> str:
+def histogram_chart(counts: np.ndarray, edges: np.ndarray, threshold: float, wide: bool = False) -> str:
     """Voxels in and out of the part over dose."""
     merged = counts.reshape(2, -1, 8).sum(axis=2)
     last = edges[::8][min(merged.shape[1], int(np.flatnonzero(merged.sum(axis=0))[-1]) + 1)]
@@ -101,7 +101,7 @@ def histogram_chart(counts: np.ndarray, edges: np.ndarray, threshold: float) -> 
                  ylabel="voxels")  # fmt: skip
         axis.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
-    return svg(draw, 7.2, 3.6)
+    return svg(draw, 11.6 if wide else 7.2, 3.6)
 
 
 def segments_chart(scores: Sequence[PieceScore], edge: float) -> str:

@@ -1,0 +1,225 @@
+"""Jobs of endless webs: what their TOML file asks for, carried out into a folder that is resumed and proven."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from vamgpu.errors import JobError
+from vamgpu.jobs.limits import DisplaySection, FilmSection, LensSection, ResinSection, RollerSection
+from vamgpu.jobs.model import Count, Section
+from vamgpu.jobs.quantity import Length, Speed
+from vamgpu.jobs.read import checked, read_text
+from vamgpu.jobs.run import Told, _quietly
+from vamgpu.optics.film import Film
+from vamgpu.optics.roller import Roller
+from vamgpu.webs.store import RECORD, WebFolder
+from vamgpu.webs.stream import Stream
+
+RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
+"""Index ratios of the paper's Fig. S9."""
+
+Windows = Annotated[float, Field(gt=0)]
+
+
+class WebTarget(Section):
+    """What is printed on the web: a lattice, a mesh repeated along it, or an array of fractions [l, rho, z]."""
+
+    lattice: str | None = None
+    cell: Length | None = None
+    strut: Length | None = None
+    level: float | None = None
+    mesh: str | None = None
+    period: Length | None = None
+    tiles: str | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> WebTarget:
+        if sum(part is not None for part in (self.lattice, self.mesh, self.tiles)) != 1:
+            raise ValueError('wanted exactly one of lattice = "SheetGyroid", mesh = "part.stl" and tiles = "part.npy"')
+        if (self.mesh is None) != (self.period is None):
+            raise ValueError('wanted mesh = "part.stl" and period = "5 mm" together')
+        return self
+
+
+class WebLength(Section):
+    """The web: how long, and how fast where that is known."""
+
+    length: Length
+    speed: Speed | None = None
+
+
+class WebBeam(Section):
+    """The light: pixel edge in the bath, and how high it stands; it is as wide as the film about the roller."""
+
+    pitch: Length
+    height: Length
+
+
+class WebSolve(Section):
+    """How light is found: core and overlap of a segment are in windows of light."""
+
+    iterations: Count = 100
+    core: Windows = 4.0
+    overlap: Windows = 1.0
+    device: str | None = None
+
+
+class WebFrames(Section):
+    """How light becomes pictures; scale is the light of a full-on pixel."""
+
+    gray: str | None = None
+    scale: Annotated[float, Field(gt=0)] | None = None
+
+
+class WebFile(Section):
+    """A whole job file of a web. The tables of the machine are those that its limits are told from."""
+
+    film: FilmSection
+    roller: RollerSection
+    web: WebLength
+    target: WebTarget
+    beam: WebBeam
+    lens: LensSection | None = None
+    display: DisplaySection | None = None
+    resin: ResinSection | None = None
+    solve: WebSolve = WebSolve()
+    frames: WebFrames = WebFrames()
+
+
+@dataclass(frozen=True)
+class WebJob:
+    """A checked job of a web. folder: what its paths are relative to."""
+
+    wanted: WebFile
+    given: dict[str, Any]
+    folder: Path
+    name: str
+
+
+def is_web(path: str | Path) -> bool:
+    """Whether a job file is that of a web: it has a roller. A file that is no TOML is none."""
+    try:
+        return "roller" in tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError:
+        return False
+
+
+def is_web_folder(path: str | Path) -> bool:
+    """Whether a folder holds the frames of a web."""
+    return (Path(path) / RECORD).is_file()
+
+
+def read_web(path: str | Path, settings: Iterable[str] = ()) -> WebJob:
+    """Read the job file of a web. Raises `JobError`."""
+    file = Path(path)
+    return parse_web(read_text(path), settings, source=str(path), folder=file.parent, name=file.stem)
+
+
+def parse_web(
+    text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(), name: str = "web"
+) -> WebJob:
+    """A job of a web from TOML text. Raises `JobError` naming every wrong value at once."""
+    return WebJob(*checked(WebFile, text, settings, source=source), folder, name)
+
+
+def stream_of(job: WebJob) -> Stream:
+    """The stream of a job. Raises `JobError`, `BadInput`, `MeshError`, `StorageError`, `DeviceError`."""
+    from vamgpu.printing.focus import FocusMasks
+    from vamgpu.printing.gray import GrayCurve
+
+    wanted = job.wanted
+    roller = roller_of(wanted)
+    pitch = wanted.beam.pitch
+    beam = roller.beam(pitch, max(1, round(wanted.beam.height / pitch)))
+    layers = max(1, round(roller.film.thickness / pitch))
+    masks = None
+    if wanted.lens is not None:
+        masks = FocusMasks.around(beam, roller.radius, roller.film.thickness, wanted.lens.bins)
+    return Stream(
+        target_of(job),
+        roller,
+        beam,
+        lens=masks,
+        section=(layers, beam.pixels[1]),
+        pitch=(roller.advance, roller.film.thickness / layers, pitch),
+        length=wanted.web.length,
+        iterations=wanted.solve.iterations,
+        core=wanted.solve.core,
+        overlap=wanted.solve.overlap,
+        gray=None if wanted.frames.gray is None else GrayCurve.load(job.folder / wanted.frames.gray),
+        scale=wanted.frames.scale,
+        device=wanted.solve.device,
+    )
+
+
+def roller_of(wanted: WebFile) -> Roller:
+    """The machine of a job."""
+    return Roller(wanted.roller.radius, Film(**wanted.film.model_dump()), wanted.roller.step, wanted.roller.legs)
+
+
+def target_of(job: WebJob) -> Any:
+    """What is printed, as a stream takes it."""
+    section = job.wanted.target
+    if section.lattice is not None:
+        return _lattice(section)
+    if section.mesh is not None:
+        from vamgpu.targets.mesh import load_mesh
+        from vamgpu.targets.stream import Repeated
+
+        assert section.period is not None
+        return Repeated(load_mesh(job.folder / section.mesh), section.period)
+    try:
+        return np.load(job.folder / str(section.tiles), mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise JobError(
+            f"target.tiles: cannot read {section.tiles!r}: {error}; wanted a NumPy file [l, rho, z]"
+        ) from error
+
+
+def _lattice(section: WebTarget) -> Any:
+    from vamgpu.targets import lattices
+
+    known = {name.lower(): name for name in lattices.__all__}
+    name = known.get(str(section.lattice).replace(" ", "").replace("-", "").lower())
+    if name is None:
+        raise JobError(
+            f"target.lattice: got {section.lattice!r}; wanted one of {', '.join(lattices.__all__)}: correct the name"
+        )
+    options = {key: getattr(section, key) for key in ("cell", "strut", "level")}
+    try:
+        return getattr(lattices, name)(**{key: value for key, value in options.items() if value is not None})
+    except TypeError as error:
+        raise JobError(f"target: {name} takes other parameters: {error}; remove what it does not take") from error
+
+
+def solve_web(job: WebJob, path: str | Path, *, overwrite: bool = False, told: Told = _quietly) -> WebFolder:
+    """Write the frames of a web to a folder, or go on with one that was interrupted.
+
+    Raises what the parts raise: `BadInput`, `TileError`, `MeshError`, `DeviceError`, `StorageError`.
+    """
+    told("voxels", 0.0)
+    stream = stream_of(job)
+    told("light", 0.0)
+    return stream.write(path, overwrite=overwrite, told=lambda done, of: told("light", done / of if of else 0.0))
+
+
+def contrasts(
+    ratios: Iterable[float] = RATIOS, *, voxels: int = 64, device: str | None = None
+) -> tuple[tuple[float, float], ...]:
+    """Index ratio m and contrast ξ of the best dose within arcsin m of the normal, for one random target of 3 mm.
+
+    Source: Toombs et al., section S10 and Fig. S9, whose target is not published.
+    """
+    from vamgpu.metrics.contrast import contrast
+    from vamgpu.metrics.limited_dose import limited_dose, random_plane, responded
+
+    target = random_plane(voxels)
+    doses = ((m, limited_dose(target, 3.0 / voxels, m, device=device)) for m in ratios)
+    return tuple((m, contrast(responded(dose), target)) for m, dose in doses)
