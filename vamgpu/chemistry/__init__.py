@@ -1,0 +1,1 @@
+"""What the resin does with the light: inhibitors, transport, materials."""

@@ -1,0 +1,240 @@
+"""Diffusion and photochemistry of three species on a box of voxels with unequal edges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.chemistry.boundary import Boundary
+from vamgpu.chemistry.reaction import Reaction
+from vamgpu.errors import BadInput, ShapeMismatch, UnstableStep
+from vamgpu.geometry import centers, counts, positive
+from vamgpu.kernels.transport import transport
+
+SPECIES = ("A", "B", "C")
+NEVER = -1.0
+"""What the fields of times hold in voxels that have not crossed."""
+FUSED = 5
+"""Steps an item with a block of columns takes before it goes on: what lies between stays in its cache."""
+SPACING = 256
+
+
+@dataclass(frozen=True)
+class Box:
+    """Voxels of resin centered on the axis; shape along x, y, z, pitch (dx, dy, dz) [mm], radius [mm] of the resin.
+
+    Without a radius the whole box is resin; with one, nothing passes from the columns inside to those outside.
+    Raises `BadInput`.
+    """
+
+    shape: tuple[int, int, int]
+    pitch: tuple[float, float, float]
+    radius: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", counts("Box shape", self.shape, 3))
+        if not isinstance(self.pitch, (tuple, list)) or len(self.pitch) != 3:
+            raise BadInput(f"Box pitch is {self.pitch!r}; wanted three edges [mm] along x, y, z")
+        object.__setattr__(self, "pitch", tuple(positive("Box pitch [mm]", d) for d in self.pitch))
+        if self.radius is not None:
+            object.__setattr__(self, "radius", positive("Box radius [mm]", self.radius))
+
+    def open(self) -> np.ndarray:
+        """Boolean (nx, ny): columns of voxels that are resin."""
+        if self.radius is None:
+            return np.ones(self.shape[:2], bool)
+        x, y = (centers(n, d) for n, d in zip(self.shape[:2], self.pitch, strict=False))
+        return x[:, None] ** 2 + y[None, :] ** 2 <= self.radius**2
+
+
+@dataclass(eq=False)
+class Concentrations:
+    """Fields of A, B and C [mol/m³ or normalized], what light has started, and when; all on one device.
+
+    dose: light whose radicals met no inhibitor [mJ/mm²].  optical_time, mechanical_time: when it crossed T_opt and
+    T_mec [s], `NEVER` before.  time: reached so far [s].
+    """
+
+    a: DeviceArray
+    b: DeviceArray
+    c: DeviceArray
+    dose: DeviceArray
+    optical_time: DeviceArray
+    mechanical_time: DeviceArray
+    time: float = 0.0
+
+    FIELDS = ("a", "b", "c", "dose", "optical_time", "mechanical_time")
+
+    def species(self, name: str) -> DeviceArray:
+        """The field of "A", "B" or "C". Raises `BadInput` for another name."""
+        if name not in SPECIES:
+            raise BadInput(f"no species is named {name!r}; there are {', '.join(SPECIES)}")
+        return getattr(self, name.lower())
+
+    def numpy(self) -> dict[str, np.ndarray]:
+        """Every field by its name."""
+        return {name: getattr(self, name).numpy() for name in self.FIELDS}
+
+    def conversion(self, scale: float) -> np.ndarray:
+        """Share of polymer, 1 − exp(−dose/scale): nothing polymerizes before the inhibitors are exhausted."""
+        return -np.expm1(-self.dose.numpy() / positive("scale of conversion [mJ/mm²]", scale))
+
+
+@dataclass(frozen=True)
+class Transport:
+    """An explicit step of diffusion, then of reaction, for three species.
+
+    diffusivities [mm²/s] of A, B and C.  boundaries: per species, no flux by default.  reaction: None to diffuse only.
+    Raises `BadInput` for diffusivities that are not positive. Source: paper eqs 5-7, 12-14.
+    """
+
+    box: Box
+    diffusivities: tuple[float, float, float]
+    reaction: Reaction | None = None
+    boundaries: tuple[Boundary, Boundary, Boundary] = (Boundary(), Boundary(), Boundary())
+    device: Device = field(default=None)  # type: ignore[assignment] - the default device
+
+    def __post_init__(self) -> None:
+        if len(self.diffusivities) != 3 or len(self.boundaries) != 3:
+            raise BadInput(f"wanted a diffusivity and a boundary for each of {', '.join(SPECIES)}")
+        named = zip(SPECIES, self.diffusivities, strict=True)
+        checked = tuple(positive(f"diffusivity of {name} [mm²/s]", value) for name, value in named)
+        object.__setattr__(self, "diffusivities", checked)
+        if not isinstance(self.device, Device):
+            object.__setattr__(self, "device", open_device(self.device))
+
+    def damkohler(self, length: float, concentration: float) -> Transport:
+        """The dimensionless form: lengths in l [mm], times in l²/D_A, concentrations in [A]₀ [mol/m³], D_i/D_A."""
+        d_a = self.diffusivities[0]
+        pitch = tuple(d / length for d in self.box.pitch)
+        radius = None if self.box.radius is None else self.box.radius / length
+        ghosts = [[None if f is None else replace(f, value=f.value / concentration) for f in b.faces] for b in self.boundaries]
+        return Transport(
+            Box(self.box.shape, (pitch[0], pitch[1], pitch[2]), radius),
+            tuple(d / d_a for d in self.diffusivities),  # type: ignore[arg-type]
+            self.reaction and self.reaction.scaled(length, concentration, d_a),
+            tuple(Boundary(tuple(faces)) for faces in ghosts),  # type: ignore[arg-type]
+            self.device,
+        )
+
+    @cached_property
+    def limit(self) -> float:
+        """Longest step [s] that is stable and keeps concentrations from falling below zero by diffusion."""
+        rates = []
+        for diffusivity, boundary in zip(self.diffusivities, self.boundaries, strict=True):
+            faces = [2 + boundary.holds(axis) for axis in range(3)]
+            rates.append(diffusivity * sum(n / d**2 for n, d in zip(faces, self.box.pitch, strict=True)))
+        return 1.0 / max(rates)
+
+    def steps(self, seconds: float) -> int:
+        """Fewest equal steps that a span takes."""
+        return max(1, ceil(seconds / self.limit * (1 - 1e-12)))
+
+    def start(self, a: Any = 0.0, b: Any = 0.0, c: Any = 0.0) -> Concentrations:
+        """Fields from numbers or arrays [x, y, z]. Raises `BadInput` below zero and `ShapeMismatch`."""
+        fields = [self._field(name, value) for name, value in zip(SPECIES, (a, b, c), strict=True)]
+        shape = self.box.shape
+        never = [self.device.upload(np.full(shape, NEVER, np.float32)) for _ in range(2)]
+        return Concentrations(*fields, self.device.upload(np.zeros(shape, np.float32)), *never)
+
+    def _field(self, name: str, value: Any) -> DeviceArray:
+        values = np.asarray(value, np.float64)
+        if values.shape not in ((), self.box.shape):
+            raise ShapeMismatch(f"{name} has shape {values.shape}; wanted a number or {self.box.shape}")
+        if not np.isfinite(values).all() or values.min() < 0:
+            raise BadInput(f"{name} holds {values.min():g}; concentrations are finite and ≥ 0")
+        return self.device.upload(np.broadcast_to(values, self.box.shape))
+
+    def advance(
+        self,
+        state: Concentrations,
+        seconds: float,
+        steps: int | None = None,
+        visible: DeviceArray | None = None,
+        ultraviolet: DeviceArray | None = None,
+    ) -> None:
+        """Advance a state in place under constant light, fields [mW/mm²] of both colors, dark where not given.
+
+        steps: equal steps, by default the fewest that are stable. Raises `UnstableStep`, `BadInput`.
+        """
+        span = positive("seconds", seconds)
+        count = self.steps(span) if steps is None else counts("steps", (steps,), 1)[0]
+        step = span / count
+        if step > self.limit * (1 + 1e-9):
+            raise UnstableStep(
+                f"a step of {step:g} s is not stable; at most {self.limit:g} s is: take {self.steps(span)} steps or more",
+                self.limit,
+            )
+        rates = self._rates(step)
+        spread = self.device.table([[d * step / p**2 for p in self.box.pitch] for d in self.diffusivities])
+        done, launch = 0, min(self._fused, count)
+        while done < count:
+            launch = min(launch, count - done)
+            self._launch(state, launch, state.time + done * step, spread, rates, (visible, ultraviolet))
+            done += launch
+        state.time += span
+
+    def _rates(self, step: float) -> DeviceArray:
+        """The table of rates; C of first order splits as k_c says at its initial concentration."""
+        k = self.reaction or Reaction(0.0, 0.0, 0.0, 0.0)
+        k_c = k.k_c / k.initial if k.order else k.k_c
+        return self.device.table([k.k_a * step, k.k_b * step, k_c * step, k.k_2 * step, k.cross, step])
+
+    def _launch(
+        self,
+        state: Concentrations,
+        steps: int,
+        time: float,
+        spread: DeviceArray,
+        rates: DeviceArray,
+        light: tuple[DeviceArray | None, DeviceArray | None],
+    ) -> None:
+        spare, k = self._spare, self.reaction
+        visible, ultraviolet = (self._dark if shade is None else shade for shade in light)
+        self.device.launch(
+            transport, a=state.a, b=state.b, c=state.c, visible=visible, ultraviolet=ultraviolet, open=self._open,
+            spread=spread, walls=self._walls, rates=rates, order=k.order if k else 0, reacting=int(k is not None),
+            optical=k.optical if k else 1.0, mechanical=k.mechanical if k else 1.0, time=time, steps=steps,
+            scratch=self._scratch, a_out=spare[0], b_out=spare[1], c_out=spare[2], dose=state.dose,
+            optical_time=state.optical_time, mechanical_time=state.mechanical_time,
+        )  # fmt: skip
+        state.a, state.b, state.c, spare[:] = *spare, [state.a, state.b, state.c]
+
+    @cached_property
+    def _fused(self) -> int:
+        """Steps a launch takes: several where an item owns a block of columns, else one."""
+        columns = self.box.shape[0] * self.box.shape[1]
+        items = self.device.items(transport, self.box.shape)
+        return FUSED if self.device.lanes_for(1) and items * 16 <= columns else 1
+
+    @cached_property
+    def _scratch(self) -> DeviceArray:
+        nx, ny, nz = self.box.shape
+        if self._fused == 1:
+            return self.device.empty((1, 1), "float32" if self.device.lanes_for(1) else None, table=True)
+        lanes = self.device.lanes_for(nz)
+        room = (self._fused - 1) * 9 * -(-nz // lanes) * (ny * lanes + SPACING)
+        return self.device.empty((self.device.items(transport, (nx, ny, nz)), room), "float32", table=True)
+
+    @cached_property
+    def _spare(self) -> list[DeviceArray]:
+        return [self.device.empty(self.box.shape) for _ in range(3)]
+
+    @cached_property
+    def _dark(self) -> DeviceArray:
+        return self.device.upload(np.zeros(self.box.shape, np.float32))
+
+    @cached_property
+    def _open(self) -> DeviceArray:
+        return self.device.table(self.box.open(), "uint8")
+
+    @cached_property
+    def _walls(self) -> DeviceArray:
+        return self.device.table(np.stack([boundary.ghosts() for boundary in self.boundaries]))
