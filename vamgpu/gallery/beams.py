@@ -45,9 +45,9 @@ def beams(
         "Light of one pose, travelling upwards. A pupil at a finite distance spreads columns as a fan, and rows too "
         "as a cone; inclined light climbs through the slices; a rod that stands in the light throws a shadow. Columns "
         "beside the axis and an axis that wobbles move every image, by parts of a pixel. Away from the focus a pixel "
-        "widens by two numbers, its width in focus and its depth of focus, which a beam of the quality M² joins. A tile set "
-        "down a little off its place leaves a seam that is as weak as its overlap is wide. Each of them is a projector "
-        "with its exact transpose."
+        "widens by two numbers, its width in focus and its depth of focus, which a beam of the quality M² joins. A "
+        "tile set down a little off its place leaves a seam that is as weak as its overlap is wide. Each of them is a "
+        "projector with its exact transpose."
     )
     return Picture(figure, caption, tuple(facts))
 
