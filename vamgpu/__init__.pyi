@@ -5,7 +5,26 @@ from vamgpu.backend import open_device as open_device
 from vamgpu.geometry import Beam as Beam
 from vamgpu.geometry import Grid as Grid
 from vamgpu.geometry import Turntable as Turntable
+from vamgpu.operators.bundle import RayBundle as RayBundle
+from vamgpu.operators.carried import Carried as Carried
+from vamgpu.operators.defocus import Defocus as Defocus
+from vamgpu.operators.defocus import Defocused as Defocused
+from vamgpu.operators.moves import Tiles as Tiles
+from vamgpu.operators.moves import Wobbled as Wobbled
+from vamgpu.operators.oblique import Oblique as Oblique
 from vamgpu.operators.projection import Projection as Projection
+from vamgpu.operators.traced import TracedProjection as TracedProjection
+from vamgpu.operators.web import WebProjection as WebProjection
+from vamgpu.operators.wobble import Wobble as Wobble
+from vamgpu.optics.beams import Aimed as Aimed
+from vamgpu.optics.beams import Fan as Fan
+from vamgpu.optics.film import Film as Film
+from vamgpu.optics.graded import GradedVial as GradedVial
+from vamgpu.optics.lens import TunableLens as TunableLens
+from vamgpu.optics.occluder import Occluded as Occluded
+from vamgpu.optics.rising import Cone as Cone
+from vamgpu.optics.rising import Inclined as Inclined
+from vamgpu.optics.roller import Roller as Roller
 from vamgpu.optics.vat import Vat as Vat
 from vamgpu.optics.vial import Vial as Vial
 from vamgpu.optimize import (
@@ -39,12 +58,15 @@ from vamgpu.optimize import (
     optimize as optimize,
 )
 from vamgpu.printing.export import export as export
+from vamgpu.printing.focus import FocusMasks as FocusMasks
 from vamgpu.printing.frames import Frames as Frames
 from vamgpu.printing.gray import GrayCurve as GrayCurve
 from vamgpu.printing.pack import pack as pack
 from vamgpu.printing.proof import Proof as Proof
 from vamgpu.printing.simulate import simulate as simulate
 from vamgpu.targets.target import Target as Target
+from vamgpu.web import WebGrid as WebGrid
+from vamgpu.webs.stream import Stream as Stream
 
 __all__: list[str]
 __version__: str
