@@ -169,7 +169,18 @@ def test_a_folder_of_another_web_is_not_resumed(tmp_path: Path) -> None:
         stream(part(60), iterations=9).write(place)
     with pytest.raises(StorageError, match="exists"):
         stream(part(60)).write(place, resume=False)
+    with pytest.raises(StorageError, match="with other target"):
+        stream(part(60, seed=3)).write(place)
     assert stream(part(60), iterations=9).write(place, overwrite=True).complete
+
+
+def test_other_tiles_are_not_mixed_into_a_web(tmp_path: Path) -> None:
+    place = tmp_path / "web.vam"
+    with pytest.raises(TileError, match="ended after"):
+        stream(tiled(part(150)), length=LONG * EDGE, core=2.0).write(place)
+    with pytest.raises(TileError, match="columns 48 to 95 of the tiles differ"):
+        stream(tiled(part(LONG, seed=1)), length=LONG * EDGE, core=2.0).write(place)
+    WebFolder.open(place).verify()
 
 
 @pytest.mark.parametrize("method", ["osmo", "lbfgs", "window", "cal"])

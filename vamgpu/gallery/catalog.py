@@ -33,6 +33,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "frames": "Frames of eight bits and of one",
         "focus": "A focus that follows a roller",
         "calibration": "Focus and axis from recordings with noise",
+        "webs": "An endless web without a seam",
         "limits": "What a web machine can do, and what binds it",
         "proof": "A print, proven from its frames",
         "contrast": "Fewer angles: frequencies, spread and contrast",

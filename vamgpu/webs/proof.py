@@ -108,14 +108,14 @@ class _Simulation:
             self.beam = Beam(tuple(details["beam"]["pixels"]), details["beam"]["pitch"])
             wrap: Wrap = wrap_from(details["wrap"])
             self.gray, self.scale = GrayCurve.parse(details["frames"]["gray"]), details["frames"]["scale"]
-            known = details["layout"]
+            window, core = (int(details["layout"][name]) for name in ("window", "core"))
             section = WebGrid((1, rho, z), tuple(details["grid"]["pitch"]))
         except (KeyError, TypeError, BadInput) as error:
             raise StorageError(f"{str(folder.path)!r} garbles its details: {error}; write the web again") from error
         self.light = wrap.propagation(section, self.beam)
         one = float(wrap.advance / section.edges[0])
-        layout = Layout.of(self.light.shape[2], one, known["core"] * one / self.light.shape[2] * (1 - 1e-12), 1.0)
-        if (layout.window, layout.core) != (known["window"], known["core"]):
+        layout = Layout.of(self.light.shape[2], one, core * one / self.light.shape[2] * (1 - 1e-12), 1.0)
+        if (layout.window, layout.core) != (window, core):
             raise StorageError(f"{str(folder.path)!r} has a light that its wrap does not give; write the web again")
         self.layout = layout
         self.grid = WebGrid((layout.columns, rho, z), section.pitch)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explained, replacing
 from vamgpu.storage.manifest import plain
 
 FORMAT = "vamgpu web"
@@ -77,16 +77,15 @@ class WebFolder:
         """Begin a folder. frame: rows and columns.  section: voxels along rho and z.  lengths: frames and columns of a
         segment. Raises `StorageError` for a path that is taken and whatever the system refuses."""
         place = Path(path)
-        if os.path.lexists(place) and (not place.is_dir() or any(place.iterdir())):
+        empty = place.is_dir() and not place.is_symlink() and not any(place.iterdir())
+        if os.path.lexists(place) and not empty:
             raise StorageError(f"{str(path)!r} exists; choose another path, resume it, or allow overwriting it")
         folder = cls(place, dict(plain(dict(details), "details")))
-        try:
-            place.mkdir(parents=True, exist_ok=True)
+        with replacing(place, overwrite=empty) as draft:  # a run killed in here leaves no folder at all
+            draft.mkdir()
             for name, shape, length in (("frames", frame, lengths[0]), ("target", section, lengths[1])):
-                _array(place, name, shape, length)
-            folder._save()
-        except OSError as error:
-            raise explained("write", place, error) from error
+                _array(draft, name, shape, length)
+            replace(folder, path=draft)._save()
         return folder
 
     @property

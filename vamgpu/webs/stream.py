@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +23,7 @@ from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import pack
 from vamgpu.storage.manifest import plain
+from vamgpu.targets.stream import Repeated
 from vamgpu.web import WebGrid, Wrap
 from vamgpu.webs.layout import Layout
 from vamgpu.webs.segments import Outcome, Solver
@@ -145,13 +147,18 @@ class Stream:
         """Segments of the web; None where nobody knows its length."""
         return None if self.length is None else self.layout.segments(Columns((), self.grid, self.length).end or 0)
 
-    def segments(self, first: int = 0, scale: float | None = None) -> Iterator[Segment]:
+    def segments(
+        self, first: int = 0, scale: float | None = None, before: np.ndarray | None = None
+    ) -> Iterator[Segment]:
         """Segments from number ``first`` on; with its tiles from the very beginning, and the scale of those before.
 
-        Raises `TileError`: what was yielded before stays valid.
+        before: the target of the segment before the first, which the tiles must give again.  Raises `TileError`: what
+        was yielded before stays valid.
         """
         columns, scale = Columns(self.tiles, self.grid, self.length), scale or self.scale
         number = first
+        if before is not None:
+            self._check_same(columns, first, before)
         while True:
             began = time.perf_counter()
             origin = self.layout.origin(number)
@@ -170,13 +177,24 @@ class Stream:
                 return
             number += 1
 
+    def _check_same(self, columns: Columns, number: int, before: np.ndarray) -> None:
+        """Refuse tiles that are not those the segment before ``number`` was made from."""
+        low, _ = self.layout.printed(number - 1, None)
+        start = min(low, self.layout.origin(number))
+        again = columns.take(start, low + len(before))[low - start :]
+        if not np.array_equal(_bytes(again), before):
+            raise TileError(
+                f"columns {low} to {low + len(before) - 1} of the tiles differ from those the web was begun with; "
+                "resume it with the same tiles from the very beginning, or begin anew"
+            )
+
     def _segment(
         self, number: int, start: int, images: np.ndarray, fractions: np.ndarray, scale: float, outcome: Outcome,
         began: float, last: bool,
     ) -> Segment:  # fmt: skip
         assert self.gray is not None
         saturated = int(np.count_nonzero(images == 255))
-        target = np.round(255.0 * fractions).astype(np.uint8)
+        target = _bytes(fractions)
         loss = (outcome.first, outcome.last)
         seconds = time.perf_counter() - began
         return Segment(number, start, images, target, scale, loss, saturated, seconds, last, self.gray)
@@ -210,8 +228,11 @@ class Stream:
         folder = self._begun(Path(path), resume, overwrite)
         if folder.complete:
             return folder
-        known = folder.details["frames"]["scale"] if folder.segments else None
-        for segment in self.segments(len(folder.segments), known):
+        known, before = None, None
+        if folder.segments:
+            known = folder.details["frames"]["scale"]
+            before = folder.read("target", *folder.segments[-1].columns)
+        for segment in self.segments(len(folder.segments), known, before):
             if not folder.segments:
                 folder.details["frames"]["scale"] = segment.scale
             folder = folder.append(segment.images, segment.target, segment.loss, segment.saturated, segment.last)
@@ -253,6 +274,7 @@ class Stream:
             "method": {**described(self.method), "iterations": self.iterations, "step": self.solver.step},
             "frames": {"bits": 8, "gray": self.gray.describe(), "scale": self.scale, "focus": self._focus()},
             "length": self.length,
+            "target": _told(self.tiles),
         }  # fmt: skip
 
     def _focus(self) -> dict[str, Any] | None:
@@ -260,6 +282,25 @@ class Stream:
         if masks is None:
             return None
         return {"planes": list(self.lens.planes), "bin": np.argmax(masks, axis=0).tolist()}
+
+
+def _bytes(fractions: np.ndarray) -> np.ndarray:
+    """Fractions times 255."""
+    return np.round(255.0 * fractions).astype(np.uint8)
+
+
+def _told(tiles: Any) -> dict[str, Any] | None:
+    """What a target says of itself, to tell it from another; None for tiles that come and go."""
+    if isinstance(tiles, Repeated):
+        return {"kind": "Repeated", "solid": tiles.solid.name, "period": tiles.period,
+                "sha256": _digest(tiles.solid.vertices)}  # fmt: skip
+    if isinstance(tiles, np.ndarray):
+        return {"kind": "array", "shape": list(tiles.shape), "sha256": _digest(tiles)}
+    return described(tiles) if is_dataclass(tiles) else None
+
+
+def _digest(values: np.ndarray) -> str:
+    return hashlib.sha256(np.ascontiguousarray(values).data).hexdigest()
 
 
 def described(value: Any) -> dict[str, Any]:
