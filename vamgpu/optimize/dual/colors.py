@@ -1,0 +1,103 @@
+"""The two colors of light a resin is exposed to, and the light found for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.kernels.update import linear
+from vamgpu.operators.linear import LinearOperator
+
+NO_FLOOR = -3e38
+
+
+@dataclass(frozen=True, eq=False)
+class Colors:
+    """One volume, seen by light that cures (visible) and by light that undoes it (UV).
+
+    visible, uv: operators of the two colors on one grid, one set of poses and one device, each with the absorption of
+    its color: light of the color → dose is ``.T``, their exact transposes.  painter: what turns a pattern of dose into
+    light in the rules of passes, e.g. one without absorption; None for each color's own operator.  strength: visible
+    dose that one unit of UV dose undoes.  whole: every voxel of the grid counts, as in a square slice whose diagonal
+    is the diameter; otherwise only the inscribed cylinder does, where a method knows it.
+    Raises `BadInput`, `ShapeMismatch`.
+    """
+
+    visible: LinearOperator
+    uv: LinearOperator
+    painter: LinearOperator | None = None
+    strength: float = 1.0
+    whole: bool = False
+
+    def __post_init__(self) -> None:
+        for name, other in (("uv", self.uv), ("painter", self.painter or self.visible)):
+            if (other.domain.shape, other.range.shape) != (self.visible.domain.shape, self.visible.range.shape):
+                raise ShapeMismatch(
+                    f"{name} maps {other.domain.shape} to {other.range.shape}, visible {self.visible.domain.shape} to "
+                    f"{self.visible.range.shape}; wanted the same: build both on one grid, beam and motion"
+                )
+            if other.device is not self.visible.device:
+                raise BadInput(f"{name} is on {other.device}, visible on {self.visible.device}; wanted one device")
+        if not 0.0 < self.strength < float("inf"):
+            raise BadInput(f"strength is {self.strength!r}; wanted a finite number > 0")
+
+    def dose(self, visible: DeviceArray, uv: DeviceArray | None) -> DeviceArray:
+        """Visible dose − strength · UV dose [x, y, z], on the device."""
+        dose = self.visible.T(visible)
+        if uv is not None:
+            combine(1.0, dose, -self.strength, self.uv.T(uv), dose)
+        return dose
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One record of a run: undersupply and oversupply are root mean squares over all voxels, in units of the design.
+
+    number: counted from 1.  pairs: projector pairs so far, both colors.
+    """
+
+    number: int
+    pairs: float
+    undersupply: float
+    oversupply: float
+
+    @property
+    def error(self) -> float:
+        """Root mean square of buildup − design."""
+        return (self.undersupply**2 + self.oversupply**2) ** 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class DualPlan:
+    """Light of two colors for one design.
+
+    visible, uv: sinograms [angle, r, z] ≥ 0 on the device, scaled so that the buildup is in units of the design; uv is
+    None for methods of one color.  colors, method: what made it.  history: one `Pass` a pass.  seconds: of the run.
+    papers: what the method relies on.
+    """
+
+    visible: DeviceArray
+    uv: DeviceArray | None
+    colors: Colors
+    method: Any
+    history: tuple[Pass, ...]
+    seconds: float
+    papers: tuple[str, ...]
+
+    def dose(self) -> DeviceArray:
+        """Effective buildup [x, y, z] on the device: visible dose − strength · UV dose; may be negative."""
+        return self.colors.dose(self.visible, self.uv)
+
+
+def combine(a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray, floor: float = NO_FLOOR) -> None:
+    """out = max(floor, a·x + b·y); out may be x or y."""
+    out.device.launch(linear, a=a, x=x, b=b, y=y, floor=floor, out=out)
+
+
+def constant(value: float, shape: tuple[int, int, int], like: DeviceArray) -> DeviceArray:
+    """A field of one value, of ``shape``, on the device of ``like``."""
+    import numpy as np
+
+    return like.device.upload(np.full(shape, value, np.float32))
