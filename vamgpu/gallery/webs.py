@@ -10,7 +10,6 @@ import numpy as np
 from vamgpu.backend.device import Device
 from vamgpu.gallery import style
 from vamgpu.gallery.picture import Fact, Picture
-from vamgpu.geometry import Beam
 from vamgpu.operators.web import WebProjection
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
@@ -26,10 +25,12 @@ RADIUS, THICKNESS = 7.5, 3.0
 
 
 def webs(
-    device: Device, quick: bool = False, length: float = 250.0, pitch: float = 0.2, cell: float = 6.0, drift: float = 2.0
+    device: Device, quick: bool = False, length: float = 250.0, pitch: float = 0.2, cell: float = 6.0,
+    drift: float = 2.0,
 ) -> Picture:
     """A film ``length`` [mm] long of cells [mm] that drift along it, in voxels of ``pitch`` [mm]."""
     pitch = 0.4 if quick else pitch
+    layers = round(THICKNESS / pitch)
     roller = Roller(RADIUS, Film(THICKNESS, 1.49, 1.33, 0.22), pitch / (RADIUS + 0.5 * THICKNESS))
     cells = SheetGyroid(cell)
 
@@ -37,15 +38,16 @@ def webs(
         return cells(l + drift * np.sin(l / 17.0), rho, z + 0.4)
 
     job = Stream(
-        drifting, roller, roller.beam(pitch, 2), length=length, pitch=(roller.advance, pitch, pitch), core=1.0,
-        section=(round(THICKNESS / pitch), 2), iterations=20 if quick else 100, device=device,
+        drifting, roller, roller.beam(pitch, 2), length=length, core=1.0,
+        pitch=(roller.advance, THICKNESS / layers, pitch), section=(layers, 2), iterations=20 if quick else 100,
+        device=device,
     )  # fmt: skip
     whole, scale = _light(replace(job, core=12.0))
-    dose, target = _dose(job, job.beam, whole), _target(job)
+    dose, target = _dose(job, whole), _target(job)
     faults = {}
     for overlap in (0.5, 1.0, 1.5):
         pieces, _ = _light(replace(job, overlap=overlap))
-        faults[overlap] = np.abs(_dose(job, job.beam, pieces) - dose).max(axis=(1, 2))
+        faults[overlap] = np.abs(_dose(job, pieces) - dose).max(axis=(1, 2))
     along = (np.arange(len(dose)) + 0.5) * job.grid.edges[0]
     figure, axes = style.sheet("a;b;c", 7.0, height_ratios=[1, 1, 1.6])
     extent = (0.0, length, 0.0, THICKNESS)
@@ -88,10 +90,10 @@ def _columns(job: Stream, light: np.ndarray) -> int:
     return int((len(light) - job.layout.lead) * job.layout.step)
 
 
-def _dose(job: Stream, beam: Beam, light: np.ndarray) -> np.ndarray:
+def _dose(job: Stream, light: np.ndarray) -> np.ndarray:
     grid = WebGrid((_columns(job, light), *job.grid.shape[1:]), job.grid.pitch)
     start = -float(job.layout.lead * job.layout.step)
-    A = WebProjection(grid, beam, job.wrap, job.device, poses=len(light), start=start)
+    A = WebProjection(grid, job.beam, job.wrap, job.device, poses=len(light), start=start)
     return np.asarray(A.T(light))
 
 
