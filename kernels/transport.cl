@@ -4,6 +4,7 @@
 #define SPECIES 3
 #define SPACING 256 // floats between rows of scratch, which would else fall to the same sets of the cache
 #define TINY 1e-30f
+#define NOTHING 1e-20f
 #define VECTOR_AT(pointer) (*(__global const Vector *)(pointer))
 // Neighbors in z of the lanes of a vector, from it and the one before or after it.
 #define AFTER_16(c, next) shuffle2(c, next, (uint16)(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16))
@@ -70,6 +71,11 @@ static inline void mark(__global float *when, Vector before, Vector after, float
     *(__global Vector *)when = select(*(__global Vector *)when, at, now);
 }
 
+// Nothing rather than next to nothing: arithmetic with denormal numbers is slow.
+static inline Vector settled(Vector value) {
+    return select((Vector)(0.0f), value, value > (Vector)(NOTHING));
+}
+
 // Reactions of one step in place; adds to the dose only in a voxel the item owns.
 static inline void react(const Problem *p, Vector *a, Vector *b, Vector *c, Light light, size_t at, float time, bool own) {
     const float *k = p->rates;
@@ -85,11 +91,11 @@ static inline void react(const Problem *p, Vector *a, Vector *b, Vector *c, Ligh
         mark(light.optical_time + at, before, after, p->optical, time, k[5]);
         mark(light.mechanical_time + at, before, after, p->mechanical, time, k[5]);
     }
-    *a = fmax(zero, *a - want_a * share_a);
-    *b = fmax(zero, *b - want_b * share_b);
+    *a = settled(*a - want_a * share_a);
+    *b = settled(*b - want_b * share_b);
     const Vector rate = k[2] * uv, split = fmin(*c, p->order ? *c * rate : rate);
     const Vector paired = k[3] * *b * *b / (1.0f + 2.0f * k[3] * *b);
-    *b = fmax(zero, *b + 2.0f * (split - paired));
+    *b = settled(*b + 2.0f * (split - paired));
     *c = *c - split + paired;
 }
 

@@ -19,6 +19,7 @@ Walls = Annotated[np.ndarray, Table("float32", ("3", "6", "2"))]  # species, fac
 Rates = Annotated[np.ndarray, Table("float32", ("6",))]  # k_A·Δt, k_B·Δt, k_C·Δt, k_2·Δt, cross, Δt
 Scratch = Annotated[np.ndarray, Table("float32", ("part", "room"), writes=True)]  # of no value afterwards
 TINY = 1e-30
+NOTHING = 1e-20
 
 
 @kernel(
@@ -100,8 +101,13 @@ def _react(
     whole = a + b
     share_a, share_b = (s / np.maximum(np.maximum(whole, want), TINY) for s, want in ((a, want_a), (b, want_b)))
     left = np.where(whole >= np.maximum(want_a, want_b), 0.0, np.maximum(0.0, 1.0 - share_a - share_b))
-    a, b = np.maximum(0.0, a - want_a * share_a), np.maximum(0.0, b - want_b * share_b)
+    a, b = _settled(a - want_a * share_a), _settled(b - want_b * share_b)
     split = rates[2] * ultraviolet
     split = np.minimum(c, c * split if order else split)
     paired = rates[3] * b * b / (1.0 + 2.0 * rates[3] * b)
-    return [a, np.maximum(0.0, b + 2.0 * (split - paired)), c - split + paired], left * light * rates[5]
+    return [a, _settled(b + 2.0 * (split - paired)), c - split + paired], left * light * rates[5]
+
+
+def _settled(value: np.ndarray) -> np.ndarray:
+    """Nothing rather than next to nothing, or less."""
+    return np.where(value > NOTHING, value, 0.0)

@@ -9,6 +9,7 @@ from vamgpu.kernels.wide_warp import Flat, read
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 TINY = wp.constant(1.0e-30)
+NOTHING = wp.constant(1.0e-20)
 
 
 @wp.func
@@ -55,6 +56,11 @@ def spread_one(
     out = here + spread[species, 0] * (passes[0] * (x_low - here) + passes[1] * (x_high - here))
     out += spread[species, 1] * (passes[2] * (y_low - here) + passes[3] * (y_high - here))
     return out + spread[species, 2] * ((z_low - here) + (z_high - here))
+
+
+@wp.func
+def settled(value: float):
+    return wp.where(value > NOTHING, value, 0.0)
 
 
 @wp.func
@@ -129,12 +135,12 @@ def transport(
             if whole < most:
                 more[k] = wp.max(0.0, 1.0 - share_a - share_b) * powers[k] * rates[5]
                 spare = 1
-            kept_b = wp.max(0.0, vb[k] - want_b * share_b)
-            va[k] = wp.max(0.0, va[k] - want_a * share_a)
+            kept_b = settled(vb[k] - want_b * share_b)
+            va[k] = settled(va[k] - want_a * share_a)
             rate = rates[2] * uvs[k]
             split = wp.min(vc[k], wp.where(order != 0, vc[k] * rate, rate))
             paired = rates[3] * kept_b * kept_b / (1.0 + 2.0 * rates[3] * kept_b)
-            vb[k] = wp.max(0.0, kept_b + 2.0 * (split - paired))
+            vb[k] = settled(kept_b + 2.0 * (split - paired))
             vc[k] = vc[k] - split + paired
         if spare != 0:
             before = read(dose, slab, at)

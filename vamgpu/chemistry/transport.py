@@ -172,8 +172,7 @@ class Transport:
                 f"a step of {step:g} s is not stable; at most {self.limit:g} s is: take {self.steps(span)} steps or more",
                 self.limit,
             )
-        rates = self._rates(step)
-        spread = self.device.table([[d * step / p**2 for p in self.box.pitch] for d in self.diffusivities])
+        spread, rates = self._tables(step)
         done, launch = 0, min(self._fused, count)
         while done < count:
             launch = min(launch, count - done)
@@ -181,11 +180,20 @@ class Transport:
             done += launch
         state.time += span
 
-    def _rates(self, step: float) -> DeviceArray:
-        """The table of rates; C of first order splits as k_c says at its initial concentration."""
-        k = self.reaction or Reaction(0.0, 0.0, 0.0, 0.0)
-        k_c = k.k_c / k.initial if k.order else k.k_c
-        return self.device.table([k.k_a * step, k.k_b * step, k_c * step, k.k_2 * step, k.cross, step])
+    def _tables(self, step: float) -> tuple[DeviceArray, DeviceArray]:
+        """Spread and rates of a step, kept for the next; C of first order splits as k_c says at its initial amount."""
+        if step not in self._kept:
+            k = self.reaction or Reaction(0.0, 0.0, 0.0, 0.0)
+            k_c = k.k_c / k.initial if k.order else k.k_c
+            spread = [[d * step / p**2 for p in self.box.pitch] for d in self.diffusivities]
+            rates = [k.k_a * step, k.k_b * step, k_c * step, k.k_2 * step, k.cross, step]
+            self._kept.clear()
+            self._kept[step] = self.device.table(spread), self.device.table(rates)
+        return self._kept[step]
+
+    @cached_property
+    def _kept(self) -> dict[float, tuple[DeviceArray, DeviceArray]]:
+        return {}
 
     def _launch(
         self,

@@ -1,0 +1,123 @@
+"""Two colors of light from a projector, through resin that bleaches as its inhibitor is used up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import ceil, cos, sin
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.chemistry.transport import Box
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.geometry import positive
+from vamgpu.kernels.attenuate import column_density, expose
+
+
+@dataclass(frozen=True)
+class Extinction:
+    """What a color loses per length, μ + ε·[C]: constant [1/mm] and per_c [1/mm per mol/m³], natural logarithm.
+
+    Raises `BadInput` below zero.
+    """
+
+    constant: float = 0.0
+    per_c: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("constant", "per_c"):
+            object.__setattr__(self, name, positive(f"Extinction {name}", getattr(self, name), zero=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Exposure:
+    """Sinograms of both colors, [angle, r, z] in mW/mm² where they enter the resin, poses evenly over a turn.
+
+    box: of the resin, with its radius; its slices are the rows of the light.  pitch: between columns of light [mm], by
+    default the box's along x.  Either color may be None. Raises `BadInput`, `ShapeMismatch`.
+    """
+
+    box: Box
+    visible: np.ndarray | None
+    ultraviolet: np.ndarray | None
+    extinction: tuple[Extinction, Extinction] = (Extinction(), Extinction())
+    pitch: float | None = None
+    device: Device = field(default=None)  # type: ignore[assignment] - must be the transport's
+
+    def __post_init__(self) -> None:
+        given = [light for light in (self.visible, self.ultraviolet) if light is not None]
+        if not given or not isinstance(self.device, Device):
+            raise BadInput("an exposure wants the light of at least one color, and the transport's device")
+        if self.box.radius is None:
+            raise BadInput("light enters a cylinder of resin; give the box its radius")
+        object.__setattr__(self, "pitch", positive("pitch of the light [mm]", self.pitch or self.box.pitch[0]))
+        for light in given:
+            if np.ndim(light) != 3 or light.shape != given[0].shape or light.shape[2] != self.box.shape[2]:
+                raise ShapeMismatch(
+                    f"light has shape {np.shape(light)}; wanted [angle, r, {self.box.shape[2]}] alike for both colors"
+                )
+            if not np.isfinite(light).all() or np.min(light) < 0:
+                raise BadInput(f"light holds {np.min(light):g} mW/mm²; wanted finite numbers ≥ 0")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Angles, columns and rows of the light."""
+        light = self.ultraviolet if self.visible is None else self.visible
+        return tuple(light.shape)  # type: ignore[union-attr, return-value]
+
+    @property
+    def angles(self) -> int:
+        """Poses of a turn."""
+        return self.shape[0]
+
+    def irradiance(self, inhibitor: DeviceArray, angle: int) -> tuple[DeviceArray, DeviceArray]:
+        """Irradiance [mW/mm²] of both colors in every voxel at pose ``angle``, through C as it is [mol/m³].
+
+        The fields are the exposure's own: the next pose writes over them.
+        """
+        pose, (path, visible, ultraviolet) = self._pose(angle % self.angles), self._fields
+        self.device.launch(column_density, species=inhibitor, open=self._open, pose=pose, path=path)
+        lights = self._lights
+        self.device.launch(
+            expose, path=path, visible_light=lights[0], ultraviolet_light=lights[1], angle=angle % self.angles,
+            pose=pose, extinction=self._extinction, visible=visible, ultraviolet=ultraviolet,
+        )  # fmt: skip
+        return visible, ultraviolet
+
+    @property
+    def step(self) -> float:
+        """Step along a ray [mm]."""
+        return min(self.box.pitch[:2])
+
+    def _pose(self, angle: int) -> DeviceArray:
+        if angle not in self._poses:
+            turn, (dx, dy, _) = 2.0 * np.pi * angle / self.angles, self.box.pitch
+            values = [cos(turn), sin(turn), dx, dy, self.pitch, self.step, self.box.radius, 0.0]
+            self._poses[angle] = self.device.table(values)
+        return self._poses[angle]
+
+    @cached_property
+    def _poses(self) -> dict[int, DeviceArray]:
+        return {}
+
+    @cached_property
+    def _fields(self) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
+        steps = ceil(2.0 * (self.box.radius or 0.0) / self.step) + 2
+        path = self.device.empty((self.shape[1], steps, self.shape[2]))
+        return path, self.device.empty(self.box.shape), self.device.empty(self.box.shape)
+
+    @cached_property
+    def _lights(self) -> tuple[DeviceArray, DeviceArray]:
+        dark = np.zeros(self.shape, np.float32)
+        first, second = (dark if light is None else light for light in (self.visible, self.ultraviolet))
+        return self.device.upload(first), self.device.upload(second)
+
+    @cached_property
+    def _extinction(self) -> DeviceArray:
+        return self.device.table([[color.constant, color.per_c] for color in self.extinction])
+
+    @cached_property
+    def _open(self) -> DeviceArray:
+        return self.device.table(self.box.open(), "uint8")

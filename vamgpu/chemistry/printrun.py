@@ -1,0 +1,113 @@
+"""A print in two colors, turned frame by frame, that can be broken off and taken up again."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from vamgpu.chemistry.exposure import Exposure
+from vamgpu.chemistry.transport import Concentrations, Transport
+from vamgpu.errors import BadInput, StorageError, UnstableStep
+from vamgpu.geometry import counts, positive
+from vamgpu.storage.atomic import replacing
+
+Progress = Callable[[int, Concentrations], None]
+
+
+@dataclass(frozen=True, eq=False)
+class PrintRun:
+    """Turns of a dual-color print: light of a pose, through the C there is, for a frame's time; then the next pose.
+
+    turn: seconds a turn takes.  turns: how many.  steps: of transport a frame, by default the fewest that are stable.
+    Raises `BadInput`, `UnstableStep`. Source: paper, "Reactive Transport Simulation".
+    """
+
+    transport: Transport
+    exposure: Exposure
+    turn: float
+    turns: int
+    steps: int | None = None
+
+    def __post_init__(self) -> None:
+        positive("turn [s]", self.turn)
+        counts("turns", (self.turns,), 1)
+        if self.exposure.box != self.transport.box or self.exposure.device is not self.transport.device:
+            raise BadInput("exposure and transport want the same box and the same device")
+        if self.transport.reaction is None:
+            raise BadInput("a print wants a transport with a reaction; this one only diffuses")
+        if self.steps is not None and self.frame_time / self.steps > self.transport.limit:
+            raise UnstableStep(
+                f"{self.steps} steps a frame of {self.frame_time:g} s are not stable; wanted steps of at most "
+                f"{self.transport.limit:g} s: {self.transport.steps(self.frame_time)} or more",
+                self.transport.limit,
+            )
+
+    @property
+    def frame_time(self) -> float:
+        """Seconds a frame is shown."""
+        return self.turn / self.exposure.angles
+
+    @property
+    def frames(self) -> int:
+        """Frames of the whole print."""
+        return self.turns * self.exposure.angles
+
+    def run(
+        self,
+        state: Concentrations,
+        frame: int = 0,
+        until: int | None = None,
+        save: str | Path | None = None,
+        every: int | None = None,
+        progress: Progress | None = None,
+    ) -> int:
+        """Show frames ``frame`` … ``until`` − 1 (by default to the end), changing the state; returns the next frame.
+
+        save: a file that is replaced after every ``every`` frames (by default each turn) and at the end; see `load`.
+        progress: called with the next frame and the state after each frame.
+        """
+        last = min(self.frames, until if until is not None else self.frames)
+        pace = every or self.exposure.angles
+        while frame < last:
+            visible, ultraviolet = self.exposure.irradiance(state.c, frame)
+            self.transport.advance(state, self.frame_time, self.steps, visible, ultraviolet)
+            state.time = self.frame_time * (frame + 1)  # not a sum, so that a print taken up again ends the same
+            frame += 1
+            if progress:
+                progress(frame, state)
+            if save is not None and (frame % pace == 0 or frame == last):
+                self.save(save, state, frame)
+        return frame
+
+    def save(self, path: str | Path, state: Concentrations, frame: int) -> None:
+        """Write the state before ``frame`` to an .npz file that appears whole or not at all. Raises `StorageError`."""
+        with replacing(path, overwrite=True) as draft, draft.open("wb") as file:
+            np.savez(file, frame=frame, time=state.time, print=self.fingerprint, **state.numpy())
+
+    def load(self, path: str | Path) -> tuple[Concentrations, int]:
+        """The state and the next frame of a file that `run` saved. Raises `StorageError` for another print's."""
+        try:
+            with np.load(path, allow_pickle=False) as kept:
+                found = {name: kept[name] for name in kept.files}
+            fields = [self.transport.device.upload(found[name]) for name in Concentrations.FIELDS]
+            frame, time, owner = int(found["frame"]), float(found["time"]), str(found["print"])
+        except (OSError, ValueError, KeyError, EOFError) as error:
+            raise StorageError(f"cannot read the print in {str(path)!r}: {error}; start it anew") from error
+        if owner != self.fingerprint:
+            raise StorageError(f"{str(path)!r} is of another print: its resin, light or times differ; start it anew")
+        return Concentrations(*fields, time), frame
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Digest of everything that decides how the print goes on."""
+        t, e = self.transport, self.exposure
+        settings = (t.box, t.diffusivities, t.reaction, t.boundaries, e.extinction, e.pitch, self.turn, self.steps)
+        digest = hashlib.sha256(repr(settings).encode())
+        for light in (e.visible, e.ultraviolet):
+            digest.update(b"-" if light is None else np.ascontiguousarray(light, np.float32).tobytes())
+        return digest.hexdigest()
