@@ -1,0 +1,144 @@
+"""How much induction UV buys: W = ∫([B]/[A]) d([A]/[A]₀), where extinction and rotation shape the light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import ceil, inf
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.backend.device import Device
+from vamgpu.chemistry.kinetics import advance
+from vamgpu.chemistry.species import Floats, Light, Rates, State
+from vamgpu.errors import BadInput
+from vamgpu.geometry import counts, positive
+
+HALVINGS = 22
+"""Of the range of UV in which the wanted W is looked for: to 1e-5 of two decades' span."""
+
+
+def exact_efficiency(alpha: float, beta: float = 0.0, stored: float = 0.0) -> float:
+    """W under constant light without pairing (k₂ = 0): (2β + [B]₀/[A]₀)/(α − 2β), infinite where 2β ≥ α.
+
+    alpha, beta: see `Rates`.  stored: [B] over [A] at the start. So W = 1 at β = α/4. The induction time is t₀(1 + W).
+    """
+    positive("alpha", alpha, zero=True)
+    gain = 2.0 * positive("beta", beta, zero=True)
+    made = gain + positive("stored", stored, zero=True)
+    if made == 0.0:
+        return 0.0
+    return made / (alpha - gain) if gain < alpha else inf
+
+
+@dataclass(frozen=True)
+class RotatingLight:
+    """Even light of two colors on a turning vial, weakened by Beer-Lambert on the way to a point of the resin.
+
+    vial: inner radius [mm]
+    visible, uv: irradiance at the wall [mW/mm²]
+    visible_extinction, uv_extinction: natural, of the fresh resin [1/mm]
+    period: of a turn [s]
+    poses: intervals of constant light in a turn
+
+    Raises `BadInput` for negative or infinite numbers, and a vial, a period or visible light of 0.
+    """
+
+    vial: float = 15.0
+    visible: float = 0.05
+    uv: float = 0.05
+    visible_extinction: float = 0.03
+    uv_extinction: float = 0.03
+    period: float = 9.0
+    poses: int = 72
+
+    def __post_init__(self) -> None:
+        for name in ("vial", "visible", "period"):
+            positive(name, getattr(self, name))
+        for name in ("uv", "visible_extinction", "uv_extinction"):
+            positive(name, getattr(self, name), zero=True)
+        counts("poses", (self.poses,), 1)
+
+    def path(self, radius: ArrayLike, phase: ArrayLike = 0.0) -> Floats:
+        """Way through the resin to points at ``radius`` [mm] and angle ``phase`` [rad], (points, poses) [mm].
+
+        l = √(R² − r²) − x·cosθ − y·sinθ with r = y·cosθ − x·sinθ. Raises `BadInput` for points beyond the wall.
+        """
+        rho, start = np.broadcast_arrays(np.atleast_1d(np.asarray(radius, float)), np.asarray(phase, float))
+        if not (np.isfinite(rho).all() and np.isfinite(start).all()) or rho.min() < 0 or rho.max() > self.vial:
+            raise BadInput(f"points at radii {rho.min():g} … {rho.max():g} mm; wanted 0 … {self.vial:g} mm, finite")
+        turned = start[:, None] - 2.0 * np.pi * (np.arange(self.poses) + 0.5) / self.poses
+        along, across = rho[:, None] * np.cos(turned), rho[:, None] * np.sin(turned)
+        return np.sqrt(np.maximum(self.vial**2 - across**2, 0.0)) - along
+
+    def at(self, radius: ArrayLike, phase: ArrayLike = 0.0) -> Light:
+        """One turn of light at points; see `path`."""
+        way = self.path(radius, phase)
+        seconds = np.full(self.poses, self.period / self.poses)
+        visible = self.visible * np.exp(-self.visible_extinction * way)
+        return Light(visible, self.uv * np.exp(-self.uv_extinction * way), seconds)
+
+
+def efficiency_at(
+    rates: Rates | Sequence[Rates], light: RotatingLight, radius: ArrayLike, phase: ArrayLike = 0.0, *,
+    most: float = 10.0, device: str | Device | None = None,
+) -> Floats:  # fmt: skip
+    """W of points at ``radius`` [mm], first lit at ``phase`` [rad], in fresh resin; (resins, points).
+
+    Infinite where the induction lasts longer than 1 + ``most`` times that without UV. Raises what `advance` raises.
+    """
+    resins = (rates,) if isinstance(rates, Rates) else tuple(rates)
+    turn = light.at(radius, phase)
+    turns = _turns(resins, light, turn, 1.0 + positive("most", most))
+    found = [_exposed(resin, turn, turns * light.poses, device) for resin in resins]
+    return np.stack([w for w, _ in found])
+
+
+def uv_needed(
+    rates: Rates, light: RotatingLight, radius: ArrayLike, phase: ArrayLike = 0.0, *, wanted: float = 1.0,
+    most: float = 100.0, device: str | Device | None = None,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """UV at the wall that gives points an efficiency W of ``wanted``: irradiance [mW/mm²] and dose [mJ/mm²], (points,).
+
+    The dose is what the wall gets until the points are depleted. Raises `BadInput` where ``most`` times the visible
+    irradiance is not enough (the supply may run out first), and what `advance` raises.
+    """
+    turn = replace(light, uv=1.0).at(radius, phase)
+    turns = _turns((rates,), light, turn, 1.5 * (1.0 + positive("wanted", wanted)))
+    low = np.zeros(turn.sources)
+    high = np.full(turn.sources, positive("most", most) * light.visible)
+
+    def exposed(uv: Floats) -> tuple[Floats, Floats]:
+        scaled = Light(turn.visible, uv[:, None] * np.asarray(turn.uv), turn.seconds)
+        return _exposed(rates, scaled, turns * light.poses, device)
+
+    short = exposed(high)[0] < wanted
+    if short.any():
+        raise BadInput(f"{np.count_nonzero(short)} of {short.size} points do not reach W = {wanted:g} with "
+                       f"{high[0]:g} mW/mm² of UV; raise most, the supply or the life of B")  # fmt: skip
+    low, high = np.full_like(low, 1e-9 * light.visible), high
+    for _ in range(HALVINGS):
+        middle = np.sqrt(low * high)
+        enough = exposed(middle)[0] >= wanted
+        low, high = np.where(enough, low, middle), np.where(enough, middle, high)
+    needed = np.sqrt(low * high)
+    return needed, needed * exposed(needed)[1]
+
+
+def _turns(resins: Sequence[Rates], light: RotatingLight, turn: Light, factor: float) -> int:
+    """Turns that last ``factor`` times the longest induction without UV."""
+    mean = float(np.asarray(turn.visible).mean(axis=1).min())
+    slow = min(resin.k_a / resin.oxygen for resin in resins)
+    if slow == 0:
+        raise BadInput("k_a is 0; wanted k_a > 0, or oxygen is never used up")
+    return ceil(factor / (slow * mean * light.period)) + 1
+
+
+def _exposed(rates: Rates, turn: Light, intervals: int, device: str | Device | None) -> tuple[Floats, Floats]:
+    """W (infinite where not depleted) and the time that took [s], (points,)."""
+    start = State(np.full(turn.sources, rates.oxygen), 0.0, rates.supply)
+    course = advance(rates, start, turn, intervals=intervals, device=device)
+    done = course.depleted[0]
+    time = np.where(done, course.event[0], intervals * float(np.asarray(turn.seconds)[0]))
+    return np.where(done, course.efficiency[0], inf), time

@@ -1,0 +1,101 @@
+"""Photoinhibition of many items at once: voxels, resins, or both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.chemistry.species import Floats, Light, Rates, State
+from vamgpu.errors import BadInput
+from vamgpu.geometry import counts, positive
+from vamgpu.kernels.kinetics import MOST, UNSETTLED, inhibit
+
+TOLERANCE = 1e-6
+"""Error of a step, in [A] before printing, that asks for shorter ones; float32 carries no less."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Where items end, all arrays (resins, items), concentrations in the unit of the rates.
+
+    a, b, c: concentrations; a and b are 0 from the event on, and c stays what it was.
+    dose: of visible light until the end or the event [mJ/mm²].
+    event: when [A] + [B] reached 1e-6 of [A] before printing, NaN where it did not [s].
+    efficiency: W = ∫([B]/[A]) d([A]/[A]₀) so far, [A]₀ being each item's own at the start (NaN where that is 0).
+    path: [A], [B], [C] and dose at the start and after every ``every`` intervals, (resins, items, rows, 4).
+    """
+
+    a: Floats
+    b: Floats
+    c: Floats
+    dose: Floats
+    event: Floats
+    efficiency: Floats
+    path: Floats
+
+    @property
+    def depleted(self) -> np.ndarray:
+        """Whether polymerization has begun, (resins, items)."""
+        return np.isfinite(self.event)
+
+    @property
+    def states(self) -> State:
+        """The ends as one list of items, resin after resin."""
+        return State(self.a.ravel(), self.b.ravel(), self.c.ravel())
+
+
+def advance(
+    rates: Rates | Sequence[Rates], state: State, light: Light, *, intervals: int | None = None, first: int = 0,
+    rows: int = 1, tolerance: float = TOLERANCE, device: str | Device | None = None,
+) -> Course:  # fmt: skip
+    """Expose every item in every resin to the light (eqs 5–7, made non-negative and continued at the origin).
+
+    Rosenbrock steps of third order, as long as each item allows; [B] + 2[C] + α[A] falls by k_B times the dose up to
+    rounding and 1e-6 of ``oxygen``. [A] + [B] = 1e-6·oxygen is the event: polymerization begins, and A and B stay 0.
+
+    Args:
+        rates: one resin or several.
+        state: items at the start, the same for every resin.
+        light: one source for all items, or as many as items.
+        intervals: how many to go through from ``first`` on, going round; None is each once.
+        rows: of the path kept, the start first; the others are equally many intervals apart.
+        tolerance: of a step, in ``oxygen``.
+
+    Raises:
+        BadInput: values that cannot be used, or an item that needs more than 20,000 steps in one interval.
+    """
+    resins = (rates,) if isinstance(rates, Rates) else tuple(rates)
+    if not resins or not all(isinstance(resin, Rates) for resin in resins):
+        raise BadInput(f"rates are {rates!r}; wanted Rates, or several")
+    if light.sources not in (1, len(state)):
+        raise BadInput(f"{light.sources} sources of light for {len(state)} items; wanted 1 or {len(state)}")
+    (count,) = counts("intervals", (light.intervals if intervals is None else intervals,), 1)
+    (rows,) = counts("rows", (rows,), 1)
+    every = -(-count // (rows - 1)) if rows > 1 else count
+    where, items = open_device(device), len(resins) * len(state)
+    before = np.zeros((items, 4))
+    before[:, :3] = np.tile(state.table, (len(resins), 1))
+    real, seconds, start = where.real, np.asarray(light.seconds), int(first) % light.intervals
+    after, path, times = (where.empty(shape, real, table=True) for shape in ((items, 4), (items, rows, 4), (items,)))
+    where.launch(
+        inhibit, before=where.table(before), rates=where.table(np.array([resin.row for resin in resins])),
+        light=where.table(light.table), lengths=where.table(seconds), first=start, count=count, every=every,
+        tolerance=positive("tolerance", tolerance), after=after, path=path, times=times,
+    )  # fmt: skip
+    shape = (len(resins), len(state))
+    ends, when = after.numpy().astype(np.float64), times.numpy().astype(np.float64)
+    if (when == UNSETTLED).any():
+        stuck = np.count_nonzero(when == UNSETTLED)
+        raise BadInput(f"{stuck} of {items} items do not settle within {MOST} steps of one interval at a tolerance of "
+                       f"{tolerance:g}; ask for less, or make intervals shorter")  # fmt: skip
+    k_a = np.repeat([resin.k_a for resin in resins], len(state))
+    missed = k_a * ends[:, 3] - (before[:, 0] - ends[:, 0])
+    held = before[:, 0] > 0
+    efficiency = np.where(held, missed / np.where(held, before[:, 0], 1.0), np.nan)
+    event = np.where(when < 0, np.nan, when)
+    a, b, c, dose, event, efficiency = (v.reshape(shape) for v in (*ends.T, event, efficiency))
+    return Course(a, b, c, dose, event, efficiency, path.numpy().astype(np.float64).reshape(*shape, rows, 4))

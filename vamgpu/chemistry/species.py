@@ -1,0 +1,189 @@
+"""The three species of binary photoinhibition, their rate constants, and the light they see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+
+Floats = NDArray[np.float64]
+
+SPECIES = {"A": "oxygen", "B": "lophyl", "C": "o-Cl-HABI"}
+"""Letter in the equations → name. A is the dissolved inhibitor, B the one made by UV, C what it is made of."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Rate constants of eqs 5–7 of the photoinhibition paper, and how the supply C runs out.
+
+    Concentrations are in mol/m³, or normalized so that ``oxygen`` is 1; keep to one of them throughout.
+
+    k_a, k_b, k_c: loss of A and of B by visible light, splitting of C by UV [concentration/s per mW/mm²]
+    k_2: pairing of B to C [1/(concentration·s)]
+    oxygen: [A] before printing; 1e-6 of it counts as depleted
+    supply: [C] before printing
+    order: of the splitting in [C]. 0 as eq. 7 has it, until C is used up: then B that pairs up is split again at once,
+        and no more; [C] never falls below 0. 1 as the paper's simulation has it, equal to order 0 at [C] = supply.
+
+    Raises `BadInput` for negative or infinite numbers, an order that is not 0 or 1, or order 1 without a supply.
+    """
+
+    k_a: float
+    k_b: float
+    k_c: float
+    k_2: float
+    oxygen: float = 1.0
+    supply: float = 5.0
+    order: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("k_a", "k_b", "k_c", "k_2", "supply"):
+            positive(name, getattr(self, name), zero=True)
+        positive("oxygen", self.oxygen)
+        if self.order not in (0, 1):
+            raise BadInput(f"order is {self.order!r}; wanted 0 (eq. 7) or 1 (in proportion to [C])")
+        if self.order == 1 and self.supply == 0:
+            raise BadInput("order 1 with a supply of 0; wanted [C] > 0 to compare with, or order 0")
+
+    @property
+    def alpha(self) -> float:
+        """α = k_B/k_A: sensitivity of B to visible light over that of A. Raises `BadInput` where k_A is 0."""
+        if self.k_a == 0:
+            raise BadInput("k_a is 0; wanted k_a > 0, or α = k_b/k_a has no value")
+        return self.k_b / self.k_a
+
+    def beta(self, visible: float, uv: float) -> float:
+        """β = k_C·I_UV/(k_A·I_vis), for irradiances [mW/mm²]. Raises `BadInput` without visible light."""
+        lost = self.k_a * positive("visible", visible)
+        if lost == 0:
+            raise BadInput("k_a is 0; wanted k_a > 0, or β has no value")
+        return self.k_c * positive("uv", uv, zero=True) / lost
+
+    @property
+    def decay(self) -> float:
+        """λ = ln 2/k₂ [concentration·s], infinite for k₂ = 0. No time: see `half_life`."""
+        return log(2.0) / self.k_2 if self.k_2 else float("inf")
+
+    def half_life(self, lophyl: float) -> float:
+        """Time in the dark until half of [B] has paired up [s]: 1/(2k₂[B]); the fuller, the faster."""
+        pairing = 2.0 * self.k_2 * positive("lophyl", lophyl, zero=True)
+        return 1.0 / pairing if pairing else float("inf")
+
+    def start(self, lophyl: float = 0.0) -> State:
+        """The state before printing, with [B] = ``lophyl``."""
+        return State(self.oxygen, lophyl, self.supply)
+
+    @property
+    def row(self) -> tuple[float, ...]:
+        """As the kernels take it, (8,)."""
+        reference = self.supply if self.order else 0.0
+        return (self.k_a, self.k_b, self.k_c, self.k_2, self.oxygen, reference, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """[A], [B] and [C] of any number of items, in the unit of their `Rates`; arrays (items,) after construction.
+
+    Raises `BadInput` for what is negative or not finite, and for lengths that differ.
+    """
+
+    a: ArrayLike
+    b: ArrayLike = 0.0
+    c: ArrayLike = 0.0
+
+    def __post_init__(self) -> None:
+        values = [np.atleast_1d(concentration(letter, getattr(self, letter.lower()))) for letter in SPECIES]
+        try:
+            values = np.broadcast_arrays(*values)
+        except ValueError as error:
+            raise BadInput(f"[A], [B], [C] have shapes {[v.shape for v in values]}; wanted one length") from error
+        for name, value in zip("abc", values, strict=True):
+            if value.ndim != 1 or not value.size:
+                raise BadInput(f"[{name.upper()}] has shape {value.shape}; wanted (items,) with at least one item")
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def of(cls, **amounts: ArrayLike) -> State:
+        """A state by species, letters or names (``A=``, ``oxygen=``); raises `BadInput` for one that does not exist."""
+        known: Mapping[str, str] = {name: letter for letter, full in SPECIES.items() for name in (letter, full)}
+        for name in amounts:
+            if name not in known:
+                listed = ", ".join(f"{letter} ({full})" for letter, full in SPECIES.items())
+                raise BadInput(f"no species {name!r}; there are {listed}")
+        given = {known[name].lower(): value for name, value in amounts.items()}
+        return cls(**{"a": 0.0, **given})
+
+    def __len__(self) -> int:
+        return len(np.asarray(self.a))
+
+    @property
+    def table(self) -> Floats:
+        """(items, 3)."""
+        return np.stack([self.a, self.b, self.c], axis=1)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """Irradiances through intervals of constant light, gone through again and again.
+
+    visible, uv: [mW/mm²], (intervals,) or (sources, intervals); arrays (sources, intervals) after construction
+    seconds: of each interval [s], (intervals,)
+
+    Raises `BadInput` for negative or infinite numbers, and for shapes that do not fit.
+    """
+
+    visible: ArrayLike
+    uv: ArrayLike
+    seconds: ArrayLike
+
+    def __post_init__(self) -> None:
+        seconds = np.atleast_1d(_checked("seconds [s]", self.seconds))
+        shades = [np.atleast_1d(_checked(f"{name} [mW/mm²]", getattr(self, name))) for name in ("visible", "uv")]
+        try:
+            visible, uv = np.broadcast_arrays(*shades)
+            visible, uv = (np.broadcast_to(v, (*v.shape[:-1], seconds.size)) for v in (visible, uv))
+        except ValueError as error:
+            got = f"light of shapes {[v.shape for v in shades]} for {seconds.size} intervals"
+            raise BadInput(f"{got}; wanted (sources, intervals)") from error
+        if visible.ndim > 2 or seconds.ndim > 1 or not visible.size:
+            raise BadInput(f"light of shape {visible.shape} for {seconds.shape} intervals; wanted (sources, intervals)")
+        object.__setattr__(self, "visible", np.atleast_2d(visible))
+        object.__setattr__(self, "uv", np.atleast_2d(uv))
+        object.__setattr__(self, "seconds", seconds)
+
+    @property
+    def table(self) -> Floats:
+        """(sources, intervals, 2)."""
+        return np.stack([self.visible, self.uv], axis=2)  # type: ignore[arg-type]
+
+    @property
+    def sources(self) -> int:
+        return np.asarray(self.visible).shape[0]
+
+    @property
+    def intervals(self) -> int:
+        return np.asarray(self.seconds).size
+
+
+def concentration(letter: str, value: ArrayLike) -> Floats:
+    """``value`` as float64 where it is finite and nowhere negative, else `BadInput`."""
+    return _checked(f"[{letter}]", value)
+
+
+def _checked(name: str, value: ArrayLike) -> Floats:
+    try:
+        array = np.asarray(value, np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{name} is {value!r}; wanted numbers") from error
+    bad = array.size - np.count_nonzero(np.isfinite(array))
+    if bad:
+        raise BadInput(f"{name} holds {bad} values that are not finite; wanted finite numbers ≥ 0")
+    if array.size and array.min() < 0:
+        raise BadInput(f"{name} is {array.min():g} at its lowest; wanted nothing below 0")
+    return array
