@@ -68,7 +68,7 @@ static inline State solved(Matrix m, State right) {
     return (State){(right.a + m.pull * m.share * middle) / m.first, middle, (right.c + m.pair * middle) / m.last};
 }
 
-// A step of Rodas3, and its estimated error.
+// The change by a step of Rodas3, and its estimated error.
 static inline State stepped(State y, State change, Terms terms, Real h, Real *error) {
     Real whole;
     Matrix m;
@@ -89,7 +89,14 @@ static inline State stepped(State y, State change, Terms terms, Real h, Real *er
     const State near = sum(base, (Real)1.0f, k3), last = sum(apart, (Real)(-8.0f / 3.0f), k3);
     const State k4 = solved(m, sum(change_of(near, terms), per, last));
     *error = fmax(fabs(k4.a), fmax(fabs(k4.b), fabs(k4.c)));
-    return sum(near, (Real)1.0f, k4);
+    return sum(sum(k4, (Real)1.0f, k3), (Real)2.0f, k1);
+}
+
+// What rounding leaves of hundreds of small steps is carried along: [C] may be large and change little.
+static inline Real added(Real total, Real change, Real *rest) {
+    const Real wanted = change - *rest, sum = total + wanted;
+    *rest = (sum - total) - wanted;
+    return sum;
 }
 
 // Without traces below 0, of which B and C make up for one another.
@@ -131,6 +138,7 @@ KINETICS_KERNEL inhibit(__global const float *restrict before, __global const fl
     const Real k_a = taken(rates, resins, 8, 0), k_b = taken(rates, resins, 8, 1), k_c = taken(rates, resins, 8, 2);
     const Real k_2 = taken(rates, resins, 8, 3), scale = taken(rates, resins, 8, 4), reference = taken(rates, resins, 8, 5);
     State y = {taken(before, items, 4, 0), taken(before, items, 4, 1), taken(before, items, 4, 2)};
+    State rest = {(Real)0.0f, (Real)0.0f, (Real)0.0f};
     Real dose = taken(before, items, 4, 3), dose_rest = (Real)0.0f, trial = (Real)LONG, event = (Real)NEVER;
     Whole live = y.a + y.b > DEPLETED * scale;
     event = live ? event : (Real)0.0f;
@@ -161,18 +169,23 @@ KINETICS_KERNEL inhibit(__global const float *restrict before, __global const fl
             const State change = change_of(y, terms);
             const Real h = on ? fmin(fmin(trial, left), reach_of(y, change, terms)) : (Real)1.0f;
             Real error;
-            State end = stepped(y, change, terms, h, &error);
+            const State more = stepped(y, change, terms, h, &error);
+            State left_over = rest;
+            State end = {added(y.a, more.a, &left_over.a), added(y.b, more.b, &left_over.b),
+                         added(y.c, more.c, &left_over.c)};
             error /= tolerance * scale;
             const Real low = -tolerance * scale;
             const Whole good = on & (error <= 1.0f) & (end.a >= low) & (end.b >= low) & (end.c >= low);
             const Real grown = clamp(0.9f / cbrt(fmax(error, (Real)1e-6f)), (Real)0.2f, (Real)4.0f);
             const Real next = good ? fmax(h * grown, h < trial ? trial : (Real)0.0f) : h * fmin(grown, (Real)0.5f);
             trial = on ? next : trial;
+            const Whole below = (end.a < 0.0f) | (end.b < 0.0f) | (end.c <= DEPLETED * scale);
             end = settled(y, end, terms);
             const Whole gone = good & (end.a + end.b <= DEPLETED * scale), over = good & (gone | (h >= left));
             end.a = gone ? (Real)0.0f : end.a;
             end.b = gone ? (Real)0.0f : end.b;
             y = chosen(good, end, y);
+            rest = chosen(good, chosen(below, (State){(Real)0.0f, (Real)0.0f, (Real)0.0f}, left_over), rest);
             left = good ? left - h : left;
             event = gone ? clock + ((Real)length - left) : event;
             live &= !gone;

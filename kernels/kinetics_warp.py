@@ -73,7 +73,7 @@ def solved(m: Matrix, right: wp.vec3):
 
 @wp.func
 def stepped(y: wp.vec3, change: wp.vec3, terms: Terms, h: float):
-    """The end of a step of Rodas3, and its estimated error."""
+    """The change by a step of Rodas3, and its estimated error."""
     whole = wp.max(y[0] + y[1], FLOOR * terms.scale)
     g = 2.0 / h
     m = Matrix()
@@ -92,12 +92,12 @@ def stepped(y: wp.vec3, change: wp.vec3, terms: Terms, h: float):
     k3 = solved(m, change_of(base, terms) + per * (k1 - k2))
     near = base + k3
     k4 = solved(m, change_of(near, terms) + per * (k1 - k2 - 8.0 / 3.0 * k3))
-    end = near + k4
-    return wp.vec4(end[0], end[1], end[2], wp.max(wp.abs(k4[0]), wp.max(wp.abs(k4[1]), wp.abs(k4[2]))))
+    more = 2.0 * k1 + k3 + k4
+    return wp.vec4(more[0], more[1], more[2], wp.max(wp.abs(k4[0]), wp.max(wp.abs(k4[1]), wp.abs(k4[2]))))
 
 
 @wp.func
-def settled(y: wp.vec3, end: wp.vec4, terms: Terms):
+def settled(y: wp.vec3, end: wp.vec3, terms: Terms):
     moved = wp.min(end[2], 0.0)
     if terms.steady != 0 and end[2] <= DEPLETED * terms.scale and end[2] < y[2]:
         moved = end[2]
@@ -134,6 +134,7 @@ def inhibit(
     if rates[resin, 5] == 0.0:
         terms.steady = 1
     y = wp.vec3(before[item, 0], before[item, 1], before[item, 2])
+    rest = wp.vec3(0.0, 0.0, 0.0)
     dose = float(before[item, 3])
     dose_rest = float(0.0)
     clock = float(0.0)
@@ -170,8 +171,10 @@ def inhibit(
                 terms.k2 = 0.0
             change = change_of(y, terms)
             h = wp.min(wp.min(trial, left), reach_of(y, change, terms))
-            end = stepped(y, change, terms, h)
-            error = end[3] / (tolerance * terms.scale)
+            step = stepped(y, change, terms, h)
+            wanted = wp.vec3(step[0], step[1], step[2]) - rest
+            end = y + wanted
+            error = step[3] / (tolerance * terms.scale)
             low = -tolerance * terms.scale
             grown = wp.clamp(0.9 / wp.cbrt(wp.max(error, 1.0e-6)), 0.2, 4.0)
             if error <= 1.0 and end[0] >= low and end[1] >= low and end[2] >= low:
@@ -179,6 +182,9 @@ def inhibit(
                 if h < trial:
                     longer = wp.max(longer, trial)
                 trial = longer
+                rest = (end - y) - wanted
+                if end[0] < 0.0 or end[1] < 0.0 or end[2] <= DEPLETED * terms.scale:
+                    rest = wp.vec3(0.0, 0.0, 0.0)
                 y = settled(y, end, terms)
                 left = left - h
                 if y[0] + y[1] <= DEPLETED * terms.scale:
@@ -192,13 +198,13 @@ def inhibit(
         spent = float(length)
         if event != NEVER:
             spent = wp.max(event - clock, 0.0)
-        wanted = visible * spent - dose_rest
-        total = dose + wanted
-        dose_rest = (total - dose) - wanted
+        lit = visible * spent - dose_rest
+        total = dose + lit
+        dose_rest = (total - dose) - lit
         dose = total
-        step = length - clock_rest
-        later = clock + step
-        clock_rest = (later - clock) - step
+        passed = length - clock_rest
+        later = clock + passed
+        clock_rest = (later - clock) - passed
         clock = later
         k += 1
         if k == due and row < n_row:

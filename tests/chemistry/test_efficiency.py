@@ -86,8 +86,8 @@ def test_uv_for_twice_the_induction(fast_device: Device) -> None:
         uv_needed(replace(RATES, supply=0.1), LIGHT, RADII, device=fast_device)
 
 
-def test_constants_of_the_four_induction_times() -> None:
-    found = fit_induction(device="opencl")
+def test_constants_of_the_four_induction_times(fast_device: Device) -> None:
+    found = fit_induction(device=fast_device)
     assert found.times[0] == pytest.approx(30.0, rel=1e-4)
     assert found.rms < 0.8, "39.1, 49.2 and 68.0 s are known to be reachable"
     assert max(abs(error) for error in found.errors) < 1.2

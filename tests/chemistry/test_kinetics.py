@@ -125,8 +125,8 @@ def test_the_origin_is_kept_and_zero_over_zero_is_nothing(device: Device) -> Non
 
 def test_stiff_resins_settle_at_their_stationary_state(device: Device) -> None:
     """Time constants of 1 µs … 10 s followed for 10,000 s."""
-    several = [Rates(0.1, 0.05, k_c, k_2, supply=50.0, order=0) for k_c in (0.02501, 0.1, 30.0) for k_2 in (1e-2, 1e4)]
-    course = advance(several, State(1.0, 0.0, 50.0), Light(1.0, 1.0, [1e4]), device=device)
+    several = [Rates(0.1, 0.05, k_c, k_2, supply=400.0, order=0) for k_c in (0.02501, 0.1, 30.0) for k_2 in (1e-2, 1e4)]
+    course = advance(several, State(1.0, 0.0, 400.0), Light(1.0, 1.0, [1e4]), device=device)
     for n, rates in enumerate(several):
         level = np.sqrt((2 * rates.k_c - rates.k_b) / (2 * rates.k_2))
         if level > 1e-3:
