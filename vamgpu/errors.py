@@ -43,6 +43,14 @@ class RayError(BadInput):
     """A ray cannot be traced: it never leaves, is reflected where it should pass, or does not settle."""
 
 
+class MaterialError(BadInput):
+    """A material is unknown, or its file holds a wrong value."""
+
+
+class OutsideData(BadInput):
+    """A wavelength or temperature lies outside the data a material has."""
+
+
 class UnstableStep(BadInput):
     """An explicit step is longer than is stable; ``limit`` is the longest [s] that is."""
 

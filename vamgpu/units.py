@@ -9,6 +9,7 @@ from math import pi
 
 mm = 1.0
 um = 1e-3
+nm = 1e-6
 cm = 10.0
 m = 1e3
 s = 1.0
@@ -29,9 +30,14 @@ rpm = 2.0 * pi / minute
 dpt = 1.0 / m
 kg_m3 = 1e3 * mJ * s**2 / m**2 / m**3
 Pa_s = J * s / m**3
+mol = 1.0
+mol_m3 = 1.0
+"""Concentrations are kept in mol/m³, which is mM."""
+g_mol = 1.0
+K = 1.0
 
 NAMES = {
-    "mm": mm, "um": um, "µm": um, "cm": cm, "m": m,
+    "mm": mm, "um": um, "µm": um, "cm": cm, "m": m, "nm": nm,
     "s": s, "ms": ms, "us": us, "µs": us, "min": minute, "Hz": Hz, "kHz": 1e3 * Hz,
     "mJ": mJ, "J": J, "mW": mW, "W": W,
     "rad": rad, "deg": deg, "°": deg,
@@ -41,5 +47,8 @@ NAMES = {
     "rpm": rpm, "deg/s": deg / s, "mm/s": mm / s, "mm/min": mm / minute, "m/min": m / minute,
     "dpt": dpt, "MB/s": 1e6 / s, "GB/s": 1e9 / s,
     "kg/m3": kg_m3, "kg/m³": kg_m3, "g/cm3": 1e3 * kg_m3, "g/cm³": 1e3 * kg_m3, "Pa s": Pa_s, "mPa s": 1e-3 * Pa_s,
+    "mm2/s": mm**2 / s, "mm²/s": mm**2 / s, "cm2/s": cm**2 / s, "cm²/s": cm**2 / s, "m2/s": m**2 / s, "m²/s": m**2 / s,
+    "mol/m3": mol_m3, "mol/m³": mol_m3, "mM": mol_m3, "mol/L": 1e3 * mol_m3, "g/mol": g_mol, "K": K,
+    "wt%": 1e-2, "ppm": 1e-6,
 }  # fmt: skip
 """Spelling used in job files → factor."""

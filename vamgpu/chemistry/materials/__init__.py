@@ -1,0 +1,11 @@
+"""Resins, inhibitors, glasses and liquids: numbers that each name their source, from files anybody can write."""
+
+from __future__ import annotations
+
+from vamgpu.chemistry.materials.clear import Clear, Glass, Liquid
+from vamgpu.chemistry.materials.dispersion import Dispersion
+from vamgpu.chemistry.materials.extinction import Extinction
+from vamgpu.chemistry.materials.inhibitor import Inhibitor
+from vamgpu.chemistry.materials.resin import Component, Resin
+
+__all__ = ["Clear", "Component", "Dispersion", "Extinction", "Glass", "Inhibitor", "Liquid", "Resin"]
