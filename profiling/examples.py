@@ -402,6 +402,16 @@ def _lit_through(n: int) -> Example:
     return Example({**sizes, "s": int(2 * radius / 0.9) + 2}, given)
 
 
+def _resin(n: int) -> Example:
+    given = {"visible_gain": 0.4, "ultraviolet_gain": 0.7, "cross_gain": 0.05, "alpha": 0.8, "pairing": 0.3}
+    return _elementwise(n, **given, floor=0.05)
+
+
+def _poses(n: int) -> Example:
+    sizes = _light(n)
+    return Example({**sizes, "pose": sizes["angle"] // 3}, {"first": sizes["angle"] // 2})
+
+
 EXAMPLES: dict[str, Callable[[int], Example]] = {
     "transport": _transported,
     "column_density": _lit_through,
@@ -414,6 +424,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "back_oblique": lambda n: _oblique(n, "sinogram"),
     "resample": _resampled,
     "shift_images": _shifted,
+    "blur_planes": lambda n: Example({**_array_sizes(n), "tap": 9}),
     "blur_slices": lambda n: Example({**_array_sizes(n), "tap": 9}),
     "partial_sum": _partial,
     "partial_dot": _partial,
@@ -451,6 +462,10 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "march_plane": lambda n: _bent(n, 11, 12),
     "march_volume": lambda n: _bent(n, 11, 12, 13),
     "inhibit": _inhibited,
+    "inhibition_step": _resin,
+    "inhibition_adjoint": _resin,
+    "take_poses": _poses,
+    "put_poses": _poses,
     "shift_window": _banded,
     "mix_poses": _mixed,
 }
