@@ -54,6 +54,7 @@ def webs(
     for name, values, title, limits in (("a", target, "Target", (0, 1)), ("b", dose, "Dose", (0, 1.2))):
         axes[name].imshow(values[:, :, 0].T, origin="lower", extent=extent, aspect="auto", vmin=limits[0],
                           vmax=limits[1], cmap=style.SOLID if name == "a" else "magma")  # fmt: skip
+        axes[name].grid(False)
         axes[name].set(title=title, ylabel="ρ [mm]")
     for overlap, fault in faults.items():
         axes["c"].semilogy(along, np.maximum(fault, 1e-8), label=f"overlap of {overlap:g} windows", lw=1.2)
