@@ -7,7 +7,7 @@ dir=${1:-.peers}
 python=${PYTHON:-python3}
 "$python" -m venv "$dir"
 "$dir/bin/python" -m pip install -q --upgrade pip
-"$dir/bin/python" -m pip install -q numpy scipy scikit-image trimesh rtree torch astra-toolbox
+"$dir/bin/python" -m pip install -q numpy scipy scikit-image trimesh rtree torch astra-toolbox numba
 if [ -n "${VAMTOOLBOX:-}" ]; then
   # A path file rather than a package install: its own setup pins nothing and must not pull anything in.
   site=$("$dir/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
@@ -16,7 +16,7 @@ if [ -n "${VAMTOOLBOX:-}" ]; then
 fi
 "$dir/bin/python" - <<'PY'
 import importlib
-for name in ("torch", "scipy", "skimage", "astra", "trimesh", "vamtoolbox"):
+for name in ("torch", "numba", "scipy", "skimage", "astra", "trimesh", "vamtoolbox"):
     try:
         print(f"{name:12} {getattr(importlib.import_module(name), '__version__', 'present')}")
     except Exception as error:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -96,7 +97,7 @@ class PrintRun:
                 found = {name: kept[name] for name in kept.files}
             fields = [self.transport.device.upload(found[name]) for name in Concentrations.FIELDS]
             frame, time, owner = int(found["frame"]), float(found["time"]), str(found["print"])
-        except (OSError, ValueError, KeyError, EOFError) as error:
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
             raise StorageError(f"cannot read the print in {str(path)!r}: {error}; start it anew") from error
         if owner != self.fingerprint:
             raise StorageError(f"{str(path)!r} is of another print: its resin, light or times differ; start it anew")
