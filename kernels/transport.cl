@@ -32,7 +32,7 @@ typedef struct {
 } Light;
 
 // What a species becomes by diffusion, all lanes of the item; passes: 1 for the open faces x low, x high, y low, y high.
-// inner: no face of the sample is one of the box's along x or y.
+// inner: all of them are, and none is the box's.
 static inline void spread_one(const Problem *p, Row row, int k, int x, int y, int slab, int lane, float4 passes,
                               bool inner, Vector *out) {
     const float *D = p->spread[k];
@@ -58,9 +58,15 @@ static inline void spread_one(const Problem *p, Row row, int k, int x, int y, in
         Vector z_high = AFTER(own, here[v + 2]);
         if (top < VECTORS * WIDTH)
             z_high = select(z_high, wall[5][0] + wall[5][1] * own, LANE_IDS == (Lanes)(top - v * WIDTH));
-        Vector sum = fma((Vector)(D[0]), passes.x * (x_low - own) + passes.y * (x_high - own), own);
-        sum = fma((Vector)(D[1]), passes.z * (y_low - own) + passes.w * (y_high - own), sum);
-        out[v] = fma((Vector)(D[2]), (z_low - own) + (z_high - own), sum);
+        const Vector twice = -2.0f * own;
+        Vector sum = fma((Vector)(D[2]), z_low + z_high + twice, own);
+        if (inner) {
+            sum = fma((Vector)(D[0]), x_low + x_high + twice, sum);
+            out[v] = fma((Vector)(D[1]), y_low + y_high + twice, sum);
+        } else {
+            sum = fma((Vector)(D[0]), passes.x * (x_low - own) + passes.y * (x_high - own), sum);
+            out[v] = fma((Vector)(D[1]), passes.z * (y_low - own) + passes.w * (y_high - own), sum);
+        }
     }
 }
 
@@ -113,7 +119,12 @@ static inline void advance(const Problem *p, const Row *rows, __global float *co
     Vector s[SPECIES][VECTORS];
     if (p->open[(size_t)x * p->n_y + y]) {
         const float4 passes = passages(p, x, y);
-        UNROLL for (int k = 0; k < SPECIES; k++) spread_one(p, rows[k], k, x, y, slab, lane, passes, inner, s[k]);
+        const bool free = inner && passes.x + passes.y + passes.z + passes.w == 4.0f;
+        if (free) {
+            UNROLL for (int k = 0; k < SPECIES; k++) spread_one(p, rows[k], k, x, y, slab, lane, passes, true, s[k]);
+        } else {
+            UNROLL for (int k = 0; k < SPECIES; k++) spread_one(p, rows[k], k, x, y, slab, lane, passes, false, s[k]);
+        }
         if (reacting) EACH_VECTOR react(p, s[0] + v, s[1] + v, s[2] + v, light, at + v * WIDTH, time, own);
     } else
         UNROLL for (int k = 0; k < SPECIES; k++) EACH_VECTOR s[k][v] = VECTOR_AT(rows[k].here + near + v * WIDTH);
