@@ -14,6 +14,8 @@ from vamgpu.geometry import positive
 
 Floats = NDArray[np.float64]
 
+PAPER = "B. Wang et al., Lateral contrast enhancement in tomographic volumetric 3D-printing via binary photoinhibition"
+
 SPECIES = {"A": "oxygen", "B": "lophyl", "C": "o-Cl-HABI"}
 """Letter in the equations → name. A is the dissolved inhibitor, B the one made by UV, C what it is made of."""
 

@@ -35,6 +35,8 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "calibration": "Focus and axis from recordings with noise",
         "webs": "An endless web without a seam",
         "limits": "What a web machine can do, and what binds it",
+        "phase": "Two inhibitors under two colors of light",
+        "efficiency": "What a second color of light buys",
         "proof": "A print, proven from its frames",
         "contrast": "Fewer angles: frequencies, spread and contrast",
     }
