@@ -71,9 +71,9 @@ def efficiency(
         "W is the induction that UV adds, in units of the induction without it. Under constant light and without "
         "pairing it is 2β/(α − 2β), dashed. In a turning vial light weakens on its way in, UV more than visible light "
         "here, so W falls towards the axis; a point near the rim sees the light change most within a turn, and W "
-        "depends on the angle it starts from. Radicals that pair up sooner are lost. The paper's Figs S1–S4 are not in its "
-        "text, so these are its trends, not its numbers. Below: three constants fitted to its only kinetic data. The "
-        "data ask for as much B as UV can make: k_C ends at the edge of its range, and errors of up to a second remain."
+        "depends on the angle it starts from. Radicals that pair up sooner are lost. The paper's Figs S1–S4 are not in "
+        "its text, so these are its trends, not its numbers. Below: three constants fitted to its only kinetic data. "
+        "They ask for as much B as UV can make: k_C ends at the edge of its range, and errors of up to a second remain."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
 
@@ -99,7 +99,7 @@ def _constant_light(axis: Axes, rates: Rates, device: Device, quick: bool) -> No
         for line, width in zip(found, (2.2, 1.4, 0.8), strict=True):
             axis.plot(betas, line, color=hue, lw=width, label=f"α = {alpha:g}" if width > 2 else None)
     axis.legend(title="k₂ = " + ", ".join(f"{k_2:g}" for k_2 in PAIRINGS) + " (thin)", title_fontsize=8.5,
-                loc="center right")  # fmt: skip
+                loc="upper right")  # fmt: skip
     axis.set(title="S1: constant light (dashed: exact)", xlabel="β", ylabel="W", ylim=(0, 4),
              xlim=(0, 1.4 * rates.alpha))  # fmt: skip
 
