@@ -65,9 +65,11 @@ static inline void clear(const Notes *notes, int folds, int slabs, __global floa
     }
 }
 
-// A turn by 90 degrees takes pose a to a + n_angle / 4 and voxel (x, y) to (-y, x).
-static inline int folds_of(int n_angle, int n_x, int n_y) {
-    return n_angle % 4 == 0 && n_x == n_y && n_x % 2 == 0 ? 4 : 1;
+// A turn by 90 degrees takes pose a to a + n_angle / 4 and voxel (x, y) to (-y, x), unless the poses are part of a turn.
+static inline int folds_of(__global const float2 *directions, int n_angle, int n_x, int n_y) {
+    if (n_angle % 4 || n_x != n_y || n_x % 2) return 1;
+    const float2 first = directions[0], turned = directions[n_angle / 4];
+    return fabs(turned.x + first.y) + fabs(turned.y - first.x) < 1e-4f ? 4 : 1;
 }
 static inline int turned_voxel(int fold, int x, int y, int n_y) {
     const int last = n_y - 1;
@@ -94,7 +96,7 @@ FIELD_KERNEL back_refracted(__global const float *restrict sinogram, __global co
     volume += slab_offset(n_x, n_y);
 #ifdef CPU
     const size_t from_slab = (size_t)n_angle * n_r * LANES, to_slab = (size_t)n_x * n_y * LANES;
-    const int folds = folds_of(n_angle, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
+    const int folds = folds_of(directions, n_angle, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
     const int2 rows = share(ITEM_MAJOR, get_global_size(1), folds == 4 ? n_x / 2 : n_x);
     const int y_end = folds == 4 ? n_y / 2 : n_y;
     Notes notes[TOGETHER];
@@ -192,7 +194,7 @@ FIELD_KERNEL forward_refracted(__global const float *restrict volume, __global c
     sinogram += slab_offset(n_angle, n_r);
 #ifdef CPU
     const size_t from_slab = (size_t)n_x * n_y * LANES, to_slab = (size_t)n_angle * n_r * LANES;
-    const int folds = folds_of(n_angle, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
+    const int folds = folds_of(directions, n_angle, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
     const int2 angles = share(ITEM_MAJOR, get_global_size(1), n_angle / folds);
     const int longest = max(n_x, n_y);
     Notes notes[POSES * RAYS];
