@@ -63,12 +63,16 @@ class Bench:
         self.scale(factor, self.light)
         self.scale(factor, dose)
 
-    def step(self) -> float:
-        """1.5 over a bound of the greatest eigenvalue of painting and exposing: the greatest dose of painted ones."""
-        one, light = constant(1.0, self.colors.visible.domain.shape, self.design), self.sinogram()
-        self.paint(one, self.colors.visible, light)
-        self.expose(self.colors.visible, light, one)
-        return 1.5 / self.greatest(one)
+    def gain(self, operator: LinearOperator) -> float:
+        """A bound of the greatest eigenvalue of painting and exposing: the greatest dose of a painted 1."""
+        one, light = constant(1.0, self.design.shape, self.design), self.sinogram()
+        self.paint(one, operator, light)
+        self.expose(operator, light, one)
+        return self.greatest(one)
+
+    def step(self, operator: LinearOperator) -> float:
+        """Length of a step that is sure to descend."""
+        return 1.5 / self.gain(operator)
 
     def compare(self, dose: DeviceArray, most: DeviceArray, under: DeviceArray, over: DeviceArray) -> Pass:
         """under = max(0, design − dose), over = max(0, dose − most)."""
@@ -114,7 +118,7 @@ class Tolerant:
         """One pass is one projector pair. Oversupply is that beyond the tolerance."""
         dose, under, over, change = bench.volume(), bench.volume(), bench.volume(), bench.sinogram()
         bench.start(dose)
-        most, step = bench.volume(), bench.step()
+        most, step = bench.volume(), bench.step(bench.colors.visible)
         combine(1.0, bench.design, 0.0, bench.design, most, self.tolerance * bench.greatest(bench.design))
         while True:
             record = bench.compare(dose, most, under, over)
@@ -133,9 +137,11 @@ class DualColor:
 
     recompute: True is the rule of the text. The oversupply of the visible buildup, scaled by its maximum, is painted
     anew as UV light in every pass, while undersupply adds up in the visible light; both buildups are then scaled by
-    one factor, the maximum of their difference (never by minimum and maximum). Undersupply falls, oversupply grows
-    with the passes, since the visible light grows and the UV light does not: read both. False keeps the scale of the
-    first pass, compares the difference of the buildups, and adds to both colors: an alternating descent.
+    one factor, the maximum of their difference (never by minimum and maximum). UV light is as bright as painted, or
+    dimmer where it could undo more than the greatest oversupply: a thin part in a wide void would have no dose left.
+    Undersupply falls, oversupply grows with the passes, since the visible light grows and the UV light does not: read
+    both. False keeps the scale of the first pass, compares the difference of the buildups, and adds to both colors:
+    a projected descent that lowers both.
     passes: at most.  enough: root mean square of undersupply at which it stops.  Raises `BadInput`.
     """
 
@@ -158,10 +164,13 @@ class DualColor:
         assert uv is not None
         dose, undone, under, over = (bench.volume() for _ in range(4))
         light, change, scaled = bench.sinogram(), bench.sinogram(), bench.sinogram()
+        gain = bench.gain(colors.uv) * colors.strength
         bench.paint(bench.design, colors.visible, light)
         while True:
             bench.expose(colors.visible, light, dose)
-            combine(peak / bench.greatest(dose), dose, -1.0, bench.design, over, 0.0)
+            scale = peak / bench.greatest(dose)
+            combine(scale, dose, -1.0, bench.design, over, 0.0)
+            bench.scale(min(1.0, 1.0 / (scale * gain)), over)
             bench.paint(over, colors.uv, scaled)
             bench.expose(colors.uv, scaled, undone)
             combine(1.0, dose, -colors.strength, undone, dose)
@@ -180,9 +189,9 @@ class DualColor:
         uv, colors = bench.uv, bench.colors
         assert uv is not None
         dose, undone, under, over = (bench.volume() for _ in range(4))
-        change, step = bench.sinogram(), bench.step()
+        change, step, uv_step = bench.sinogram(), bench.step(colors.visible), bench.step(colors.uv)
         bench.start(dose)
-        bench.uv = uv = constant(0.0, uv.shape, uv)  # uninitialized memory may hold NaN: 0 · NaN is no zero
+        bench.uv = uv = constant(0.0, colors.uv.range.shape, uv)  # not 0·uv: it may hold NaN
         while True:
             record = bench.compare(dose, bench.design, under, over)
             yield record
@@ -191,7 +200,7 @@ class DualColor:
             bench.paint(under, colors.visible, change)
             combine(1.0, bench.light, step, change, bench.light)
             bench.paint(over, colors.uv, change)
-            combine(1.0, uv, step / colors.strength, change, uv)
+            combine(1.0, uv, uv_step / colors.strength, change, uv)
             bench.expose(colors.visible, bench.light, dose)
             bench.expose(colors.uv, uv, undone)
             combine(1.0, dose, -colors.strength, undone, dose)

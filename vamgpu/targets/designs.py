@@ -1,0 +1,224 @@
+"""Test patterns of the papers: dots, bars, gray wedges and blocks of compartments, with exactly covered pixels.
+
+Slices are squares whose diagonal is the diameter of the curing volume. Sources: B. Wang et al., Lateral contrast
+enhancement by binary photoinhibition, Figs 9 to 11; the bars follow MIL-STD-150A.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import centers, counts, positive
+from vamgpu.targets.target import Target
+
+Plane = npt.NDArray[np.float64]
+
+DIAMETER = 30.0
+"""Of the paper's curing volume [mm]."""
+PIXELS = 1500
+"""Across the paper's designs."""
+_ASPECT = 5.0
+"""Length of a bar of a resolution target over its width; three bars and two spaces make a square."""
+
+
+def covered(n: int, pitch: float, low: npt.ArrayLike, high: npt.ArrayLike) -> Plane:
+    """Share of each of ``n`` pixels of ``pitch`` [mm], centered on zero, covered by disjoint intervals low..high [mm].
+
+    Exact, summed over the intervals; shape (n,).
+    """
+    left = centers(n, pitch) - 0.5 * pitch
+    lows, highs = np.atleast_1d(low)[:, None], np.atleast_1d(high)[:, None]
+    share = np.minimum(highs, left + pitch) - np.maximum(lows, left)
+    return np.clip(np.maximum(share, 0.0).sum(axis=0) / pitch, 0.0, 1.0)
+
+
+def side(diameter: float = DIAMETER) -> float:
+    """Edge [mm] of the square whose diagonal is ``diameter`` [mm]."""
+    return positive("diameter [mm]", diameter) / sqrt(2.0)
+
+
+def dot_array(count: int, pixels: int = PIXELS, diameter: float = DIAMETER, duty: float = 0.5) -> Target:
+    """Square dots on a square raster, as a single slice.
+
+    count: dots along the diameter [mm], so that their period is diameter / count (80 to 1300 in the paper).  duty:
+    edge of a dot over the period.  A period below two pixels is drawn all the same, by coverage: it aliases, as it
+    would on a projector.  Raises `BadInput`.
+    """
+    (count,), (n,) = counts("count", (count,), 1), counts("pixels", (pixels,), 1)
+    if not 0.0 < duty < 1.0:
+        raise BadInput(f"duty is {duty!r}; wanted a number between 0 and 1, the edge of a dot over the period")
+    edge, period = side(diameter), diameter / count
+    half = int(0.5 * edge / period)
+    middle = np.arange(-half, half + 1) * period
+    middle = middle[np.abs(middle) + 0.5 * duty * period <= 0.5 * edge]
+    line = covered(n, edge / n, middle - 0.5 * duty * period, middle + 0.5 * duty * period)
+    return _slice(np.outer(line, line), edge / n, f"dots_{count}")
+
+
+@dataclass(frozen=True)
+class Bars:
+    """One element of a resolution target: three upright and three lying bars.
+
+    group, element: its numbers.  frequency: line pairs per mm at the scale drawn.  upright, lying: lower left corner
+    [mm] of the two squares, each 5 bar widths wide.
+    """
+
+    group: int
+    element: int
+    frequency: float
+    upright: tuple[float, float]
+    lying: tuple[float, float]
+
+    @property
+    def width(self) -> float:
+        """Of a bar and of a space [mm]."""
+        return 0.5 / self.frequency
+
+    def boxes(self) -> tuple[tuple[float, float, float, float], ...]:
+        """The six bars: x low, x high, y low, y high [mm]."""
+        w, (a, b), (c, d) = self.width, self.upright, self.lying
+        length = _ASPECT * w
+        return (*((a + 2 * k * w, a + (2 * k + 1) * w, b, b + length) for k in range(3)),
+                *((c, c + length, d + 2 * k * w, d + (2 * k + 1) * w) for k in range(3)))  # fmt: skip
+
+
+def usaf_bars(
+    groups: Sequence[int] = (-2, -1, 0, 1), diameter: float = DIAMETER, fill: float = 0.92
+) -> tuple[Bars, ...]:
+    """Elements of a 1951 resolution target, drawn as large as ``fill`` of the slice's square allows.
+
+    Frequencies are 2^(group + (element − 1)/6) line pairs per mm times a common scale; in true size group −2 alone is
+    higher than the paper's 21.2-mm square. The first group fills the left, the others stand on the right.
+    Raises `BadInput`.
+    """
+    chosen = tuple(sorted({int(g) for g in groups}))
+    if not chosen or not 0.0 < fill <= 1.0:
+        raise BadInput(f"groups {groups!r}, fill {fill!r}; wanted at least one group and 0 < fill ≤ 1")
+    raw, right, top = [], 0.0, 0.0
+    for place, group in enumerate(chosen):
+        left, y = (0.0, 0.0) if place == 0 else (right, top)
+        for element in range(1, 7):
+            frequency = 2.0 ** (group + (element - 1) / 6.0)
+            w = 0.5 / frequency
+            y -= _ASPECT * w
+            raw.append((group, element, frequency, (left, y), (left + (_ASPECT + 1.5) * w, y)))
+            y -= 1.5 * w
+        if place == 0:
+            right = (2 * _ASPECT + 1.5 + 2.0) * 0.5 / 2.0**group
+        else:
+            top = y - 2.0 * 0.5 / 2.0**group
+    return _fitted([Bars(*values) for values in raw], fill * side(diameter))
+
+
+def _fitted(bars: list[Bars], edge: float) -> tuple[Bars, ...]:
+    """Scaled and centered into a square of ``edge`` [mm]."""
+    boxes = np.array([box for bar in bars for box in bar.boxes()])
+    low, high = boxes[:, ::2].min(axis=0), boxes[:, 1::2].max(axis=0)
+    scale, middle = edge / float((high - low).max()), 0.5 * (low + high)
+
+    def moved(point: tuple[float, float]) -> tuple[float, float]:
+        x, y = scale * (np.array(point) - middle)
+        return float(x), float(y)
+
+    return tuple(Bars(b.group, b.element, b.frequency / scale, moved(b.upright), moved(b.lying)) for b in bars)
+
+
+def usaf(groups: Sequence[int] = (-2, -1, 0, 1), pixels: int = PIXELS, diameter: float = DIAMETER) -> Target:
+    """A 1951 resolution target as a single slice; `usaf_bars` says where its elements are. Raises `BadInput`."""
+    (n,), pitch = counts("pixels", (pixels,), 1), side(diameter) / pixels
+    plane = np.zeros((n, n))
+    for bars in usaf_bars(groups, diameter):
+        for x0, x1, y0, y1 in bars.boxes():
+            plane += np.outer(covered(n, pitch, x0, x1), covered(n, pitch, y0, y1))
+    return _slice(plane, pitch, "usaf")
+
+
+def gray_wedges(steps: int = 8, pixels: int = PIXELS, diameter: float = DIAMETER, fill: float = 0.9) -> Target:
+    """Sectors of a disk, gray 1/steps … 1 counterclockwise from +x, as a single slice.
+
+    fill: diameter of the disk over the edge of the square. Edges are covered by 4 × 4 samples a pixel.
+    Raises `BadInput`.
+    """
+    (steps,), (n,) = counts("steps", (steps,), 1), counts("pixels", (pixels,), 1)
+    if not 0.0 < fill <= 1.0:
+        raise BadInput(f"fill is {fill!r}; wanted 0 < fill ≤ 1")
+    edge = side(diameter)
+    place = centers(n, edge / n)
+    plane = np.zeros((n, n))
+    for dx in centers(4, 0.25 * edge / n):
+        for dy in centers(4, 0.25 * edge / n):
+            x, y = place[:, None] + dx, place[None, :] + dy
+            sector = np.floor(np.mod(np.arctan2(y, x), 2 * pi) / (2 * pi) * steps).clip(0, steps - 1)
+            plane += np.where(x**2 + y**2 <= (0.5 * fill * edge) ** 2, (sector + 1) / steps, 0.0) / 16.0
+    return _slice(plane, edge / n, f"wedges_{steps}")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of cubic compartments between struts.
+
+    cells: compartments along x, y, z.  strut, void: widths [mm] of positive and negative features.  Raises `BadInput`.
+    """
+
+    cells: tuple[int, int, int]
+    strut: float
+    void: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cells", counts("Block cells", self.cells, 3))
+        for name in ("strut", "void"):
+            object.__setattr__(self, name, positive(f"Block {name} [mm]", getattr(self, name)))
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Edges [mm]."""
+        x, y, z = (n * (self.strut + self.void) + self.strut for n in self.cells)
+        return x, y, z
+
+    def _struts(self, axis: int, n: int, pitch: float) -> Plane:
+        low = np.arange(self.cells[axis] + 1) * (self.strut + self.void) - 0.5 * self.size[axis]
+        return covered(n, pitch, low, low + self.strut)
+
+    def target(self, pitch: float, margin: int = 2) -> Target:
+        """The block on voxels of ``pitch`` [mm], exact fractions: filled where two of three coordinates are in struts.
+
+        The inscribed cylinder holds the block and ``margin`` voxels around it.
+        """
+        pitch = positive("pitch [mm]", pitch)
+        wide = float(np.hypot(*self.size[:2]))
+        n = 4 * -(-int(np.ceil(wide / pitch + 2 * margin + 1)) // 4)
+        nz = 4 * -(-int(np.ceil(self.size[2] / pitch - 1e-6)) // 4)
+        within = [covered(m, pitch, -0.5 * s, 0.5 * s) for m, s in zip((n, n, nz), self.size, strict=True)]
+        a, b, c = (self._struts(k, m, pitch) for k, m in enumerate((n, n, nz)))
+        u, v, w = within
+        a, b, c = a[:, None, None], b[None, :, None], c[None, None, :]
+        u, v, w = u[:, None, None], v[None, :, None], w[None, None, :]
+        # a·b, b·c and a·c overlap where all three coordinates are in struts, which each of them counts
+        fraction = a * b * w + b * c * u + a * c * v - 2.0 * a * b * c
+        return Target.from_array(np.clip(fraction, 0.0, 1.0), pitch, name="block_" + "x".join(map(str, self.cells)))
+
+    def level(self, pixels: int = PIXELS, diameter: float = DIAMETER) -> Target:
+        """A plane through the middles of compartments as a single slice: the posts that stand along z."""
+        pitch = side(diameter) / pixels
+        a, b = (self._struts(k, pixels, pitch) for k in (0, 1))
+        return _slice(np.outer(a, b), pitch, "posts_" + "x".join(map(str, self.cells)))
+
+
+BLOCKS = {
+    "W1": Block((13, 13, 12), 0.375, 0.75),
+    "W2": Block((13, 13, 12), 0.425, 0.85),
+    "W3": Block((5, 5, 6), 0.45, 0.9),
+    "W4": Block((5, 5, 6), 0.45, 0.9),
+    "W5": Block((5, 5, 6), 0.45, 0.9),
+}
+"""The five workpieces of Fig. 11; W3 to W5 share their design."""
+
+
+def _slice(plane: Plane, pitch: float, name: str) -> Target:
+    return Target.from_array(np.clip(plane, 0.0, 1.0)[:, :, None], pitch, name=name)
