@@ -25,7 +25,8 @@ class Course:
     a, b, c: concentrations; a and b are 0 from the event on, and c stays what it was.
     dose: of visible light until the end or the event [mJ/mm²].
     event: when [A] + [B] reached 1e-6 of [A] before printing, NaN where it did not [s].
-    efficiency: W = ∫([B]/[A]) d([A]/[A]₀) so far, [A]₀ being each item's own at the start (NaN where that is 0).
+    efficiency: W = ∫([B]/[A]) d([A]/[A]₀) so far, [A]₀ being each item's own at the start (NaN where that is 0). It is
+        the visible light that B took from A, k_A·dose − ([A]₀ − [A]), over [A]₀: eq. 5 makes the two the same.
     path: [A], [B], [C] and dose at the start and after every ``every`` intervals, (resins, items, rows, 4).
     """
 
