@@ -1,0 +1,52 @@
+"""What an effective dose prints, and how far in and out of the part are apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import EmptyMesh
+
+
+@dataclass(frozen=True)
+class EffectiveContrast:
+    """Effective doses, 1 at the end of the induction, in the part (fraction ≥ ½) and out of it.
+
+    in_least, in_most, out_most: extremes.  in_low, out_high: the fifth percentile in the part and the ninety-fifth out
+    of it.  uncured: share of the part below 1.  overcured: share of the rest at 1 or above.
+    """
+
+    in_least: float
+    in_most: float
+    out_most: float
+    in_low: float
+    out_high: float
+    uncured: float
+    overcured: float
+
+    @property
+    def window(self) -> float:
+        """(Least dose in the part − greatest out of it) / the greatest in the part."""
+        return (self.in_least - self.out_most) / max(self.in_most, 1e-30)
+
+    @property
+    def bulk(self) -> float:
+        """The same of the fifth and the ninety-fifth percentile."""
+        return (self.in_low - self.out_high) / max(self.in_most, 1e-30)
+
+    @classmethod
+    def of(cls, dose: Any, target: Any, counted: np.ndarray | None = None) -> EffectiveContrast:
+        """Of a dose and a target [x, y, z], NumPy or on a device; counted: boolean, None for all voxels.
+
+        Raises `EmptyMesh` where nothing is in the part, or nothing out of it.
+        """
+        got, wanted = (np.asarray(value, np.float64) for value in (dose, target))
+        chosen = np.ones(got.shape, bool) if counted is None else np.broadcast_to(counted, got.shape)
+        part, rest = got[chosen & (wanted >= 0.5)], got[chosen & (wanted < 0.5)]
+        if not part.size or not rest.size:
+            raise EmptyMesh("no voxel is in the part, or none is out of it; contrast needs both")
+        numbers = (part.min(), part.max(), rest.max(), np.percentile(part, 5), np.percentile(rest, 95),
+                   np.mean(part < 1.0), np.mean(rest >= 1.0))  # fmt: skip
+        return cls(*map(float, numbers))

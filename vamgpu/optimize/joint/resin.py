@@ -1,0 +1,71 @@
+"""What a resin of two inhibitors does with light of two colors, in shares of its induction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from vamgpu.chemistry.species import Rates
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+from vamgpu.operators.projection import Projection
+
+
+@dataclass(frozen=True)
+class TwoColorResin:
+    """Oxygen A, lophyl radicals B and o-Cl-HABI C after eqs 5-7, concentrations as shares of [A]₀.
+
+    visible: share of the induction that a unit of visible dose takes (k_A/[A]₀).  ultraviolet: a unit of ultraviolet
+    dose splits 1 − exp(−ultraviolet) of C, of first order (k_C/[C]₀).  supply: [C]₀/[A]₀.  alpha: k_B/k_A, visible
+    light's taste for B.  pairing: k₂·[A]₀ [1/s], B's way back to C.  cross: share of the induction that a unit of
+    ultraviolet dose takes by starting chains itself.  floor: ε, the share of [A]₀ as which the monomer competes for
+    radicals; eqs 5-7 are its limit 0, and smooth because of it.  Doses are in the unit that the operators give.
+
+    Extinction stays as it is: neither color follows the depletion of C.  Raises `BadInput`.
+    """
+
+    visible: float
+    ultraviolet: float
+    supply: float
+    alpha: float
+    pairing: float = 0.0
+    cross: float = 0.0
+    floor: float = 0.02
+
+    def __post_init__(self) -> None:
+        for name in ("visible", "ultraviolet", "supply", "alpha", "floor"):
+            object.__setattr__(self, name, positive(f"TwoColorResin {name}", getattr(self, name)))
+        for name in ("pairing", "cross"):
+            object.__setattr__(self, name, positive(f"TwoColorResin {name}", getattr(self, name), zero=True))
+        if self.floor > 0.5:
+            raise BadInput(f"floor is {self.floor:g}; wanted at most 0.5: A and B would hardly inhibit")
+
+    @classmethod
+    def of(
+        cls, rates: Rates, visible: Projection, ultraviolet: Projection, *, cross: float = 0.0, floor: float = 0.02
+    ) -> TwoColorResin:  # fmt: skip
+        """From rate constants, for light in mJ/mm² of every pose, measured in air.
+
+        cross: share of the induction that 1 mJ/mm² of ultraviolet takes where it arrives. Only the first order in [C]
+        that `Rates` offers counts here.  Raises `BadInput`.
+        """
+        if not rates.supply:
+            raise BadInput("the resin has a supply of 0; wanted [C] > 0, or nothing answers the ultraviolet")
+        a, seen = rates.oxygen, (_fluence(visible), _fluence(ultraviolet))
+        return cls(rates.k_a * seen[0] / a, rates.k_c * seen[1] / rates.supply, rates.supply / a, rates.alpha,
+                   rates.k_2 * a, cross * seen[1], floor)  # fmt: skip
+
+    @property
+    def subtraction(self) -> float:
+        """k of the linear model: share of the induction that a unit of ultraviolet dose gives back at first."""
+        return 2.0 * self.supply * self.ultraviolet / self.alpha - self.cross
+
+    @property
+    def lowest(self) -> float:
+        """Bound below every effective dose: all of C as B."""
+        return -2.0 * self.supply / self.alpha
+
+
+def _fluence(operator: Projection) -> float:
+    """Fluence [mJ/mm²] at a voxel for a unit of dose as the operator gives it from light in mJ/mm²."""
+    absorbed = 1.0 if operator.vessel is None else operator.vessel.absorption or 1.0
+    return operator.beam.pixel_area / operator.grid.voxel_volume / absorbed
