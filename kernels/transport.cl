@@ -14,8 +14,13 @@
 #define AFTER PASTE(AFTER_, WIDTH)
 #define BEFORE PASTE(BEFORE_, WIDTH)
 
+// A CPU's item works long on one copy of the numbers, which no store may change; a GPU's reads what it needs.
 typedef struct {
+#ifdef CPU
     float spread[SPECIES][3], walls[SPECIES][6][2], rates[6];
+#else
+    __global const float (*spread)[3], (*walls)[6][2], *rates;
+#endif
     __global const uchar *open;
     int order, n_x, n_y, n_z;
     float optical, mechanical;
@@ -35,37 +40,35 @@ typedef struct {
 // inner: all of them are, and none is the box's.
 static inline void spread_one(const Problem *p, Row row, int k, int x, int y, int slab, int lane, float4 passes,
                               bool inner, Vector *out) {
-    const float *D = p->spread[k];
-    const float (*wall)[2] = p->walls[k];
     const long sample = (long)y * LANES;
     __global const float *at = row.here + sample + lane;
     const int top = p->n_z - 1 - slab * LANES - lane;
     Vector here[VECTORS + 2];
     EACH_VECTOR here[v + 1] = VECTOR_AT(at + v * WIDTH);
-    here[0] = (Vector)(lane ? at[-1] : slab ? row.before[sample + LANES - 1] : wall[4][0] + wall[4][1] * at[0]);
+    here[0] = (Vector)(lane ? at[-1] : slab ? row.before[sample + LANES - 1] : p->walls[k][4][0] + p->walls[k][4][1] * at[0]);
     here[VECTORS + 1] = (Vector)(lane + VECTORS * WIDTH < LANES ? at[VECTORS * WIDTH]
                                  : top >= VECTORS * WIDTH       ? row.behind[sample]
                                                                 : 0.0f);
     EACH_VECTOR {
         const Vector own = here[v + 1];
         const size_t near = sample + lane + v * WIDTH;
-        const Vector x_low = inner || x ? VECTOR_AT(row.low + near) : wall[0][0] + wall[0][1] * own;
-        const Vector x_high = inner || x + 1 < p->n_x ? VECTOR_AT(row.high + near) : wall[1][0] + wall[1][1] * own;
-        const Vector y_low = inner || y ? VECTOR_AT(at + v * WIDTH - LANES) : wall[2][0] + wall[2][1] * own;
+        const Vector x_low = inner || x ? VECTOR_AT(row.low + near) : p->walls[k][0][0] + p->walls[k][0][1] * own;
+        const Vector x_high = inner || x + 1 < p->n_x ? VECTOR_AT(row.high + near) : p->walls[k][1][0] + p->walls[k][1][1] * own;
+        const Vector y_low = inner || y ? VECTOR_AT(at + v * WIDTH - LANES) : p->walls[k][2][0] + p->walls[k][2][1] * own;
         const Vector y_high =
-            inner || y + 1 < p->n_y ? VECTOR_AT(at + v * WIDTH + LANES) : wall[3][0] + wall[3][1] * own;
+            inner || y + 1 < p->n_y ? VECTOR_AT(at + v * WIDTH + LANES) : p->walls[k][3][0] + p->walls[k][3][1] * own;
         const Vector z_low = BEFORE(own, here[v]);
         Vector z_high = AFTER(own, here[v + 2]);
         if (top < VECTORS * WIDTH)
-            z_high = select(z_high, wall[5][0] + wall[5][1] * own, LANE_IDS == (Lanes)(top - v * WIDTH));
+            z_high = select(z_high, p->walls[k][5][0] + p->walls[k][5][1] * own, LANE_IDS == (Lanes)(top - v * WIDTH));
         const Vector twice = -2.0f * own;
-        Vector sum = fma((Vector)(D[2]), z_low + z_high + twice, own);
+        Vector sum = fma((Vector)(p->spread[k][2]), z_low + z_high + twice, own);
         if (inner) {
-            sum = fma((Vector)(D[0]), x_low + x_high + twice, sum);
-            out[v] = fma((Vector)(D[1]), y_low + y_high + twice, sum);
+            sum = fma((Vector)(p->spread[k][0]), x_low + x_high + twice, sum);
+            out[v] = fma((Vector)(p->spread[k][1]), y_low + y_high + twice, sum);
         } else {
-            sum = fma((Vector)(D[0]), passes.x * (x_low - own) + passes.y * (x_high - own), sum);
-            out[v] = fma((Vector)(D[1]), passes.z * (y_low - own) + passes.w * (y_high - own), sum);
+            sum = fma((Vector)(p->spread[k][0]), passes.x * (x_low - own) + passes.y * (x_high - own), sum);
+            out[v] = fma((Vector)(p->spread[k][1]), passes.z * (y_low - own) + passes.w * (y_high - own), sum);
         }
     }
 }
@@ -84,23 +87,22 @@ static inline Vector settled(Vector value) {
 
 // Reactions of one step in place; adds to the dose only in a voxel the item owns.
 static inline void react(const Problem *p, Vector *a, Vector *b, Vector *c, Light light, size_t at, float time, bool own) {
-    const float *k = p->rates;
     const Vector zero = (Vector)(0.0f);
     const Vector uv = *(__global const Vector *)(light.ultraviolet + at);
-    const Vector power = *(__global const Vector *)(light.visible + at) + k[4] * uv;
-    const Vector want_a = k[0] * power, want_b = k[1] * power, whole = *a + *b, most = fmax(want_a, want_b);
+    const Vector power = *(__global const Vector *)(light.visible + at) + p->rates[4] * uv;
+    const Vector want_a = p->rates[0] * power, want_b = p->rates[1] * power, whole = *a + *b, most = fmax(want_a, want_b);
     const Vector share_a = *a / fmax(fmax(whole, want_a), TINY), share_b = *b / fmax(fmax(whole, want_b), TINY);
     if (own && any(whole < most)) {
-        const Vector left = select(fmax(zero, 1.0f - share_a - share_b), zero, whole >= most) * power * k[5];
+        const Vector left = select(fmax(zero, 1.0f - share_a - share_b), zero, whole >= most) * power * p->rates[5];
         const Vector before = *(__global Vector *)(light.dose + at), after = before + left;
         *(__global Vector *)(light.dose + at) = after;
-        mark(light.optical_time + at, before, after, p->optical, time, k[5]);
-        mark(light.mechanical_time + at, before, after, p->mechanical, time, k[5]);
+        mark(light.optical_time + at, before, after, p->optical, time, p->rates[5]);
+        mark(light.mechanical_time + at, before, after, p->mechanical, time, p->rates[5]);
     }
     *a = settled(*a - want_a * share_a);
     *b = settled(*b - want_b * share_b);
-    const Vector rate = k[2] * uv, split = fmin(*c, p->order ? *c * rate : rate);
-    const Vector paired = k[3] * *b * *b / (1.0f + 2.0f * k[3] * *b);
+    const Vector rate = p->rates[2] * uv, split = fmin(*c, p->order ? *c * rate : rate);
+    const Vector paired = p->rates[3] * *b * *b / (1.0f + 2.0f * p->rates[3] * *b);
     *b = settled(*b + 2.0f * (split - paired));
     *c = *c - split + paired;
 }
@@ -172,7 +174,7 @@ static inline void advance_plane(const Problem *p, const Block *b, Light light, 
 #endif
 
 // A CPU core walks its planes once, a step of the plane behind following each; its neighbors' planes it needs for that
-// it steps as well. A GPU thread takes one step of four voxels.
+// it steps as well. A GPU thread takes one step of four lanes along a run of x.
 FIELD_KERNEL transport(__global const float *a, __global const float *b, __global const float *c,
                        __global const float *visible, __global const float *ultraviolet, __global const uchar *open,
                        __global const float *spread, __global const float *walls, __global const float *rates,
@@ -182,9 +184,15 @@ FIELD_KERNEL transport(__global const float *a, __global const float *b, __globa
                        int n_x, int n_y, int n_z, int n_part, int n_room) {
     Problem p = {.open = open, .order = order, .n_x = n_x, .n_y = n_y, .n_z = n_z,
                  .optical = optical, .mechanical = mechanical};
+#ifdef CPU
     for (int i = 0; i < SPECIES * 3; i++) p.spread[i / 3][i % 3] = spread[i];
     for (int i = 0; i < SPECIES * 12; i++) p.walls[i / 12][i / 2 % 6][i % 2] = walls[i];
     for (int i = 0; i < 6; i++) p.rates[i] = rates[i];
+#else
+    p.spread = (__global const float (*)[3])spread;
+    p.walls = (__global const float (*)[6][2])walls;
+    p.rates = rates;
+#endif
     const Light light = {visible, ultraviolet, dose, optical_time, mechanical_time};
 #ifdef CPU
     const int first = ITEM_MAJOR * TILE_MAJOR, last = min(first + TILE_MAJOR, n_x);
@@ -203,20 +211,23 @@ FIELD_KERNEL transport(__global const float *a, __global const float *b, __globa
                 advance_plane(&p, &block, light, level, x, now, own, false);
         }
 #else
-    const int x = ITEM_MAJOR, y = ITEM_MINOR, slab = ITEM_SLAB, slabs = (n_z + LANES - 1) / LANES;
-    if (x >= n_x || y >= n_y) return;
-    const size_t row = (size_t)n_y * LANES, at = ((size_t)slab * n_x + x) * row, next = (size_t)n_x * row;
-    __global const float *from[SPECIES] = {a, b, c};
-    __global float *to[SPECIES] = {a_out + at, b_out + at, c_out + at};
-    Row rows[SPECIES];
-    UNROLL for (int k = 0; k < SPECIES; k++) {
-        rows[k].here = from[k] + at;
-        rows[k].low = x ? rows[k].here - row : rows[k].here;
-        rows[k].high = x + 1 < n_x ? rows[k].here + row : rows[k].here;
-        rows[k].before = slab ? rows[k].here - next : rows[k].here;
-        rows[k].behind = slab + 1 < slabs ? rows[k].here + next : rows[k].here;
+    const int y = ITEM_MINOR, slab = ITEM_SLAB, slabs = (n_z + LANES - 1) / LANES;
+    if (y >= n_y) return;
+    for (int x = ITEM_MAJOR * TILE_MAJOR; x < min((ITEM_MAJOR + 1) * TILE_MAJOR, n_x); x++) {
+        const size_t row = (size_t)n_y * LANES, at = ((size_t)slab * n_x + x) * row, next = (size_t)n_x * row;
+        __global const float *from[SPECIES] = {a, b, c};
+        __global float *to[SPECIES] = {a_out + at, b_out + at, c_out + at};
+        Row rows[SPECIES];
+        UNROLL for (int k = 0; k < SPECIES; k++) {
+            rows[k].here = from[k] + at;
+            rows[k].low = x ? rows[k].here - row : rows[k].here;
+            rows[k].high = x + 1 < n_x ? rows[k].here + row : rows[k].here;
+            rows[k].before = slab ? rows[k].here - next : rows[k].here;
+            rows[k].behind = slab + 1 < slabs ? rows[k].here + next : rows[k].here;
+        }
+        const bool inner = x && x + 1 < n_x && y && y + 1 < n_y;
+        advance(&p, rows, to, light, x, y, slab, ITEM_LANE, time, true, inner, reacting);
     }
-    advance(&p, rows, to, light, x, y, slab, ITEM_LANE, time, true, false, reacting);
 #endif
 }
 #endif

@@ -1,4 +1,4 @@
-"""Warp sibling of `transport`; a thread owns four lanes of z of one sample and takes one step."""
+"""Warp sibling of `transport`; a thread owns four lanes of z along a run of x and takes one step."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 TINY = wp.constant(1.0e-30)
 NOTHING = wp.constant(1.0e-20)
+RUN = wp.constant(8)  # of samples along x that a thread goes through
 
 
 @wp.func
@@ -25,23 +26,28 @@ def spread_one(
     """What a species becomes by diffusion; passes holds 1 for the open faces x low, x high, y low, y high."""
     at = (x * n_y + y) * lanes + lane
     here = read(s, slab, at)
-    x_low = same(walls[species, 0, 0]) + walls[species, 0, 1] * here
-    x_high = same(walls[species, 1, 0]) + walls[species, 1, 1] * here
-    y_low = same(walls[species, 2, 0]) + walls[species, 2, 1] * here
-    y_high = same(walls[species, 3, 0]) + walls[species, 3, 1] * here
     if x > 0:
         x_low = read(s, slab, at - n_y * lanes)
+    else:
+        x_low = same(walls[species, 0, 0]) + walls[species, 0, 1] * here
     if x + 1 < n_x:
         x_high = read(s, slab, at + n_y * lanes)
+    else:
+        x_high = same(walls[species, 1, 0]) + walls[species, 1, 1] * here
     if y > 0:
         y_low = read(s, slab, at - lanes)
+    else:
+        y_low = same(walls[species, 2, 0]) + walls[species, 2, 1] * here
     if y + 1 < n_y:
         y_high = read(s, slab, at + lanes)
-    last = walls[species, 4, 0] + walls[species, 4, 1] * here[0]
+    else:
+        y_high = same(walls[species, 3, 0]) + walls[species, 3, 1] * here
     if lane > 0:
         last = s[slab, at - 1][3]
     elif slab > 0:
         last = s[slab - 1, at + lanes - 1][3]
+    else:
+        last = walls[species, 4, 0] + walls[species, 4, 1] * here[0]
     z_low = wp.vec4(last, here[0], here[1], here[2])
     top = n_z - 1 - 4 * (slab * lanes + lane)
     next = float(0.0)
@@ -68,6 +74,20 @@ def crossing(when: float, before: float, after: float, level: float, time: float
     if before < level and after >= level:
         return time + step * (level - before) / (after - before)
     return when
+
+
+@wp.func
+def passages(open: wp.array2d(dtype=wp.uint8), x: int, y: int, n_x: int, n_y: int):
+    passes = same(1.0)
+    if x > 0:
+        passes[0] = float(open[x - 1, y])
+    if x + 1 < n_x:
+        passes[1] = float(open[x + 1, y])
+    if y > 0:
+        passes[2] = float(open[x, y - 1])
+    if y + 1 < n_y:
+        passes[3] = float(open[x, y + 1])
+    return passes
 
 
 @wp.kernel
@@ -100,59 +120,52 @@ def transport(
     n_part: int,
     n_room: int,
 ):
-    slab, x, y, lane = wp.tid()
+    slab, run, y, lane = wp.tid()
     lanes = a.shape[1] // (n_x * n_y)
-    at = (x * n_y + y) * lanes + lane
-    if open[x, y] == wp.uint8(0):
-        a_out[slab, at] = read(a, slab, at)
-        b_out[slab, at] = read(b, slab, at)
-        c_out[slab, at] = read(c, slab, at)
-        return
-    passes = same(1.0)
-    if x > 0:
-        passes[0] = float(open[x - 1, y])
-    if x + 1 < n_x:
-        passes[1] = float(open[x + 1, y])
-    if y > 0:
-        passes[2] = float(open[x, y - 1])
-    if y + 1 < n_y:
-        passes[3] = float(open[x, y + 1])
-    va = spread_one(a, spread, walls, 0, slab, x, y, lane, lanes, passes, n_x, n_y, n_z)
-    vb = spread_one(b, spread, walls, 1, slab, x, y, lane, lanes, passes, n_x, n_y, n_z)
-    vc = spread_one(c, spread, walls, 2, slab, x, y, lane, lanes, passes, n_x, n_y, n_z)
-    if reacting != 0:
-        uvs = read(ultraviolet, slab, at)
-        powers = read(visible, slab, at) + rates[4] * uvs
-        more = same(0.0)
-        spare = int(0)
-        for k in range(4):
-            want_a = rates[0] * powers[k]
-            want_b = rates[1] * powers[k]
-            whole = va[k] + vb[k]
-            most = wp.max(want_a, want_b)
-            share_a = va[k] / wp.max(wp.max(whole, want_a), TINY)
-            share_b = vb[k] / wp.max(wp.max(whole, want_b), TINY)
-            if whole < most:
-                more[k] = wp.max(0.0, 1.0 - share_a - share_b) * powers[k] * rates[5]
-                spare = 1
-            kept_b = settled(vb[k] - want_b * share_b)
-            va[k] = settled(va[k] - want_a * share_a)
-            rate = rates[2] * uvs[k]
-            split = wp.min(vc[k], wp.where(order != 0, vc[k] * rate, rate))
-            paired = rates[3] * kept_b * kept_b / (1.0 + 2.0 * rates[3] * kept_b)
-            vb[k] = settled(kept_b + 2.0 * (split - paired))
-            vc[k] = vc[k] - split + paired
-        if spare != 0:
-            before = read(dose, slab, at)
-            after = before + more
-            dose[slab, at] = after
-            seen = read(optical_time, slab, at)
-            hard = read(mechanical_time, slab, at)
-            for k in range(4):
-                seen[k] = crossing(seen[k], before[k], after[k], optical, time, rates[5])
-                hard[k] = crossing(hard[k], before[k], after[k], mechanical, time, rates[5])
-            optical_time[slab, at] = seen
-            mechanical_time[slab, at] = hard
-    a_out[slab, at] = va
-    b_out[slab, at] = vb
-    c_out[slab, at] = vc
+    for x in range(RUN * run, wp.min(RUN * run + RUN, n_x)):
+        at = (x * n_y + y) * lanes + lane
+        if open[x, y] == wp.uint8(0):
+            a_out[slab, at] = read(a, slab, at)
+            b_out[slab, at] = read(b, slab, at)
+            c_out[slab, at] = read(c, slab, at)
+        else:
+            passes = passages(open, x, y, n_x, n_y)
+            va = spread_one(a, spread, walls, 0, slab, x, y, lane, lanes, passes, n_x, n_y, n_z)
+            vb = spread_one(b, spread, walls, 1, slab, x, y, lane, lanes, passes, n_x, n_y, n_z)
+            vc = spread_one(c, spread, walls, 2, slab, x, y, lane, lanes, passes, n_x, n_y, n_z)
+            if reacting != 0:
+                uvs = read(ultraviolet, slab, at)
+                powers = read(visible, slab, at) + rates[4] * uvs
+                more = same(0.0)
+                spare = int(0)
+                for k in range(4):
+                    want_a = rates[0] * powers[k]
+                    want_b = rates[1] * powers[k]
+                    whole = va[k] + vb[k]
+                    most = wp.max(want_a, want_b)
+                    share_a = va[k] / wp.max(wp.max(whole, want_a), TINY)
+                    share_b = vb[k] / wp.max(wp.max(whole, want_b), TINY)
+                    if whole < most:
+                        more[k] = wp.max(0.0, 1.0 - share_a - share_b) * powers[k] * rates[5]
+                        spare = 1
+                    kept_b = settled(vb[k] - want_b * share_b)
+                    va[k] = settled(va[k] - want_a * share_a)
+                    rate = rates[2] * uvs[k]
+                    split = wp.min(vc[k], wp.where(order != 0, vc[k] * rate, rate))
+                    paired = rates[3] * kept_b * kept_b / (1.0 + 2.0 * rates[3] * kept_b)
+                    vb[k] = settled(kept_b + 2.0 * (split - paired))
+                    vc[k] = vc[k] - split + paired
+                if spare != 0:
+                    before = read(dose, slab, at)
+                    after = before + more
+                    dose[slab, at] = after
+                    seen = read(optical_time, slab, at)
+                    hard = read(mechanical_time, slab, at)
+                    for k in range(4):
+                        seen[k] = crossing(seen[k], before[k], after[k], optical, time, rates[5])
+                        hard[k] = crossing(hard[k], before[k], after[k], mechanical, time, rates[5])
+                    optical_time[slab, at] = seen
+                    mechanical_time[slab, at] = hard
+            a_out[slab, at] = va
+            b_out[slab, at] = vb
+            c_out[slab, at] = vc
