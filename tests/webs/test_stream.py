@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 from slanted import BEAM, EDGE, SECTION, WINDOW, Slanted, part, stream, tiled
 
-from vamgpu.errors import BadInput, StorageError, TileError
+from vamgpu.errors import BadInput, ShapeMismatch, StorageError, TileError
+from vamgpu.geometry import Beam
 from vamgpu.operators.web import WebProjection
+from vamgpu.optics.film import Film
+from vamgpu.optics.lens import TunableLens
+from vamgpu.optics.roller import Roller
 from vamgpu.optimize import optimize
 from vamgpu.optimize.bclp import BCLP
 from vamgpu.printing.focus import FocusMasks
@@ -159,6 +163,40 @@ def test_focus_planes_are_kept_beside_the_frames(tmp_path: Path) -> None:
     focus = folder.details["frames"]["focus"]
     assert focus["planes"] == list(masks.planes)
     assert np.array_equal(np.array(focus["bin"]), np.argmax(masks.masks, axis=0))
+
+
+ROLLER = Roller(1.0, Film(0.5, 1.49, 1.33, 0.2), np.radians(3.0), legs=0.3)
+
+
+def test_a_tunable_lens_follows_the_film_of_a_roller(tmp_path: Path) -> None:
+    beam = ROLLER.beam(0.12, 4)
+    options = {"length": 12.0, "iterations": 3, "device": "numpy"}
+    job = Stream(lambda along, rho, z: 0.2 - rho + 0 * (along + z), ROLLER, beam, lens=TunableLens(bins=3), **options)  # type: ignore[arg-type]
+    masks = FocusMasks.around(beam, 1.0, 0.5, bins=3)
+    assert job.masks == masks
+    focus = job.write(tmp_path / "web.vam").details["frames"]["focus"]
+    assert focus["planes"] == list(masks.planes) and sorted(set(focus["bin"])) == [0, 1, 2]
+
+
+def test_layers_fill_a_film_that_is_not_a_whole_number_of_pixels() -> None:
+    job = Stream(part(60), ROLLER, ROLLER.beam(0.12, 4), device="numpy")
+    assert job.grid.shape == (1, 4, 4)
+    assert job.grid.edges == pytest.approx((ROLLER.advance, 0.125, 0.12), rel=1e-12)
+    assert Stream(part(60), ROLLER, ROLLER.beam(0.3, 4), device="numpy").grid.shape == (1, 2, 4)
+
+
+def test_a_lens_that_cannot_be_used_is_refused() -> None:
+    beam = ROLLER.beam(0.12, 4)
+    with pytest.raises(BadInput, match="got 3 as lens; wanted a TunableLens, FocusMasks"):
+        Stream(part(60), ROLLER, beam, lens=3)  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="about a Roller, and Slanted is none"):
+        stream(part(60), lens=TunableLens())
+    with pytest.raises(BadInput, match="bins is 90"):
+        Stream(part(60), ROLLER, beam, lens=TunableLens(bins=90))
+    with pytest.raises(BadInput, match="the lens reaches 5 to 5.001 dpt"):
+        Stream(part(60), ROLLER, beam, lens=TunableLens(powers=(5.0, 5.001)))
+    with pytest.raises(ShapeMismatch, match=f"for 7 columns; wanted {beam.pixels[0]}"):
+        Stream(part(60), ROLLER, beam, lens=FocusMasks.around(Beam((7, 4), 0.12), 1.0, 0.5))
 
 
 def test_a_folder_of_another_web_is_not_resumed(tmp_path: Path) -> None:

@@ -148,15 +148,15 @@ def parse_limits(text: str, settings: Iterable[str] = (), *, source: str = "mach
     roller = Roller(file.roller.radius, film, file.roller.step, file.roller.legs)
     display = Display(**{**file.display.model_dump(), "link": file.display.link or inf})
     return Limits(
-        roller, _lens(file), display, file.web.speed, file.web.length, file.lens.depth_of_focus,
+        roller, lens_of(file.lens, file.film), display, file.web.speed, file.web.length, file.lens.depth_of_focus,
         file.resin.density, file.resin.viscosity,
     )  # fmt: skip
 
 
-def _lens(file: MachineFile) -> TunableLens:
-    wanted = file.lens
+def lens_of(wanted: LensSection, film: FilmSection) -> TunableLens:
+    """The lens of a machine, which focuses in its bath."""
     low, high = TunableLens.powers if wanted.powers is None else (power / dpt for power in wanted.powers)
     return TunableLens(
-        focal=wanted.focal, powers=(low, high), index=file.film.bath_index, bins=wanted.bins,
+        focal=wanted.focal, powers=(low, high), index=film.bath_index, bins=wanted.bins,
         quantum=wanted.quantum / dpt, settle=wanted.settle,
     )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from vamgpu.errors import JobError
-from vamgpu.jobs.limits import DisplaySection, FilmSection, LensSection, ResinSection, RollerSection
+from vamgpu.jobs.limits import DisplaySection, FilmSection, LensSection, ResinSection, RollerSection, lens_of
 from vamgpu.jobs.model import Count, Section
 from vamgpu.jobs.quantity import Length, Speed
 from vamgpu.jobs.read import checked, read_text
@@ -131,24 +131,17 @@ def parse_web(
 
 def stream_of(job: WebJob) -> Stream:
     """The stream of a job. Raises `JobError`, `BadInput`, `MeshError`, `StorageError`, `DeviceError`."""
-    from vamgpu.printing.focus import FocusMasks
     from vamgpu.printing.gray import GrayCurve
 
     wanted = job.wanted
     roller = roller_of(wanted)
     pitch = wanted.beam.pitch
     beam = roller.beam(pitch, max(1, round(wanted.beam.height / pitch)))
-    layers = max(1, round(roller.film.thickness / pitch))
-    masks = None
-    if wanted.lens is not None:
-        masks = FocusMasks.around(beam, roller.radius, roller.film.thickness, wanted.lens.bins)
     return Stream(
         target_of(job),
         roller,
         beam,
-        lens=masks,
-        section=(layers, beam.pixels[1]),
-        pitch=(roller.advance, roller.film.thickness / layers, pitch),
+        lens=None if wanted.lens is None else lens_of(wanted.lens, wanted.film),
         length=wanted.web.length,
         iterations=wanted.solve.iterations,
         core=wanted.solve.core,

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +17,17 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError, TileError
 from vamgpu.geometry import Beam, positive
 from vamgpu.operators.linear import LinearOperator
+from vamgpu.optics.lens import TunableLens
 from vamgpu.optimize.bclp import BCLP
+from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import pack
 from vamgpu.storage.manifest import plain
-from vamgpu.targets.stream import Repeated
-from vamgpu.web import WebGrid, Wrap
+from vamgpu.web import Wrap
+from vamgpu.webs.describe import described, described_focus, described_target
 from vamgpu.webs.layout import Layout
+from vamgpu.webs.section import focus_masks, one_column
 from vamgpu.webs.segments import Outcome, Solver
 from vamgpu.webs.store import RECORD, WebFolder
 from vamgpu.webs.tiles import Columns
@@ -83,20 +85,22 @@ class Stream:
 
     tiles: an iterator of arrays [l, rho, z] of fractions, of any thickness along l; a function of (l, rho, z) [mm] that
     is negative in the solid; or `Repeated`, a mesh tiled along l.  wrap: the machine, e.g. `Roller`.  beam: its light.
-    section: voxels along rho and z; by default those of a film of ``wrap`` in columns of the beam's width, with a slice
-    a row.  pitch: voxel edges [mm] along l, rho, z; by default one pose along l and the beam's pitch.  length: of the
-    web [mm]; tiles may leave it out and end when they like.  method: `BCLP` with q = p.  iterations: of each segment,
-    the method's own by default.  core, overlap: of a segment, in windows of light.  lens: masks of focus planes
-    (`FocusMasks`) to keep beside the frames.  gray: of the projector.  scale: light of a full-on pixel; by default what
-    the first segment needs, and from then on the same for all: a projector's lamp cannot change from frame to frame.
+    lens: a `TunableLens`, whose planes follow a roller's film, or the `FocusMasks` themselves; ``masks`` keeps them,
+    and the folder says which plane shows which column.  section: voxels along rho and z; by default those of a film of
+    ``wrap``, a slice a row, and as many layers as come nearest the pitch and fill the film.  pitch: voxel edges [mm]
+    along l, rho, z; by default one pose along l and the beam's pitch.  length: of the web [mm]; tiles may leave it out
+    and end when they like.  method: `BCLP` with q = p.  iterations: of each segment, the method's own by default.
+    core, overlap: of a segment, in windows of light.  gray: of the projector.  scale: light of a full-on pixel; by
+    default what the first segment needs, and from then on the same for all: a projector's lamp cannot change from
+    frame to frame.
 
-    Raises `BadInput`, `DeviceError`; while it runs also `TileError`.
+    Raises `BadInput`, `ShapeMismatch`, `DeviceError`; while it runs also `TileError`.
     """
 
     tiles: Any
     wrap: Wrap
     beam: Beam
-    lens: Any = None
+    lens: TunableLens | FocusMasks | None = None
     method: BCLP = field(default_factory=BCLP.paper_002)
     section: tuple[int, int] | None = None
     pitch: tuple[float, float, float] | None = None
@@ -120,23 +124,13 @@ class Stream:
             raise BadInput(f"iterations is {count!r}; wanted a whole number ≥ 1")
         self.iterations = count
         self.gray = self.gray or GrayCurve.linear()
-        self.grid = self._section()
+        self.grid = one_column(self.wrap, self.beam, self.section, self.pitch)
+        self.masks = focus_masks(self.lens, self.wrap, self.beam)
         self.light = self.wrap.propagation(self.grid, self.beam)
         step = self.wrap.advance / self.grid.edges[0]
         self.layout = Layout.of(self.light.shape[2], step, self.core, self.overlap)
         self.device = open_device(self.device)
         self.solver = Solver(self.layout, self.grid, self.beam, self.light, self.method, self.device)
-
-    def _section(self) -> WebGrid:
-        """One column of the web: section and pitches."""
-        pitch = self.pitch or (self.wrap.advance, self.beam.pitch, self.beam.pitch)
-        if self.section is not None:
-            return WebGrid((1, *self.section), pitch)
-        thickness = getattr(getattr(self.wrap, "film", None), "thickness", None)
-        if thickness is None:
-            raise BadInput("a section is wanted: voxels along rho and z, such as section=(38, 32)")
-        height = self.beam.pixels[1] * self.beam.pitch
-        return WebGrid((1, max(1, round(thickness / pitch[1])), max(1, round(height / pitch[2]))), pitch)
 
     def __iter__(self) -> Iterator[Segment]:
         """Segments in order, from the first."""
@@ -272,46 +266,14 @@ class Stream:
                 "lead": layout.lead,
             },
             "method": {**described(self.method), "iterations": self.iterations, "step": self.solver.step},
-            "frames": {"bits": 8, "gray": self.gray.describe(), "scale": self.scale, "focus": self._focus()},
+            "frames": {
+                "bits": 8, "gray": self.gray.describe(), "scale": self.scale, "focus": described_focus(self.masks),
+            },
             "length": self.length,
-            "target": _told(self.tiles),
+            "target": described_target(self.tiles),
         }  # fmt: skip
-
-    def _focus(self) -> dict[str, Any] | None:
-        masks = getattr(self.lens, "masks", None)
-        if masks is None:
-            return None
-        return {"planes": list(self.lens.planes), "bin": np.argmax(masks, axis=0).tolist()}
 
 
 def _bytes(fractions: np.ndarray) -> np.ndarray:
     """Fractions times 255."""
     return np.round(255.0 * fractions).astype(np.uint8)
-
-
-def _told(tiles: Any) -> dict[str, Any] | None:
-    """What a target says of itself, to tell it from another; None for tiles that come and go."""
-    if isinstance(tiles, Repeated):
-        return {"kind": "Repeated", "solid": tiles.solid.name, "period": tiles.period,
-                "sha256": _digest(tiles.solid.vertices)}  # fmt: skip
-    if isinstance(tiles, np.ndarray):
-        return {"kind": "array", "shape": list(tiles.shape), "sha256": _digest(tiles)}
-    return described(tiles) if is_dataclass(tiles) else None
-
-
-def _digest(values: np.ndarray) -> str:
-    return hashlib.sha256(np.ascontiguousarray(values).data).hexdigest()
-
-
-def described(value: Any) -> dict[str, Any]:
-    """A frozen noun as plain values: its kind and its fields."""
-    fields = asdict(value) if is_dataclass(value) and not isinstance(value, type) else {}
-    return {"kind": type(value).__name__, **{key: _simple(part) for key, part in fields.items()}}
-
-
-def _simple(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _simple(part) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_simple(part) for part in value]
-    return value if isinstance(value, (int, float, str, bool, type(None))) else repr(value)
