@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.wide_warp import Flat, read
+from vamgpu.kernels.wide_warp import Flat, read, write
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -30,7 +30,7 @@ def column_density(
     half = wp.sqrt(wp.max(0.0, radius * radius - r * r))
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     at = ray * n_s * lanes + lane
-    path[slab, at] = total
+    write(path, slab, at, total)
     begin = float(0.0) - half
     for k in range(1, n_s):
         end = wp.clamp(pose[5] * float(k) - radius, -half, half)
@@ -53,7 +53,7 @@ def column_density(
                     part += weight * read(species, slab, (x * n_y + y) * lanes + lane)
             total += ((end - begin) / wp.max(weights, 1.0e-6)) * part
             begin = end
-        path[slab, at + k * lanes] = total
+        write(path, slab, at + k * lanes, total)
 
 
 @wp.func
@@ -91,8 +91,8 @@ def expose(
     u = r / pose[4] + 0.5 * float(n_r - 1)
     at = (row * n_y + column) * lanes + lane
     if x * x + y * y > radius * radius or u < 0.0 or u > float(n_r - 1):
-        visible[slab, at] = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        ultraviolet[slab, at] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        write(visible, slab, at, wp.vec4(0.0, 0.0, 0.0, 0.0))
+        write(ultraviolet, slab, at, wp.vec4(0.0, 0.0, 0.0, 0.0))
         return
     length = wp.max(0.0, s + wp.sqrt(wp.max(0.0, radius * radius - r * r)))
     w = wp.clamp((s + radius) / pose[5], 0.0, float(n_s - 1))
@@ -110,5 +110,5 @@ def expose(
     right = (angle * n_r + i1) * lanes + lane
     seen = (1.0 - f) * read(visible_light, slab, left) + f * read(visible_light, slab, right)
     hidden = (1.0 - f) * read(ultraviolet_light, slab, left) + f * read(ultraviolet_light, slab, right)
-    visible[slab, at] = faded(seen, extinction[0, 0], extinction[0, 1], length, dense)
-    ultraviolet[slab, at] = faded(hidden, extinction[1, 0], extinction[1, 1], length, dense)
+    write(visible, slab, at, faded(seen, extinction[0, 0], extinction[0, 1], length, dense))
+    write(ultraviolet, slab, at, faded(hidden, extinction[1, 0], extinction[1, 1], length, dense))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.wide_warp import Flat, read
+from vamgpu.kernels.wide_warp import Flat, read, read_one, write
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 TINY = wp.constant(1.0e-30)
 NOTHING = wp.constant(1.0e-20)
-RUN = wp.constant(8)  # of samples along x that a thread goes through
+RUN = wp.constant(4)  # of samples along x that a thread goes through
 
 
 @wp.func
@@ -43,9 +43,9 @@ def spread_one(
     else:
         y_high = same(walls[species, 3, 0]) + walls[species, 3, 1] * here
     if lane > 0:
-        last = s[slab, at - 1][3]
+        last = read_one(s, slab, at - 1, 3)
     elif slab > 0:
-        last = s[slab - 1, at + lanes - 1][3]
+        last = read_one(s, slab - 1, at + lanes - 1, 3)
     else:
         last = walls[species, 4, 0] + walls[species, 4, 1] * here[0]
     z_low = wp.vec4(last, here[0], here[1], here[2])
@@ -53,9 +53,9 @@ def spread_one(
     next = float(0.0)
     if top >= 4:
         if lane + 1 < lanes:
-            next = s[slab, at + 1][0]
+            next = read_one(s, slab, at + 1, 0)
         else:
-            next = s[slab + 1, at + 1 - lanes][0]
+            next = read_one(s, slab + 1, at + 1 - lanes, 0)
     z_high = wp.vec4(here[1], here[2], here[3], next)
     if top >= 0 and top < 4:
         z_high[top] = walls[species, 5, 0] + walls[species, 5, 1] * here[top]
@@ -125,9 +125,9 @@ def transport(
     for x in range(RUN * run, wp.min(RUN * run + RUN, n_x)):
         at = (x * n_y + y) * lanes + lane
         if open[x, y] == wp.uint8(0):
-            a_out[slab, at] = read(a, slab, at)
-            b_out[slab, at] = read(b, slab, at)
-            c_out[slab, at] = read(c, slab, at)
+            write(a_out, slab, at, read(a, slab, at))
+            write(b_out, slab, at, read(b, slab, at))
+            write(c_out, slab, at, read(c, slab, at))
         else:
             passes = passages(open, x, y, n_x, n_y)
             va = spread_one(a, spread, walls, 0, slab, x, y, lane, lanes, passes, n_x, n_y, n_z)
@@ -158,14 +158,14 @@ def transport(
                 if spare != 0:
                     before = read(dose, slab, at)
                     after = before + more
-                    dose[slab, at] = after
+                    write(dose, slab, at, after)
                     seen = read(optical_time, slab, at)
                     hard = read(mechanical_time, slab, at)
                     for k in range(4):
                         seen[k] = crossing(seen[k], before[k], after[k], optical, time, rates[5])
                         hard[k] = crossing(hard[k], before[k], after[k], mechanical, time, rates[5])
-                    optical_time[slab, at] = seen
-                    mechanical_time[slab, at] = hard
-            a_out[slab, at] = va
-            b_out[slab, at] = vb
-            c_out[slab, at] = vc
+                    write(optical_time, slab, at, seen)
+                    write(mechanical_time, slab, at, hard)
+            write(a_out, slab, at, va)
+            write(b_out, slab, at, vb)
+            write(c_out, slab, at, vc)

@@ -23,3 +23,23 @@ Flat = wp.array2d(dtype=wp.vec4)  # a field, flat per slab: [slab, sample · lan
 """)
 def read(field: Flat, slab: int, index: int) -> wp.vec4:  # type: ignore[empty-body]
     ...
+
+
+@wp.func_native("""
+    char* at = (char*)field.data + (size_t)slab * field.strides[0] + (size_t)index * 16;
+#if defined(__CUDA_ARCH__)
+    *(float4*)at = make_float4(value[0], value[1], value[2], value[3]);
+#else
+    *(wp::vec4*)at = value;
+#endif
+""")
+def write(field: Flat, slab: int, index: int, value: wp.vec4):
+    ...
+
+
+@wp.func_native("""
+    const char* at = (const char*)field.data + (size_t)slab * field.strides[0] + (size_t)index * 16;
+    return ((const float*)at)[k];
+""")
+def read_one(field: Flat, slab: int, index: int, k: int) -> float:  # type: ignore[empty-body]
+    ...
