@@ -37,8 +37,13 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "limits": "What a web machine can do, and what binds it",
         "phase": "Two inhibitors under two colors of light",
         "efficiency": "What a second color of light buys",
+        "transport": "Three species in a vial that turns",
         "proof": "A print, proven from its frames",
         "contrast": "Fewer angles: frequencies, spread and contrast",
+        "exact": "A gray phantom reproduced exactly by light of both signs",
+        "dualcolor": "One color, one with a tolerance, and two",
+        "designs": "Dots, bars, wedges and posts in one color and two",
+        "fom": "A calibration disk at five stop doses",
     }
 )
 """Name → title. The picture of a name is made by the function of that name in the module of that name."""

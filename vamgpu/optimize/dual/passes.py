@@ -65,7 +65,7 @@ class Bench:
 
     def gain(self, operator: LinearOperator) -> float:
         """A bound of the greatest eigenvalue of painting and exposing: the greatest dose of a painted 1."""
-        one, light = constant(1.0, self.design.shape, self.design), self.sinogram()
+        one, light = constant(1.0, self.colors.visible.domain.shape, self.design), self.sinogram()
         self.paint(one, operator, light)
         self.expose(operator, light, one)
         return self.greatest(one)
