@@ -285,3 +285,11 @@ def test_bad_values_are_refused() -> None:
     with pytest.raises(RayError, match="halvings"):
         march(GridField.from_array(lens_in_air(*np.meshgrid(*(np.linspace(-4, 4, 40),) * 2)), 0.2), places, along,
               tolerance=1e-12, halvings=3, device="numpy")  # fmt: skip
+
+
+def test_a_great_many_rays_go_in_one_launch(opencl_device: Device) -> None:
+    """Drivers that pick their own work-groups have run out of stack here."""
+    across = np.linspace(-0.9, 0.9, 1 << 18)
+    place, heading = np.stack([across, -np.sqrt(1.0 - across**2)], 1), np.tile([0.0, 1.0], (across.size, 1))
+    end = march(luneburg(1.0), place, heading, step=0.05, device=opencl_device).place
+    assert np.abs(end[:, :2] - [0.0, 1.0]).max() < 1e-4

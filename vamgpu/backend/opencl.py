@@ -15,6 +15,15 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Table, Tiling
 
+MOST_TOGETHER = 64
+"""Items of a table kernel that PoCL runs together: it keeps the arrays of them all on one stack, and left to choose
+takes groups of thousands, which overflow it."""
+
+
+def _divisor(count: int) -> int:
+    """The largest divisor of a count that is no more than `MOST_TOGETHER`."""
+    return next(size for size in range(min(count, MOST_TOGETHER), 0, -1) if count % size == 0)
+
 
 class OpenclDevice(Device):
     """One OpenCL device with one in-order queue.
@@ -29,6 +38,7 @@ class OpenclDevice(Device):
         self.context = context
         self.queue = cl.CommandQueue(context)
         self._device = device
+        self._small_groups = "Portable Computing Language" in device.platform.name
         self._compiled = lru_cache(maxsize=None)(self.compile)
 
     @property
@@ -108,7 +118,8 @@ class OpenclDevice(Device):
             counts: tuple[int, ...] = self._counts(kernel, over)  # type: ignore[arg-type]
             group = (*self._tiling(kernel).group, 1) if self.is_gpu else (1, 1, 1)
         elif isinstance(spec, Table):
-            counts, group = tuple(reversed(over)), None
+            counts = tuple(reversed(over))
+            group = (_divisor(counts[0]), *(1 for _ in counts[1:])) if self._small_groups else None
         else:
             raise KernelError(f"{kernel.name} runs over {kernel.over}, which is a number")
         if group:
