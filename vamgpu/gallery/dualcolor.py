@@ -29,7 +29,7 @@ HUES = dict(zip(LABELS, style.HUES, strict=False))
 
 
 def dualcolor(
-    device: Device, quick: bool = False, pixels: int = 240, angles: int = 360, visible: float = 1.0, uv: float = 1.0
+    device: Device, quick: bool = False, pixels: int = 160, angles: int = 360, visible: float = 1.0, uv: float = 1.0
 ) -> Picture:
     """Words in a slice of Ø30 mm; ``visible`` and ``uv`` are μR of the two colors."""
     n, turn = (48, 60) if quick else (int(pixels), int(angles))
@@ -47,7 +47,7 @@ def dualcolor(
         mark = "o" if len(number) == 1 else "-"
         axes["l"].semilogy(number, [r.undersupply for r in plan.history], mark, color=HUES[name])
         axes["l"].semilogy(number, [r.oversupply for r in plan.history], mark, color=HUES[name], alpha=0.45)
-    axes["l"].set(xlabel="pass", title="RMS: undersupply (strong), oversupply (pale)")
+    axes["l"].set(xlabel="pass", title="RMS of under- (strong), oversupply")
     rows = tuple((LABELS[name], _row(found[name])) for name in plans)
     header = ("rule", "D in, least", "D in, spread", "D out, greatest", "window", "mean in − out", "IoU at 0.5",
               "IoU at 0.75", "undersupply", "oversupply")  # fmt: skip
@@ -90,8 +90,8 @@ def words(n: int) -> Target:
     place = (np.arange(n * fine) + 0.5) / (n * fine) - 0.5
     plane = np.zeros((n * fine, n * fine), bool)
     x, y = np.meshgrid(place, place, indexing="ij")
-    for text, height in (("dose", 0.14), ("add", -0.13), ("a b e g", -0.38)):
-        path = TextPath((0, 0), text, size=0.3, prop=FontProperties(family="DejaVu Sans", weight="bold"))
+    for text, height in (("dose", 0.17), ("add", -0.08), ("a b e g", -0.33)):
+        path = TextPath((0, 0), text, size=0.24, prop=FontProperties(family="DejaVu Sans", weight="bold"))
         box = path.get_extents()
         path = path.transformed(_shift(-0.5 * (box.x0 + box.x1), height))
         # the winding of outline and counter differ: parity, outline by outline

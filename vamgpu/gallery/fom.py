@@ -15,7 +15,7 @@ from vamgpu.optimize.papers import AUTOMATIC_EXPOSURE
 from vamgpu.targets.shapes import exposure_disk
 from vamgpu.targets.target import Target
 
-STOPS = (0.8, 0.95, 1.1, 1.25, 1.4)
+STOPS = (1.0, 1.06, 1.12, 1.18, 1.24)
 """Stop doses over the dose at which the mean of the part gels."""
 REPLICATES = 4
 
@@ -58,9 +58,9 @@ def fom(device: Device, quick: bool = False, pixel: float = 0.067, angles: int =
         f"A disk with half disks on two spokes of 1–7 or behind gaps of 2–8 pixels of {1e3 * pixel:g} µm, printed in "
         f"the computer: light of the recipe, {turn} angles, a blur of {1e3 * blur:g} µm, and {100 * noise:g} % of "
         f"noise in the resin's sensitivity (correlated over 0.2 mm) and in each stop. Stop doses are relative to the "
-        "mean dose of the part at gelation. FOM = spoked half disks connected − gapped half disks connected, by connected "
-        "components; the acceptable range is where its mean over four prints exceeds 2. Black is right, blue missing, "
-        "red too much. The paper's stop is scattered light per voxel, 0.15 to 0.35 acceptable: another scale."
+        "mean dose of the part at gelation. FOM = spoked half disks connected − gapped half disks connected, by "
+        "connected components; the acceptable range is where its mean over four prints exceeds 2. Black is right, blue "
+        "missing, red too much. The paper's stop is scattered light per voxel, 0.15 to 0.35 acceptable: another scale."
     )
     table = Table(header, (*[".0f"] * REPLICATES, ".2f", ".2f", ".1f", ".1f"), rows)
     return Picture(figure, caption, facts, table, (AUTOMATIC_EXPOSURE,))

@@ -25,6 +25,8 @@ SPAN = 0.25
 """Share of the columns that the preconditioner reaches over."""
 _ROUNDS = 8
 """Power iterations for the length of a step."""
+_SOON = 3
+"""Steps after a restart within which a rise means that steps are too long, not that momentum overshot."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ class _Color:
 
 @dataclass
 class _Pace:
-    """Length of a step and momentum: restarts when the loss rises, halves when it rises again at once."""
+    """Length of a step and momentum: restarts when the loss rises, and halves the step when it rises again soon."""
 
     step: float
     run: float = 0.0
@@ -126,7 +128,7 @@ class _Pace:
 
     def look(self, loss: float) -> None:
         if loss > self.loss:
-            self.step *= 0.5 if self.run <= 1 else 1.0
+            self.step *= 0.5 if self.run <= _SOON else 1.0
             self.run = 0.0
         self.loss = loss
 
