@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.signature import Field, Integer, Real, Sinogram, Table, Tiling, Volume, VolumeOut, kernel
+from vamgpu.kernels.signature import Field, Integer, Sinogram, Table, Tiling, Volume, VolumeOut, kernel
 from vamgpu.kernels.transport import Open
 
 Path = Annotated[np.ndarray, Field(("r", "s", "z"))]

@@ -25,7 +25,7 @@ NOTHING = 1e-20
 @kernel(
     over="a_out",
     cpu=Tiling(major=32, minor=0, slabs=1 << 20),
-    gpu=Tiling(major=4, minor=1, group=(128, 1)),
+    gpu=Tiling(major=8, minor=1, group=(128, 1)),
 )
 def transport(
     a: Volume,

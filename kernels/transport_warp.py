@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 TINY = wp.constant(1.0e-30)
 NOTHING = wp.constant(1.0e-20)
-RUN = wp.constant(4)  # of samples along x that a thread goes through
+RUN = wp.constant(8)  # of samples along x that a thread goes through
 
 
 @wp.func
@@ -26,19 +26,19 @@ def spread_one(
     """What a species becomes by diffusion; passes holds 1 for the open faces x low, x high, y low, y high."""
     at = (x * n_y + y) * lanes + lane
     here = read(s, slab, at)
-    if x > 0:
+    if x > 0:  # noqa: SIM108 - Warp evaluates both sides of a ternary
         x_low = read(s, slab, at - n_y * lanes)
     else:
         x_low = same(walls[species, 0, 0]) + walls[species, 0, 1] * here
-    if x + 1 < n_x:
+    if x + 1 < n_x:  # noqa: SIM108 - Warp evaluates both sides of a ternary
         x_high = read(s, slab, at + n_y * lanes)
     else:
         x_high = same(walls[species, 1, 0]) + walls[species, 1, 1] * here
-    if y > 0:
+    if y > 0:  # noqa: SIM108 - Warp evaluates both sides of a ternary
         y_low = read(s, slab, at - lanes)
     else:
         y_low = same(walls[species, 2, 0]) + walls[species, 2, 1] * here
-    if y + 1 < n_y:
+    if y + 1 < n_y:  # noqa: SIM108 - Warp evaluates both sides of a ternary
         y_high = read(s, slab, at + lanes)
     else:
         y_high = same(walls[species, 3, 0]) + walls[species, 3, 1] * here
@@ -52,13 +52,13 @@ def spread_one(
     top = n_z - 1 - 4 * (slab * lanes + lane)
     next = float(0.0)
     if top >= 4:
-        if lane + 1 < lanes:
-            next = read_one(s, slab, at + 1, 0)
-        else:
-            next = read_one(s, slab + 1, at + 1 - lanes, 0)
+        behind = lane + 1 == lanes
+        next = read_one(s, slab + wp.where(behind, 1, 0), at + 1 - wp.where(behind, lanes, 0), 0)
     z_high = wp.vec4(here[1], here[2], here[3], next)
-    if top >= 0 and top < 4:
-        z_high[top] = walls[species, 5, 0] + walls[species, 5, 1] * here[top]
+    if top < 4:
+        for k in range(4):  # an index that is known keeps the vector in registers
+            if k == top:
+                z_high[k] = walls[species, 5, 0] + walls[species, 5, 1] * here[k]
     out = here + spread[species, 0] * (passes[0] * (x_low - here) + passes[1] * (x_high - here))
     out += spread[species, 1] * (passes[2] * (y_low - here) + passes[3] * (y_high - here))
     return out + spread[species, 2] * ((z_low - here) + (z_high - here))

@@ -1,8 +1,8 @@
 """Time explicit steps of three diffusing and reacting species on devices, and the loops of peers in the same run.
 
-Bandwidth is that of vamgpu's own elementwise kernel, out = a·x + b·y, on fields as large: 12 bytes a voxel. A step moves
-at least its three species in and out, 24 bytes a voxel, and 8 more of light where they react: the limit is what that
-takes at the bandwidth. Steps that an item takes together move it once, so they may be faster than the limit of one.
+Bandwidth is that of vamgpu's own elementwise kernel, out = a·x + b·y, on fields as large: 12 bytes a voxel. A step
+moves at least its three species in and out, 24 bytes a voxel, and 8 more of light where they react: the limit is what
+that takes at the bandwidth. Steps that an item takes together move it once, so they may be faster than the limit of one.
 ``--print-frames`` also times frames of a dual-color print of the same size, light through what is left of C included.
 """
 

@@ -26,7 +26,7 @@ class Fixed:
 class Boundary:
     """One entry a face of a species' box, in the order of `FACES`: None where no flux passes, or `Fixed`."""
 
-    faces: tuple[Fixed | None, Fixed | None, Fixed | None, Fixed | None, Fixed | None, Fixed | None] = (None,) * 6
+    faces: tuple[Fixed | None, Fixed | None, Fixed | None, Fixed | None, Fixed | None, Fixed | None] = (None, None, None, None, None, None)
 
     def __post_init__(self) -> None:
         if len(self.faces) != 6 or not all(face is None or isinstance(face, Fixed) for face in self.faces):

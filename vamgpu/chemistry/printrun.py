@@ -88,7 +88,8 @@ class PrintRun:
     def save(self, path: str | Path, state: Concentrations, frame: int) -> None:
         """Write the state before ``frame`` to an .npz file that appears whole or not at all. Raises `StorageError`."""
         with replacing(path, overwrite=True) as draft, draft.open("wb") as file:
-            np.savez(file, frame=frame, time=state.time, print=self.fingerprint, **state.numpy())
+            about = {"frame": np.array(frame), "time": np.array(state.time), "print": np.array(self.fingerprint)}
+            np.savez(file, **about, **state.numpy())  # pyright: ignore[reportArgumentType] - names of arrays, not options
 
     def load(self, path: str | Path) -> tuple[Concentrations, int]:
         """The state and the next frame of a file that `run` saved. Raises `StorageError` for another print's."""
@@ -101,7 +102,7 @@ class PrintRun:
             raise StorageError(f"cannot read the print in {str(path)!r}: {error}; start it anew") from error
         if owner != self.fingerprint:
             raise StorageError(f"{str(path)!r} is of another print: its resin, light or times differ; start it anew")
-        return Concentrations(*fields, time), frame
+        return Concentrations(*fields, time), frame  # pyright: ignore[reportCallIssue] - as many as FIELDS
 
     @cached_property
     def fingerprint(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from vamgpu.chemistry.species import Rates
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
@@ -42,6 +43,12 @@ class Reaction:
             raise BadInput(
                 f"Reaction mechanical {self.mechanical:g} is below optical {self.optical:g}; resin turns visible first"
             )
+
+    @classmethod
+    def of(cls, rates: Rates, cross: float = 0.0, optical: float = 1.0, mechanical: float = 2.0) -> Reaction:
+        """The reaction of a resin's kinetics, C splitting as fast as ``rates`` says at its supply."""
+        k, supply = (rates.k_a, rates.k_b, rates.k_c, rates.k_2), rates.supply or 1.0
+        return cls(*k, supply, rates.order, cross, optical, mechanical)
 
     def damkohler(self, length: float, concentration: float, diffusivity: float, irradiance: float) -> float:
         """Da = l²·k_A·I / ([A]₀·D_A), eq. 14 with its rate from the dimensional form.

@@ -115,7 +115,10 @@ class Transport:
         d_a = self.diffusivities[0]
         pitch = tuple(d / length for d in self.box.pitch)
         radius = None if self.box.radius is None else self.box.radius / length
-        ghosts = [[None if f is None else replace(f, value=f.value / concentration) for f in b.faces] for b in self.boundaries]
+        ghosts = [
+            [None if face is None else replace(face, value=face.value / concentration) for face in boundary.faces]
+            for boundary in self.boundaries
+        ]
         return Transport(
             Box(self.box.shape, (pitch[0], pitch[1], pitch[2]), radius),
             tuple(d / d_a for d in self.diffusivities),  # type: ignore[arg-type]
@@ -142,7 +145,7 @@ class Transport:
         fields = [self._field(name, value) for name, value in zip(SPECIES, (a, b, c), strict=True)]
         shape = self.box.shape
         never = [self.device.upload(np.full(shape, NEVER, np.float32)) for _ in range(2)]
-        return Concentrations(*fields, self.device.upload(np.zeros(shape, np.float32)), *never)
+        return Concentrations(*fields, self.device.upload(np.zeros(shape, np.float32)), *never)  # pyright: ignore[reportCallIssue]
 
     def _field(self, name: str, value: Any) -> DeviceArray:
         values = np.asarray(value, np.float64)
@@ -169,7 +172,8 @@ class Transport:
         step = span / count
         if step > self.limit * (1 + 1e-9):
             raise UnstableStep(
-                f"a step of {step:g} s is not stable; at most {self.limit:g} s is: take {self.steps(span)} steps or more",
+                f"a step of {step:g} s is not stable; at most {self.limit:g} s is: "
+                f"take {self.steps(span)} steps or more",
                 self.limit,
             )
         spread, rates = self._tables(step)
