@@ -20,6 +20,11 @@ CAP, SPAN = 0.25, 0.25
 ROUNDS = 6
 """Power iterations for the length of a step."""
 SHORTEST = 2.0**-12
+GROWTH, SHRINK = 1.04, 0.6
+"""Of a step while the loss falls, for what decays and depletes answers more weakly than the first light promises; and
+where it rises, after which steps also grow half as fast."""
+BLOWN = 1.5
+"""Of the least loss: from there the descent begins again at the light that had it."""
 
 
 class Color:
@@ -54,9 +59,9 @@ class Color:
 
 
 class Descent:
-    """Steps through capped ramps that keep light ≥ 0; momentum restarts and steps halve where the loss rises.
+    """Steps through capped ramps that keep light ≥ 0; where the loss rises momentum restarts and steps are shorter.
 
-    A step is as long as the linear model stands: what is not linear in the kinetics flattens, and rarely steepens, it.
+    The first step is as long as the linear model stands, and later ones grow.
     """
 
     def __init__(self, model: Model, target: DeviceArray, band: Band, light: Pair, share: float) -> None:
@@ -68,7 +73,8 @@ class Descent:
             portion / (color.gain() * max(answer, 1e-30) ** 2)
             for color, answer, portion in zip(self.colors, answers, (1.0 - share, share), strict=True)
         ]
-        self.run, self.length = 0, 1.0
+        self.best = Pair(*(color.work.sinogram() for color in self.colors))
+        self.run, self.length, self.growth = 0, 1.0, GROWTH
 
     @property
     def light(self) -> Pair:
@@ -77,20 +83,37 @@ class Descent:
 
     def steps(self) -> Iterator[tuple[float, float]]:
         """Loss and strict window of the effective dose that each step looked at."""
-        before, work = float("inf"), self.colors[0].work
+        before = least = float("inf")
+        work = self.colors[0].work
         while self.length >= SHORTEST:
             dose = self.model.expose(Pair(*(color.ahead for color in self.colors)))
             window, _ = work.window(dose)
             loss = work.loss(dose, self.band)
-            if loss > before:
-                self.length *= 0.5 if self.run <= 1 else 1.0
-                self.run = 0
+            self._pace(loss > before)
+            if loss <= least:
+                least = loss
+                self._copy([(color.ahead, best) for color, best in zip(self.colors, self.best, strict=True)])
             before = loss
-            if loss > 0.0:
+            if loss > BLOWN * least:
+                before = least
+                both = zip(self.colors, self.best, strict=True)
+                self._copy([(best, own) for color, best in both for own in (color.light, color.ahead)])
+            elif loss > 0.0:
                 self._move(self.model.gradient(dose))
             yield loss, window
             if loss == 0.0:
                 return
+
+    def _pace(self, rose: bool) -> None:
+        """How far to go, and with how much momentum."""
+        self.run = 0 if rose else self.run
+        self.growth = 1.0 + 0.5 * (self.growth - 1.0) if rose else self.growth
+        self.length *= SHRINK if rose else self.growth
+
+    def _copy(self, pairs: list[tuple[DeviceArray, DeviceArray]]) -> None:
+        """Light, which is not negative, from the first of each pair to the second."""
+        for source, target in pairs:
+            self.colors[0].work.combine(1.0, source, 0.0, source, target, floor=0.0)
 
     def _move(self, gradient: Pair) -> None:
         momentum = self.run / (self.run + 3.0)

@@ -53,7 +53,7 @@ class PoseRuns:
 def _part(operator: Projection, poses: np.ndarray) -> Projection:
     """The operator at some poses alone; it shares the tables of one pose."""
     part = copy(operator)
-    part.__dict__.pop("_slices", None)
+    vars(part).pop("_slices", None)
     part.motion = Turntable(len(poses))
     part.range = SinogramSpace(operator.beam, part.motion)
     part._directions = operator.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))

@@ -49,8 +49,8 @@ class Aims:
     def band(self, resin: TwoColorResin) -> Band:
         """Out of the part less is never wrong, however far below 0 B takes it."""
         depth = 0.5 * (self.outside - min(resin.lowest, 0.0)) + 1.0
-        center, slack = (self.outside - depth, 0.5 * (self.inside + self.most)), (depth, 0.5 * (self.most - self.inside))
-        return Band(center, slack, (0.5, 0.5), 2.0, binary=True)
+        middle, half = 0.5 * (self.inside + self.most), 0.5 * (self.most - self.inside)
+        return Band((self.outside - depth, middle), (depth, half), (0.5, 0.5), 2.0, binary=True)
 
 
 @dataclass(frozen=True, eq=False)
