@@ -14,9 +14,9 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.kernels.project import back_joseph, forward_joseph
 from vamgpu.kernels.refract import back_refracted, forward_refracted
-from vamgpu.kernels.resample import resample
-from vamgpu.operators.light import EQUAL, OpenAir, tabulate
+from vamgpu.operators.light import OpenAir, tabulate
 from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.rows import Rows
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
 
 
@@ -54,10 +54,8 @@ class Projection(LinearOperator):
         self.device = open_device(device)
         poses = motion.poses
         self._directions = self.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
-        self._ratio = grid.pitch / beam.pitch
-        self._same_pitch = abs(self._ratio - 1.0) < 1e-6
-        self._same_rows = self._same_pitch and beam.pixels[1] == grid.shape[2]
-        self._joseph = vessel is None and self._same_pitch
+        self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch)
+        self._joseph = vessel is None and self._rows.same_pitch
         self._light = None if self._joseph else self._tables(vessel or OpenAir())
         self._transpose = Transposed(self)
 
@@ -80,37 +78,23 @@ class Projection(LinearOperator):
         return {"light": table(light.map), "edges": table(light.edges), "width": light.width, "radius": light.radius}
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        rows = out if self._same_rows else self.device.empty(self._slices)
+        rows = out if self._rows.same else self.device.empty(self._slices)
         common = {"volume": x, "directions": self._directions, "sinogram": rows}
         if self._light is None:
             self.device.launch(forward_joseph, **common, pitch=self.grid.pitch)
         else:
             self.device.launch(forward_refracted, **common, **self._light)
         if rows is not out:
-            self._resample(rows, out, 1.0 / self._ratio, row=1.0 / self._ratio)
+            self._rows.from_slices(rows, out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         rows = y
-        if not self._same_rows:
+        if not self._rows.same:
             rows = self.device.empty(self._slices)
-            self._resample(y, rows, self._ratio, row=1.0)
+            self._rows.to_slices(y, rows)
         common = {"sinogram": rows, "directions": self._directions, "volume": out}
         if self._light is None:
             self.device.launch(back_joseph, **common, pitch=self.grid.pitch)
         else:
             light = {name: value for name, value in self._light.items() if name != "edges"}
             self.device.launch(back_refracted, **common, **light)
-
-    def _resample(self, source: DeviceArray, target: DeviceArray, ratio: float, row: float) -> None:
-        """Between rows and slices, a row being ``row`` samples of the source high: what a slice and a row overlap."""
-        width = 1.0 if self._ratio <= EQUAL else self._ratio  # of a slice, in rows
-        self.device.launch(
-            resample,
-            source=source,
-            ratio=ratio,
-            reach=0.5 * (1.0 + width) * row,
-            most=row,
-            gain=self._ratio / (width * row),
-            lanes=source.lanes,
-            target=target,
-        )

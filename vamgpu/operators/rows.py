@@ -21,7 +21,12 @@ class Rows:
     @property
     def same(self) -> bool:
         """Whether each row is a slice."""
-        return self.rows == self.slices and abs(self._ratio - 1.0) < 1e-6
+        return self.rows == self.slices and self.same_pitch
+
+    @property
+    def same_pitch(self) -> bool:
+        """Whether a row is as high as a slice."""
+        return abs(self._ratio - 1.0) < 1e-6
 
     @property
     def _ratio(self) -> float:

@@ -13,12 +13,11 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OutOfMemory
 from vamgpu.geometry import Beam, Grid, Turntable, counts, positive
 from vamgpu.kernels.gather import gather_rows
-from vamgpu.kernels.resample import resample
 from vamgpu.kernels.trace import ABSORBS, back_traced, clear_volume, forward_traced, survey_rays, trace_entries
 from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.carried import Carried
-from vamgpu.operators.light import EQUAL
 from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.rows import Rows
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
 from vamgpu.operators.sparse import SparseEntries
 
@@ -125,8 +124,7 @@ class _Matrix:
 
     def __init__(self, owner: TracedProjection) -> None:
         self.device, grid, beam = owner.device, owner.grid, owner.beam
-        self.ratio = grid.pitch / beam.pitch
-        self.same_rows = abs(self.ratio - 1.0) < 1e-6 and beam.pixels[1] == grid.shape[2]
+        self.resampled = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch)
         self.slices = (owner.motion.angles, beam.pixels[0], grid.shape[2])
         cells, rays = grid.shape[0] * grid.shape[1], owner.motion.angles * beam.pixels[0]
         if max(cells, rays) > WHOLE:
@@ -137,31 +135,17 @@ class _Matrix:
         self.columns = entries.transposed().table(self.device, grid.shape[:2], POSES * beam.pixels[0])
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        rows = out if self.same_rows else self.device.empty(self.slices)
+        rows = out if self.resampled.same else self.device.empty(self.slices)
         self.device.launch(gather_rows, source=x, **self.rows, out=rows)
         if rows is not out:
-            self._resample(rows, out, 1.0 / self.ratio, row=1.0 / self.ratio)
+            self.resampled.from_slices(rows, out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         rows = y
-        if not self.same_rows:
+        if not self.resampled.same:
             rows = self.device.empty(self.slices)
-            self._resample(y, rows, self.ratio, row=1.0)
+            self.resampled.to_slices(y, rows)
         self.device.launch(gather_rows, source=rows, **self.columns, out=out)
-
-    def _resample(self, source: DeviceArray, target: DeviceArray, ratio: float, row: float) -> None:
-        """Between rows and slices, a row being ``row`` samples of the source high."""
-        width = 1.0 if self.ratio <= EQUAL else self.ratio
-        self.device.launch(
-            resample,
-            source=source,
-            ratio=ratio,
-            reach=0.5 * (1.0 + width) * row,
-            most=row,
-            gain=self.ratio / (width * row),
-            lanes=source.lanes,
-            target=target,
-        )
 
 
 def _traced(owner: TracedProjection) -> SparseEntries:
