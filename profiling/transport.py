@@ -2,7 +2,8 @@
 
 Bandwidth is that of vamgpu's own elementwise kernel, out = a·x + b·y, on fields as large: 12 bytes a voxel. A step
 moves at least its three species in and out, 24 bytes a voxel, and 8 more of light where they react: the limit is what
-that takes at the bandwidth. Steps that an item takes together move it once, so they may be faster than the limit of one.
+that takes at the bandwidth. Steps that an item takes together move it once, so they may take less than
+the limit of one.
 ``--print-frames`` also times frames of a dual-color print of the same size, light through what is left of C included.
 """
 

@@ -22,11 +22,14 @@ class Fixed:
         object.__setattr__(self, "value", positive("the value of a fixed face", self.value, zero=True))
 
 
+Face = Fixed | None
+
+
 @dataclass(frozen=True)
 class Boundary:
     """One entry a face of a species' box, in the order of `FACES`: None where no flux passes, or `Fixed`."""
 
-    faces: tuple[Fixed | None, Fixed | None, Fixed | None, Fixed | None, Fixed | None, Fixed | None] = (None, None, None, None, None, None)
+    faces: tuple[Face, Face, Face, Face, Face, Face] = (None, None, None, None, None, None)
 
     def __post_init__(self) -> None:
         if len(self.faces) != 6 or not all(face is None or isinstance(face, Fixed) for face in self.faces):
