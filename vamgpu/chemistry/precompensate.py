@@ -1,0 +1,167 @@
+"""Doses that look as wanted after the oxygen has diffused: regularized deconvolution, never negative."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from math import ceil, prod, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.backend import open_device
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.chemistry.diffusion import Diffusion, Spread
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.geometry import Grid, positive
+from vamgpu.kernels.update import linear
+from vamgpu.operators.compose import NO_FLOOR
+from vamgpu.operators.reductions import dot, extent
+from vamgpu.web import WebGrid
+
+RIDGE = 1e-3
+ITERATIONS = 40
+PAPERS = (
+    "A. Orth et al., Deconvolution volumetric additive manufacturing, Nat. Commun. 14 (2023) 4412",
+    "A. Beck, M. Teboulle, A fast iterative shrinkage-thresholding algorithm, SIAM J. Imaging Sci. 2 (2009) 183",
+)
+HALO = 6.0
+"""Blur's deviations around a block of slices that are solved with it and thrown away."""
+
+
+@dataclass(frozen=True, eq=False)
+class Compensated:
+    """A dose to ask for, 1 in the part as wanted, and what it is worth.
+
+    dose: [x, y, z] ≥ 0, on the device.  before, after: root mean square distance from the wanted dose once the plain
+    and the compensated one have diffused, over all voxels.  greatest: largest dose, which the light must afford.
+    """
+
+    dose: DeviceArray
+    before: float
+    after: float
+    greatest: float
+
+    @property
+    def factor(self) -> float:
+        """How many times nearer compensation comes; infinite where nothing is left to miss."""
+        return self.before / self.after if self.after > 0 else float("inf")
+
+
+def precompensate(
+    fraction: DeviceArray | npt.NDArray[np.floating], grid: Grid | WebGrid, diffusion: Diffusion, *,
+    background: float = 0.0, ridge: float = RIDGE, iterations: int = ITERATIONS, device: str | Device | None = None,
+) -> Compensated:
+    """The dose to ask for so that background + (1 − background)·fraction is left after diffusion.
+
+    fraction: part in every voxel [x, y, z], 0..1.  background: dose wanted around the part, everywhere: room for what
+    would have to be negative. Without it fine detail can hardly be sharpened.  ridge: weight of the squared distance
+    from the plain dose over that of the misfit; smaller is sharper and asks for greater doses.
+
+    Minimizes ‖K·dose − wanted‖² + ridge·‖dose − wanted‖² over dose ≥ 0 by accelerated projected gradients.
+    Raises `BadInput`, `ShapeMismatch`.
+    """
+    spread = Spread(grid, diffusion, fraction.device if isinstance(fraction, DeviceArray) else device)
+    goal = _on(spread, fraction)
+    shape = contrast(spread, goal, background, ridge=ridge, iterations=iterations)
+    before, after = misfit(spread, goal, goal), misfit(spread, shape, goal)
+    ones = spread.device.upload(np.ones(goal.shape, np.float32))
+    launch = spread.device.launch
+    launch(linear, a=1.0 - background, x=shape, b=background, y=ones, floor=0.0, out=shape)
+    rooted = (1.0 - background) / sqrt(prod(goal.shape))
+    return Compensated(shape, before * rooted, after * rooted, extent(shape)[1])
+
+
+def contrast(
+    spread: Spread, goal: DeviceArray, background: float = 0.0, *, ridge: float = RIDGE, iterations: int = ITERATIONS
+) -> DeviceArray:
+    """u so that background + (1 − background)·u ≥ 0, and u after diffusion is near the goal; on the device."""
+    if not 0.0 <= background < 1.0:
+        raise BadInput(f"background is {background!r}; wanted 0 ≤ background < 1")
+    positive("ridge", ridge)
+    if isinstance(iterations, bool) or not isinstance(iterations, int) or iterations < 1:
+        raise BadInput(f"iterations is {iterations!r}; wanted at least 1")
+    device, floor = spread.device, -background / (1.0 - background)
+    shape, ahead, new = (_copy(goal) for _ in range(3))
+    image, slope = device.empty(goal.shape), device.empty(goal.shape)
+    step, pace = 1.0 / (1.0 + ridge), 1.0
+    for _ in range(iterations):
+        spread.forward(ahead, image)
+        device.launch(linear, a=1.0, x=image, b=-1.0, y=goal, floor=NO_FLOOR, out=image)
+        spread.transposed(image, slope)
+        device.launch(linear, a=-step, x=slope, b=step * ridge, y=goal, floor=NO_FLOOR, out=slope)
+        device.launch(linear, a=1.0 - step * ridge, x=ahead, b=1.0, y=slope, floor=floor, out=new)
+        faster = 0.5 * (1.0 + sqrt(1.0 + 4.0 * pace**2))
+        gain = (pace - 1.0) / faster
+        device.launch(linear, a=1.0 + gain, x=new, b=-gain, y=shape, floor=NO_FLOOR, out=ahead)
+        shape, new, pace = new, shape, faster
+    return shape
+
+
+def misfit(spread: Spread, dose: DeviceArray, goal: DeviceArray) -> float:
+    """‖K·dose − goal‖."""
+    image = spread.device.empty(goal.shape)
+    spread.forward(dose, image)
+    spread.device.launch(linear, a=1.0, x=image, b=-1.0, y=goal, floor=NO_FLOOR, out=image)
+    return sqrt(max(dot(image, image), 0.0))
+
+
+def stream(
+    slabs: Iterable[npt.NDArray[np.floating]], grid: Grid, diffusion: Diffusion, *, background: float = 0.0,
+    ridge: float = RIDGE, iterations: int = ITERATIONS, block: int = 64, halo: int | None = None,
+    device: str | Device | None = None,
+) -> Iterator[npt.NDArray[np.float32]]:
+    """Compensated doses of an endless column, slab by slab of any thickness along z, in bounded memory.
+
+    slabs: fractions [x, y, any z].  grid: its section (shape[:2]) and pitch; shape[2] is ignored.  Yields float32
+    arrays of at most ``block`` slices that add up to what came in.  halo: slices around a block that are solved with
+    it and thrown away; by default `HALO` deviations of the blur.  Raises `BadInput`, `ShapeMismatch`.
+    """
+    here = open_device(device)
+    margin = ceil(HALO * diffusion.deviation / grid.pitch) + 2 if halo is None else halo
+    if block < 1 or margin < 0:
+        raise BadInput(f"block is {block!r}, halo {margin!r}; wanted at least 1 and 0 slices")
+    column = np.zeros((*grid.shape[:2], margin), np.float32)
+    spreads: dict[int, Spread] = {}
+
+    def solved(part: npt.NDArray[np.float32], keep: int) -> npt.NDArray[np.float32]:
+        thick = part.shape[2]
+        if thick not in spreads:
+            spreads.clear()
+            spreads[thick] = Spread(Grid((*grid.shape[:2], thick), grid.pitch), diffusion, here)
+        shape = contrast(spreads[thick], here.upload(part), background, ridge=ridge, iterations=iterations)
+        dose = background + (1.0 - background) * shape.numpy()[:, :, margin : margin + keep]
+        return np.maximum(dose, 0.0).astype(np.float32)
+
+    for slab in slabs:
+        _fits(slab, grid)
+        column = np.concatenate([column, np.asarray(slab, np.float32)], axis=2)
+        while column.shape[2] >= block + 2 * margin:
+            yield solved(column[:, :, : block + 2 * margin], block)
+            column = column[:, :, block:]
+    column = np.concatenate([column, np.zeros((*grid.shape[:2], margin), np.float32)], axis=2)
+    while (left := column.shape[2] - 2 * margin) > 0:
+        yield solved(column[:, :, : min(block, left) + 2 * margin], min(block, left))
+        column = column[:, :, min(block, left) :]
+
+
+def _fits(slab: npt.NDArray[np.floating], grid: Grid) -> None:
+    if slab.ndim != 3 or slab.shape[:2] != grid.shape[:2]:
+        raise ShapeMismatch(f"a slab has shape {slab.shape}; wanted {(*grid.shape[:2], 'any')} = [x, y, z]")
+
+
+def _on(spread: Spread, fraction: DeviceArray | npt.NDArray[np.floating]) -> DeviceArray:
+    if tuple(fraction.shape) != spread.domain.shape:
+        raise ShapeMismatch(f"fractions have shape {tuple(fraction.shape)}; the grid has {spread.domain.shape}")
+    if isinstance(fraction, DeviceArray):
+        return fraction
+    if not np.isfinite(fraction).all():
+        raise BadInput("fractions hold numbers that are not finite; wanted 0..1")
+    return spread.device.upload(np.asarray(fraction))
+
+
+def _copy(field: DeviceArray) -> DeviceArray:
+    out = field.device.empty(field.shape)
+    field.device.launch(linear, a=1.0, x=field, b=0.0, y=field, floor=NO_FLOOR, out=out)
+    return out
