@@ -59,6 +59,10 @@ class UnstableStep(BadInput):
         self.limit = limit
 
 
+class SliceError(BadInput):
+    """A stack of slices cannot be used: one is missing, misnumbered, damaged, or unlike the others."""
+
+
 class DeviceError(VamError, RuntimeError):
     """A device is missing, broken, or was asked for something it cannot do."""
 
@@ -97,3 +101,7 @@ class OpticsWarning(UserWarning):
 
 class MemoryNotice(UserWarning):
     """A method shrank its working memory to fit the device."""
+
+
+class SliceWarning(UserWarning):
+    """A stack of slices, or what is asked of it, is usable but likely not what was meant."""
