@@ -412,7 +412,31 @@ def _poses(n: int) -> Example:
     return Example({**sizes, "pose": sizes["angle"] // 3}, {"first": sizes["angle"] // 2})
 
 
+def _stack(n: int, **given: Any) -> Example:
+    """Columns of features whose void and solid runs are a few slices long; strips of two pixels."""
+    rng = np.random.default_rng(1)
+    solid = rng.random((3, n, n + 3, 8)) < 0.5
+    words = (np.repeat(solid, 4, axis=-1) * 2.0 ** np.arange(32)).sum(axis=-1)
+    light = np.linspace(0.002, 0.35, 256)
+    edges = np.append(0.5 * (light[1:] + light[:-1]), 1e30)
+    bins = 64 / (light[-1] - light[0])
+    first = np.searchsorted(edges, light[0] + (np.arange(64) - 0.01) / bins)
+    back = np.append(6.25 - 5.25 * 10.0 ** (0.025 * np.arange(4)), -1e30)
+    inner = np.minimum(10.0 ** (0.025 * np.arange(12)), 1.3) + np.zeros((5, 1))
+    given |= {"words": words.astype(np.uint32), "light": light, "edges": edges, "first": first, "bins": bins,
+              "decay": 0.056, "inner": inner, "back": back, "platform": 1, "reached": 0.999, "opened": 0.99,
+              "spread": 0.0, "levels": rng.integers(0, 256, (32, n, n + 3)),
+              "state": np.zeros((4 if "reach" in given else 2, n, n + 3)), "block": 1}  # fmt: skip
+    sizes = {"slice": 32, "word": 3, "y": n, "x": n + 3, "kept": 20, "bin": 64, "below": 5, "above": 12, "void": 5}
+    combine = {"solid": np.sum, "missed": np.sum, "peaks": np.max}
+    return Example({**sizes, "strip": (n + 3) // 2}, {k: v for k, v in given.items() if k != "reach"}, combine)
+
+
 EXAMPLES: dict[str, Callable[[int], Example]] = {
+    "pack_slices": lambda n: _stack(n, threshold=1),
+    "expose_slices": lambda n: _stack(n, part=0.6, fade=0.9),
+    "correct_slices": lambda n: _stack(n, reach=1),
+    "judge_slices": lambda n: _stack(n, scale=-17.4, layered=0, critical=0.3),
     "transport": _transported,
     "column_density": _lit_through,
     "expose": _lit_through,

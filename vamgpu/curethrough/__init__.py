@@ -1,0 +1,1 @@
+"""Cure-through of stereolithography: modeled from slices, and corrected in them."""

@@ -1,0 +1,57 @@
+"""Curves that bound the dose inside a feature (Pritchard et al. 2019, eqs. S36 to S42), in Ω and slice heights.
+
+A feature reaches from ζ_U, its front, to ζ_L > ζ_U, its back side, which is exposed later. ζ may be an array.
+"""
+
+from __future__ import annotations
+
+from math import log10
+from typing import Any
+
+import numpy as np
+
+
+def constant_light(zeta: Any, zeta_0: float, dose_0: float, phi: float, eta: float) -> np.ndarray:
+    """Ω(ζ) under constant light Φ from the known Ω at ζ_0 (S36)."""
+    fade = 10.0 ** ((np.asarray(zeta, dtype=np.float64) - zeta_0) * eta)
+    return dose_0 * fade + phi * (1.0 - fade)
+
+
+def build_up(zeta: Any, lower: float, phi_max: float, eta: float, critical: float = 1.0) -> np.ndarray:
+    """Curve ii: the most dose that full light builds up from Ω_c at the back side ζ_L = ``lower`` (S37)."""
+    return constant_light(zeta, lower, critical, phi_max, eta)
+
+
+def die_down(zeta: Any, upper: float, phi_min: float, eta: float, critical: float = 1.0) -> np.ndarray:
+    """Curve iii: the most dose that dies down to Ω_c at the front ζ_U = ``upper`` under least light (S38)."""
+    return constant_light(zeta, upper, critical, phi_min, eta)
+
+
+def highest_place(
+    upper: float, lower: float, phi_min: float, phi_max: float, eta: float, critical: float = 1.0
+) -> float:
+    """ζ*, where curves ii and iii meet (S39)."""
+    delta = lower - upper
+    low = (critical - phi_min) - (critical - phi_max) * 10.0 ** (-delta * eta)
+    return upper + log10((phi_max - phi_min) / low) / eta
+
+
+def highest_dose(delta: Any, phi_min: float, phi_max: float, eta: float, critical: float = 1.0) -> np.ndarray:
+    """Ω*, the most dose within a feature ``delta`` slices high (S42)."""
+    fade = 10.0 ** (-np.asarray(delta, dtype=np.float64) * eta)
+    room = (critical - phi_min) - (critical - phi_max) * fade
+    return (critical - phi_min) * (phi_max - phi_min) / room + phi_min
+
+
+def build_up_slices(dose_0: float, phi: float, eta: float, critical: float = 1.0) -> float:
+    """Slices of light Φ that bring Ω_0 to Ω_c: log10[(Φ − Ω_0) / (Φ − Ω_c)] / η; infinite where Φ never gets there."""
+    if dose_0 >= critical:
+        return 0.0
+    return log10((phi - dose_0) / (phi - critical)) / eta if phi > critical else float("inf")
+
+
+def die_down_slices(dose_0: float, phi_min: float, eta: float, critical: float = 1.0) -> float:
+    """Slices of least light in which Ω_0 falls to Ω_c; infinite where it never does."""
+    if dose_0 <= critical:
+        return 0.0
+    return log10((dose_0 - phi_min) / (critical - phi_min)) / eta if phi_min < critical else float("inf")

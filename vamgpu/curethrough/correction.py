@@ -1,0 +1,167 @@
+"""Gray levels that put the critical dose on both sides of every feature (Pritchard et al. 2019, section SI.1).
+
+Features are runs of solid slices at a pixel. From the last slice to the first, a feature's dose is built up by full
+light in the void behind it, kept at the wanted profile inside, and left to die down to its front; all else is dark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend import DeviceArray, open_device
+from vamgpu.backend.device import Device
+from vamgpu.curethrough.dose import Stack, blocks, checked, strips
+from vamgpu.curethrough.machine import Machine
+from vamgpu.curethrough.profile import Flat, Profile
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.kernels.curethrough import BITS, NEVER, correct_slices, pack_slices
+
+BINS = 1024
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What to correct for, and how.
+
+    machine: `Printer` or `LayerPrinter`.  profile: dose wanted inside features.  tail: slices added after the last, by
+    default as many as its back side needs.  threshold: gray level from which a pixel is solid.  platform: the first
+    slice sticks to the platform, so that nothing above it can be cured through.  dither: neighbors aim up to half a
+    level higher or lower.  open_dose: Ω to which voids must fall to count as open.  Raises `BadInput`.
+    """
+
+    machine: Machine
+    profile: Profile = field(default_factory=Flat)
+    tail: int | None = None
+    threshold: int = 128
+    platform: bool = True
+    dither: bool = False
+    open_dose: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.threshold <= 255:
+            raise BadInput(f"threshold is {self.threshold!r}; wanted a gray level from 1 to 255")
+        if self.tail is not None and self.tail < 0:
+            raise BadInput(f"tail is {self.tail!r}; wanted a number of slices ≥ 0")
+        self.machine.targets(self.profile)
+
+    @property
+    def added(self) -> int:
+        """Slices shown after the last of the part."""
+        return self.machine.tail if self.tail is None else self.tail
+
+    @property
+    def spread(self) -> float:
+        """Ω by which neighbors differ in what they aim at: a level."""
+        return float(np.diff(self.machine.doses).mean()) if self.dither else 0.0
+
+    @property
+    def tolerance(self) -> float:
+        """Ω that gray levels may miss the constraint curves by."""
+        return self.machine.tolerance + 0.5 * self.spread + 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Corrected:
+    """A block of slices to show, uint8 [slice, y, x] from slice ``start`` on; overwritten by the next.
+
+    words: ring that holds which slices of block ``start`` / 32 are solid, for `Judge.add`.
+    """
+
+    start: int
+    table: DeviceArray
+    words: DeviceArray
+
+    @property
+    def levels(self) -> np.ndarray:
+        """The slices as a NumPy array."""
+        return self.table.numpy()
+
+
+class Corrector:
+    """A correction that runs through a stack from its last block to its first, looking ahead as far as light reaches.
+
+    shape: slices, y, x of the part; ``slices`` counts those to show, tail included.
+    """
+
+    def __init__(self, correction: Correction, shape: tuple[int, ...], device: str | Device | None = None) -> None:
+        if len(shape) != 3 or min(shape) < 1:
+            raise ShapeMismatch(f"the stack has shape {shape}; wanted [slices, y, x]")
+        self.correction, self.shape, self.device = correction, shape, open_device(device)
+        self.slices = shape[0] + correction.added
+        machine, put = correction.machine, self.device.table
+        targets = machine.targets(correction.profile)
+        self._tables = {"light": put(machine.doses), "inner": put(targets.inner), "back": put(targets.back),
+                        **_inverse(machine.doses, put)}  # fmt: skip
+        plane = shape[1:]
+        self._ring = self.device.table(np.zeros((1 + -(-targets.horizon // BITS), *plane)), "uint32")
+        self._state = put(np.zeros((4, *plane)))
+        self.flaws = put(np.zeros((2, *plane)), "int32")
+        count = strips(self.device, plane[1])
+        self._counts = put(np.zeros((plane[0], count)), "int32")
+
+    @property
+    def missed(self) -> np.ndarray:
+        """Features at every pixel whose back side did not get its dose; int32 [y, x]."""
+        return self.flaws.numpy()[0]
+
+    @property
+    def closed(self) -> np.ndarray:
+        """Voids at every pixel that stay above the dose of an open one; int32 [y, x]."""
+        return self.flaws.numpy()[1]
+
+    def run(self, stack: Stack) -> Iterator[Corrected]:
+        """Blocks to show, the last first; every slice of the stack is read once. Raises `BadInput`."""
+        if tuple(stack.shape) != tuple(self.shape):
+            raise ShapeMismatch(f"the stack has shape {tuple(stack.shape)}; this corrector is for {tuple(self.shape)}")
+        read = -(-self.slices // BITS)
+        tables: dict[int, DeviceArray] = {}
+        for start, stop in blocks(self.slices):
+            block = start // BITS
+            while read > max(0, block + 1 - self._ring.shape[0]):
+                read -= 1
+                self._pack(read, stack[read * BITS : min((read + 1) * BITS, self.shape[0])])
+            if stop - start not in tables:
+                tables[stop - start] = self.device.empty((stop - start, *self.shape[1:]), np.uint8, table=True)
+            yield self._correct(block, tables[stop - start])
+
+    def _pack(self, block: int, levels: np.ndarray) -> None:
+        plane = self.shape[1:]
+        if len(levels) == 0:  # beyond the part
+            levels = np.zeros((1, *plane), np.uint8)
+        self.device.launch(
+            pack_slices, levels=self.device.table(checked(levels, plane), "uint8"),  # type: ignore[arg-type]
+            threshold=self.correction.threshold, block=block, words=self._ring, solid=self._counts,
+        )  # fmt: skip
+
+    def _correct(self, block: int, levels: DeviceArray) -> Corrected:
+        correction = self.correction
+        machine = correction.machine
+        opened = machine.opened if correction.open_dose is None else correction.open_dose
+        self.device.launch(
+            correct_slices, words=self._ring, block=block, **self._tables, decay=machine.decay,
+            platform=int(correction.platform), reached=machine.reached - 0.5 * correction.spread, opened=opened,
+            spread=correction.spread, state=self._state, flaws=self.flaws, levels=levels, missed=self._counts,
+        )  # fmt: skip
+        return Corrected(block * BITS, levels, self._ring)
+
+
+def correct(correction: Correction, levels: np.ndarray, device: str | Device | None = None) -> np.ndarray:
+    """The slices to show for a whole stack in memory, uint8 [slice + tail, y, x]. Raises `BadInput`."""
+    corrector = Corrector(correction, levels.shape, device)
+    out = np.empty((corrector.slices, *levels.shape[1:]), np.uint8)
+    for block in corrector.run(levels):
+        out[block.start : block.start + block.table.shape[0]] = block.levels
+    return out
+
+
+def _inverse(doses: np.ndarray, put: Callable[..., DeviceArray]) -> dict[str, Any]:
+    """Tables that find the level nearest to a dose."""
+    edges = np.append(0.5 * (doses[1:] + doses[:-1]), NEVER)
+    bins = BINS / (doses[-1] - doses[0])
+    starts = doses[0] + (np.arange(BINS) - 1e-2) / bins
+    first = np.searchsorted(edges, starts, side="left")
+    return {"edges": put(edges), "first": put(first, "uint8"), "bins": bins}

@@ -1,0 +1,180 @@
+"""Dose of a print from its slices: whole stacks in blocks on a device, single columns anywhere in float64."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Protocol
+
+import numpy as np
+
+from vamgpu.backend import DeviceArray, open_device
+from vamgpu.backend.device import Device
+from vamgpu.curethrough.machine import Machine
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.kernels.curethrough import BITS, expose_slices, judge_slices, pack_slices
+
+STRIP = 320
+"""Pixels of a row that an item of a processor takes."""
+
+
+class Stack(Protocol):
+    """Slices that can be read in any order: ``stack[a:b]`` is uint8 [slice, y, x]; NumPy arrays are stacks too."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Slices, y, x."""
+        ...
+
+    def __getitem__(self, key: slice, /) -> np.ndarray: ...
+
+
+def blocks(slices: int) -> Iterator[tuple[int, int]]:
+    """(start, stop) of the blocks of a stack, the last first; they start at multiples of 32."""
+    for start in range((slices - 1) // BITS * BITS, -1, -BITS):
+        yield start, min(start + BITS, slices)
+
+
+def strips(device: Device, width: int) -> int:
+    """How many items share a row: one a pixel on GPUs."""
+    gpu = "cuda" in device.name or bool(getattr(device, "is_gpu", False))
+    return width if gpu else max(1, round(width / STRIP))
+
+
+def checked(levels: Any, shape: tuple[int, int]) -> np.ndarray:
+    """A block of slices as it should be, else `BadInput` or `ShapeMismatch`."""
+    block = np.asarray(levels)
+    if block.dtype != np.uint8:
+        raise BadInput(f"slices hold {block.dtype}; wanted 8-bit gray levels (uint8)")
+    if block.ndim != 3 or block.shape[1:] != shape or not 1 <= len(block) <= BITS:
+        raise ShapeMismatch(f"a block has shape {block.shape}; wanted [1 to {BITS} slices, {shape[0]}, {shape[1]}]")
+    return block
+
+
+class Exposure:
+    """The running dose of a stack that passes block by block, the last block first.
+
+    shape: pixels (y, x).  peak: greatest Ω at a border so far.
+    """
+
+    def __init__(self, machine: Machine, shape: tuple[int, int], device: str | Device | None = None) -> None:
+        self.machine, self.shape, self.device = machine, shape, open_device(device)
+        self.light = self.device.table(machine.doses)
+        self.state = self.device.table(np.zeros((2, *shape)))
+        self._peaks = self.device.table(np.zeros((shape[0], strips(self.device, shape[1]))))
+        self._doses: DeviceArray | None = None
+        self.peak = 0.0
+
+    def step(self, levels: Any, fraction: float = 0.0, keep: int | None = None) -> DeviceArray:
+        """Ω [slice, y, x] of a block that ends where the last one began; overwritten by the next step.
+
+        levels: uint8 [slice, y, x], at most 32 slices, or a table of them on the device.  fraction: doses that far
+        within the slices, see `Machine.between`.  keep: doses of the first so many slices only. Raises `BadInput`.
+        """
+        block = levels if isinstance(levels, DeviceArray) else self.device.table(checked(levels, self.shape), "uint8")
+        part, fade = self.machine.between(fraction)
+        kept = block.shape[0] if keep is None else max(1, min(keep, block.shape[0]))
+        if self._doses is None or self._doses.shape[0] != kept:
+            self._doses = self.device.empty((kept, *self.shape), self.device.real, table=True)
+        self.device.launch(
+            expose_slices, levels=block, light=self.light, decay=self.machine.decay, part=part, fade=fade,
+            state=self.state, doses=self._doses, peaks=self._peaks,
+        )  # fmt: skip
+        return self._doses
+
+    def note_peak(self) -> float:
+        """Bring ``peak`` up to the last block, and return it."""
+        self.peak = max(self.peak, float(self._peaks.numpy().max()))
+        return self.peak
+
+    def dose(self) -> np.ndarray:
+        """Ω at the border where the last block begins; [y, x]."""
+        return self.state.numpy()[0]
+
+
+def doses(
+    machine: Machine, stack: Stack, device: str | Device | None = None, fraction: float = 0.0
+) -> Iterator[tuple[int, np.ndarray]]:
+    """(start, Ω [slice, y, x]) of every block, the last first. Raises `BadInput`."""
+    exposure = Exposure(machine, stack.shape[1:], device)  # type: ignore[arg-type]
+    for start, stop in blocks(stack.shape[0]):
+        yield start, exposure.step(stack[start:stop], fraction).numpy()
+
+
+class Judge:
+    """Cured height of the void and uncured height of the part, summed over a stack that passes last block first."""
+
+    def __init__(
+        self, machine: Machine, shape: tuple[int, int], device: str | Device | None = None, critical: float = 1.0
+    ) -> None:
+        self.machine, self.shape, self.device, self.critical = machine, shape, open_device(device), critical
+        self.light = self.device.table(machine.doses)
+        self.state, self.heights = (self.device.table(np.zeros((2, *shape))) for _ in range(2))
+        count = strips(self.device, shape[1])
+        self._peaks = self.device.table(np.zeros((shape[0], count)))
+        self._solid = self.device.table(np.zeros((shape[0], count)), "int32")
+        self._words = self.device.table(np.zeros((1, *shape)), "uint32")
+
+    def step(self, levels: Any, wanted: Any, threshold: int = 128) -> None:
+        """Add a block: what is shown, and the slices of the part, solid from ``threshold`` on; uint8 [slice, y, x]."""
+        pictures = [
+            part if isinstance(part, DeviceArray) else self.device.table(checked(part, self.shape), "uint8")
+            for part in (levels, wanted)
+        ]
+        self.device.launch(
+            pack_slices, levels=pictures[1], threshold=threshold, block=0, words=self._words, solid=self._solid
+        )
+        self.add(pictures[0], self._words, 0)
+
+    def add(self, levels: DeviceArray, words: DeviceArray, block: int) -> None:
+        """Add a block whose part is packed already in a ring on the device."""
+        machine = self.machine
+        self.device.launch(
+            judge_slices, levels=levels, words=words, block=block, light=self.light, decay=machine.decay,
+            scale=machine.fade_scale, layered=int(machine.layered), critical=self.critical, state=self.state,
+            heights=self.heights, peaks=self._peaks,
+        )  # fmt: skip
+
+    def over(self) -> np.ndarray:
+        """Cured height of the void [mm] at every pixel; [y, x]."""
+        return self.heights.numpy()[0] * self.machine.slice_height
+
+    def under(self) -> np.ndarray:
+        """Uncured height of the part [mm] at every pixel; [y, x]."""
+        return self.heights.numpy()[1] * self.machine.slice_height
+
+
+def column_doses(machine: Machine, levels: Any) -> np.ndarray:
+    """Ω at the borders ζ = 0, 1, … N + 1 of columns of gray levels [slice, …], by recursion in float64 (S14, S48)."""
+    added = machine.doses[np.asarray(levels)]
+    out = np.zeros((len(added) + 1, *added.shape[1:]))
+    for n in range(len(added) - 1, -1, -1):
+        out[n] = out[n + 1] + (added[n] - machine.decay * out[n + 1])
+    return out
+
+
+def column_dose(machine: Machine, levels: Any, zeta: Any) -> np.ndarray:
+    """Ω(ζ) of one column of gray levels [slice] at any real ζ from 0 to N + 1 (S22, S48); float64, shape of ``zeta``.
+
+    Layer by layer the dose at a border is that of the layer above it, as S48 has it.
+    """
+    places, borders = np.asarray(zeta, dtype=np.float64), column_doses(machine, np.asarray(levels))
+    last = len(borders) - 2
+    if machine.layered:
+        n = np.clip(np.ceil(places), 0, last + 1).astype(int)
+        return borders[n] * 10.0 ** (-(n - places) * machine.eta)
+    n = np.clip(np.floor(places), 0, last).astype(int)
+    phi = machine.doses[np.asarray(levels)] / machine.decay
+    fade = 10.0 ** (-(n + 1 - places) * machine.eta)
+    return phi[n] + (borders[n + 1] - phi[n]) * fade
+
+
+def closed_sum(machine: Machine, levels: Any, zeta: float) -> np.ndarray:
+    """Ω(ζ) of columns of gray levels [slice, …], every slice's share added up (S13, S23 with its sign mended, S48)."""
+    column = np.asarray(levels)
+    n = np.arange(len(column)).reshape(-1, *[1] * (column.ndim - 1))
+    if machine.layered:
+        share = np.where(n >= np.ceil(zeta), 10.0 ** (-(n - zeta) * machine.eta), 0.0)
+        return (machine.doses[column] * share).sum(axis=0)
+    far = 10.0 ** (-(n + 1 - zeta) * machine.eta)
+    share = np.where(n >= zeta, 10.0 ** (-np.maximum(n - zeta, 0.0) * machine.eta) - far, 1.0 - far)
+    return (machine.doses[column] / machine.decay * np.where(n >= np.floor(zeta), share, 0.0)).sum(axis=0)

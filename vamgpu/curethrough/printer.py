@@ -1,0 +1,194 @@
+"""A continuous printer and its resin, in the terms that the dose follows from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import ceil, log10
+from typing import Any
+
+import numpy as np
+
+from vamgpu.curethrough import constraints
+from vamgpu.curethrough.profile import Flat, Profile
+from vamgpu.curethrough.targets import NEVER, Targets, sampled
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+
+LEVELS = 256
+
+
+def measured_levels(light: Any) -> tuple[float, ...]:
+    """Light [mW/mm²] of levels 0 to 255 that never falls, else `BadInput`."""
+    try:
+        values = np.array(light, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"light is {light!r}; wanted {LEVELS} numbers [mW/mm²]") from error
+    if values.shape != (LEVELS,) or not np.isfinite(values).all() or (values < 0).any():
+        raise BadInput(f"light has shape {values.shape}; wanted {LEVELS} finite numbers ≥ 0, one a gray level")
+    fall = np.flatnonzero(np.diff(values) < 0)
+    if fall.size:
+        at = int(fall[0])
+        raise BadInput(
+            f"light falls from {values[at]:g} at level {at} to {values[at + 1]:g} at the next; wanted it to rise: "
+            "fit the readings with fit_gray"
+        )
+    if values[-1] <= values[0]:
+        raise BadInput(f"light is {values[0]:g} mW/mm² at level 0 and {values[-1]:g} at 255; wanted more at 255")
+    return tuple(values.tolist())
+
+
+def levels_of(full: float, dark: float = 0.0, curve: Callable[[Any], Any] | None = None) -> tuple[float, ...]:
+    """Light [mW/mm²] of every level: from ``dark`` to ``full`` in proportion, or full · curve(level).
+
+    curve: relative light of gray levels, such as a `GrayCurve`; its own black level takes the place of ``dark``.
+    Raises `BadInput`.
+    """
+    top, floor = positive("full light [mW/mm²]", full), positive("dark light [mW/mm²]", dark, zero=True)
+    numbers = np.arange(LEVELS)
+    if curve is not None:
+        return measured_levels(top * np.asarray(curve(numbers), dtype=np.float64))
+    return measured_levels(floor + (top - floor) * numbers / (LEVELS - 1))
+
+
+@dataclass(frozen=True)
+class Printer:
+    """A continuous printer: slice n lights the window while that moves from ζ = n to n + 1.
+
+    absorption_height: h_a [mm], over which light falls to a tenth.  critical_dose: D_c [mJ/mm³].  slice_height: h_s
+    [mm].  speed: s [mm/s].  light: irradiance at the window [mW/mm²] of the gray levels 0 to 255; level 0 need not be
+    dark.  dead_zone: layer [mm] at the window kept liquid by a second color; it takes its share of the light, and
+    slices are counted from its far side. Raises `BadInput`.
+    """
+
+    absorption_height: float
+    critical_dose: float
+    slice_height: float
+    speed: float
+    light: tuple[float, ...]
+    dead_zone: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, unit in (("absorption_height", "mm"), ("critical_dose", "mJ/mm³"), ("slice_height", "mm"),
+                           ("speed", "mm/s")):  # fmt: skip
+            object.__setattr__(self, name, positive(f"{name} [{unit}]", getattr(self, name)))
+        object.__setattr__(self, "dead_zone", positive("dead_zone [mm]", self.dead_zone, zero=True))
+        object.__setattr__(self, "light", measured_levels(self.light))
+
+    layered = False
+
+    @property
+    def eta(self) -> float:
+        """η = h_s / h_a (S12)."""
+        return self.slice_height / self.absorption_height
+
+    @property
+    def decay(self) -> float:
+        """1 − 10^−η: share of the dose that one slice up lacks."""
+        return float(-np.expm1(-self.eta * np.log(10.0)))
+
+    @property
+    def critical_intensity(self) -> float:
+        """I_c = D_c·s [mW/mm²], the least that ever cures (S25)."""
+        return self.critical_dose * self.speed
+
+    @cached_property
+    def phi(self) -> np.ndarray:
+        """Φ of every gray level (S10), behind the dead zone; float64 [256]."""
+        seen = 10.0 ** (-self.dead_zone / self.absorption_height)
+        return np.array(self.light) * seen / self.critical_intensity
+
+    @property
+    def phi_min(self) -> float:
+        """Φ of level 0, which is also the least dose anywhere that later light reached (S35)."""
+        return float(self.phi[0])
+
+    @property
+    def phi_max(self) -> float:
+        """Φ of level 255."""
+        return float(self.phi[-1])
+
+    @property
+    def doses(self) -> np.ndarray:
+        """Ω that one slice of each level adds where it begins; float64 [256]."""
+        return self.phi * self.decay
+
+    @property
+    def fade_scale(self) -> float:
+        """Slices over which light fades e-fold, negative."""
+        return -1.0 / (self.eta * float(np.log(10.0)))
+
+    def between(self, fraction: float) -> tuple[float, float]:
+        """Shares (part, fade) that give Ω at ζ = n + fraction, 0 ≤ fraction ≤ 1 (S22). Raises `BadInput`."""
+        if not 0.0 <= fraction <= 1.0:
+            raise BadInput(f"fraction is {fraction!r}; wanted 0 to 1, in slice heights from the border of the slice")
+        return float(-np.expm1(-(1.0 - fraction) * self.eta * np.log(10.0))) / self.decay, 1.0
+
+    def at_speed(self, speed: float) -> Printer:
+        """The same printer at another speed [mm/s]."""
+        return replace(self, speed=speed)
+
+    def build_up_height(self, dose: float = 0.0) -> float:
+        """Height [mm] of full light that brings Ω to the critical dose; infinite where it never does."""
+        return self.slice_height * constraints.build_up_slices(dose, self.phi_max, self.eta)
+
+    @property
+    def tail(self) -> int:
+        """Slices to show after the last, so that its back side gets its dose; raises `BadInput` where none suffice."""
+        slices = constraints.build_up_slices(0.0, self.phi_max, self.eta)
+        if not np.isfinite(slices):
+            raise BadInput(
+                f"full light gives {self.phi_max:.3g} critical doses at the most; wanted more than 1: "
+                f"print slower than {self.fastest():.3g} mm/s or with more light"
+            )
+        return ceil(slices - 1e-9)
+
+    def fastest(self, height: float = float("inf")) -> float:
+        """Speed [mm/s] at which ``height`` [mm] of full light just reaches the critical dose from none."""
+        share = 1.0 - 10.0 ** (-height / self.absorption_height)
+        return self.phi_max * self.speed * share
+
+    def check_correctable(self) -> None:
+        """Raise `BadInput` where full light cures nothing, or where even level 0 cures everything in its way."""
+        if self.phi_min >= 1.0:
+            raise BadInput(
+                f"level 0 leaves {self.phi_min * self.critical_dose * 1e3:.4g} mJ/cm³ behind, the critical dose is "
+                f"{self.critical_dose * 1e3:.4g}: nothing can stay uncured; print faster than "
+                f"{self.phi_min * self.speed:.3g} mm/s or darken level 0"
+            )
+        self.tail  # noqa: B018 - raises
+
+    def targets(self, profile: Profile = Flat()) -> Targets:
+        """Doses that the correction steers to, slice by slice (S37, S38 and the build-up in the void)."""
+        self.check_correctable()
+        eta, low, high = self.eta, self.phi_min, self.phi_max
+        back = constraints.build_up(-np.arange(0, -self.tail - 2, -1.0), 0.0, high, eta)
+        back = np.append(np.where(back > 0.0, back, NEVER), NEVER)
+        reach = log10((high - low) / (1.0 - low)) / eta
+        done, left = np.arange(self.sight), np.arange(ceil(reach) + 2)
+        wanted = sampled(profile, done * self.slice_height, left * self.slice_height)
+        bound = constraints.die_down(left, 0.0, low, eta)
+        bound[-1] = np.inf  # farther from the front than even full light asks for
+        inner = np.minimum(np.maximum(wanted, 1.0), np.minimum(bound, 2.0 * high))
+        return Targets(inner, back)
+
+    @property
+    def tolerance(self) -> float:
+        """Half of the largest step of Ω from one level to the next."""
+        return 0.5 * float(np.diff(self.doses).max())
+
+    @property
+    def reached(self) -> float:
+        """Ω at which the back side of a feature counts as done."""
+        return 1.0 - self.tolerance - 1e-6
+
+    @property
+    def opened(self) -> float:
+        """Ω to which a void must fall to be told from its walls."""
+        return 1.0 - 3.0 * self.tolerance - 1e-6
+
+    @property
+    def sight(self) -> int:
+        """Slices from the back side over which an inner profile is told apart: until full light has all but settled."""
+        return ceil(3.0 / self.eta) if self.eta > 0.003 else 1000

@@ -1,0 +1,50 @@
+"""Dose wanted inside a feature; the constraint curves bound whatever is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+
+Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(mm from the back side, mm to the front) → wanted Ω, for arrays of one shape; may be infinite."""
+
+
+@dataclass(frozen=True)
+class Flat:
+    """One dose all over: Ω_max, in critical doses; infinite for as much as fits. Raises `BadInput`."""
+
+    most: float = float("inf")
+
+    def __post_init__(self) -> None:
+        if not self.most >= 1.0:
+            raise BadInput(f"Ω_max is {self.most!r}; wanted at least 1, the critical dose")
+
+    def __call__(self, back: np.ndarray, front: np.ndarray) -> np.ndarray:
+        return np.full(np.broadcast_shapes(back.shape, front.shape), self.most)
+
+
+@dataclass(frozen=True)
+class Parallel:
+    """A share of the way from the critical dose to the constraint curve that is nearer. Raises `BadInput`.
+
+    absorption_height [mm]; least and most: Φ of level 0 and of level 255.
+    """
+
+    share: float
+    absorption_height: float
+    least: float
+    most: float
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.share) and 0.0 <= self.share <= 1.0):
+            raise BadInput(f"the share is {self.share!r}; wanted a number from 0 to 1")
+
+    def __call__(self, back: np.ndarray, front: np.ndarray) -> np.ndarray:
+        built = (self.most - 1.0) * (1.0 - 10.0 ** (-back / self.absorption_height))
+        left = (1.0 - self.least) * (10.0 ** np.minimum(front / self.absorption_height, 30.0) - 1.0)
+        return 1.0 + self.share * np.minimum(built, left)

@@ -1,0 +1,43 @@
+"""Tables of wanted doses, as the kernel reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+
+NEVER = -1e30
+"""A dose that is always there: no light."""
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """Ω wanted at the border of a slice; last entries hold beyond.
+
+    inner: [slices since the back side, slices to the front].  back: [slices to the back side of the feature ahead].
+    """
+
+    inner: np.ndarray
+    back: np.ndarray
+
+    @property
+    def horizon(self) -> int:
+        """Slices to look ahead."""
+        return max(self.inner.shape[1], len(self.back))
+
+
+def sampled(profile: Callable[[np.ndarray, np.ndarray], np.ndarray], back: np.ndarray, front: np.ndarray) -> np.ndarray:
+    """A profile at distances [mm] from the back side and to the front, rows that are all alike made one.
+
+    ``back`` is where the slice's border will be once it is shown. Raises `BadInput` for what is no dose.
+    """
+    step = back[1] if len(back) > 1 else 0.0
+    grid = np.broadcast_arrays(back[:, None] + step, front[None, :])
+    values = np.asarray(profile(*grid), dtype=np.float64)
+    if values.shape != grid[0].shape or np.isnan(values).any():
+        raise BadInput(f"the profile gave shape {values.shape}; wanted a dose for each of {grid[0].shape} places")
+    alike = (values == values[0]).all()
+    return values[:1] if alike else values
