@@ -1,0 +1,133 @@
+"""Print times of resin used again and again: a model, fitted, and judged by what it was not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import exp
+
+import numpy as np
+
+from vamgpu.chemistry.history import ResinHistory, recovery
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+
+BENCHY_SECONDS = (56.8, 45.8, 41.8, 37.2, 39.8)
+"""Mean print times of five generations of resin [s]. Source: Table S1 of the automatic exposure paper."""
+BENCHY_DEVIATIONS = (0.4, 0.8, 0.4, 1.3, 2.4)
+"""Standard deviations of five prints each [s]. Source: as above."""
+LOST = 0.125
+"""Share of the resin lost in a print: the middle of the 10 to 15 % of the automatic exposure paper."""
+PAPER = "A. Orth et al., Automatic exposure volumetric additive manufacturing, Table S1"
+
+
+@dataclass(frozen=True)
+class Aging:
+    """How a resin ages from print to print.
+
+    fresh: print time in fresh resin [s].  spent: share of the oxygen of the remaining liquid that a print uses up.
+    refill: D·t/depth² of a night in the full vial, stirring included: what the free surface gives back. Less resin
+    under the same surface recovers faster.  lost: share of the resin that leaves with each print.  Raises `BadInput`.
+    """
+
+    fresh: float
+    spent: float
+    refill: float
+    lost: float = LOST
+
+    def __post_init__(self) -> None:
+        positive("fresh [s]", self.fresh)
+        positive("refill", self.refill, zero=True)
+        if not (0.0 <= self.spent < 1.0 and 0.0 <= self.lost < 1.0):
+            raise BadInput(f"spent is {self.spent!r}, lost {self.lost!r}; wanted shares, 0 ≤ share < 1")
+
+    def night(self, vial: ResinHistory, full: float) -> ResinHistory:
+        """The vial after stirring and a night; ``full``: its depth [mm] before the first print."""
+        return vial.stirred(recovery(1.0, self.refill, vial.depth / full), note="stirred, a night's rest")
+
+    def seconds(self, generations: int) -> tuple[float, ...]:
+        """Print times [s] of so many generations, each printed once, stirred and left overnight."""
+        vial, times = ResinHistory("", 1.0), []
+        for _ in range(generations):
+            times.append(vial.seconds(self.fresh))
+            vial = self.night(vial.printed(spent=self.spent, lost=self.lost, seconds=times[-1]), 1.0)
+        return tuple(times)
+
+
+@dataclass(frozen=True)
+class AgingFit:
+    """A fitted model and what it is worth.
+
+    residuals: model minus measured [s], with all generations fitted.  left_out: the same, each generation predicted
+    from a fit to the others.  naive: the same for the mean of the others.
+    """
+
+    aging: Aging
+    residuals: tuple[float, ...]
+    left_out: tuple[float, ...]
+    naive: tuple[float, ...]
+
+    @property
+    def error(self) -> float:
+        """Root mean square error [s] of a generation left out: the number to judge by."""
+        return _rms(self.left_out)
+
+    @property
+    def naive_error(self) -> float:
+        """Root mean square error [s] of taking the mean of the other generations."""
+        return _rms(self.naive)
+
+    @property
+    def residual(self) -> float:
+        """Root mean square residual [s]; always smaller than `error`."""
+        return _rms(self.residuals)
+
+
+def fit_aging(
+    seconds: Sequence[float] = BENCHY_SECONDS, *, lost: float = LOST, deviations: Sequence[float] | None = None
+) -> AgingFit:
+    """Fit `Aging` to print times of consecutive generations, all and with each left out. Raises `BadInput`.
+
+    At least four generations, as three numbers are fitted.  deviations: of the times [s], as weights; none by default.
+    """
+    times = np.array([positive("print time [s]", t) for t in seconds])
+    if len(times) < 4:
+        raise BadInput(f"{len(times)} generations; wanted at least 4: three numbers are fitted to all but one")
+    weights = [1.0] * len(times) if deviations is None else deviations
+    spreads = np.array([positive("deviation [s]", s) for s in weights])
+    if len(spreads) != len(times):
+        raise BadInput(f"{len(spreads)} deviations of {len(times)} generations; wanted one each")
+    every = np.ones(len(times), bool)
+    whole = _fit(times, spreads, every, lost)
+    left_out, naive = [], []
+    for k in range(len(times)):
+        others = every.copy()
+        others[k] = False
+        left_out.append(_fit(times, spreads, others, lost).seconds(len(times))[k] - times[k])
+        naive.append(times[others].mean() - times[k])
+    residuals = np.array(whole.seconds(len(times))) - times
+    return AgingFit(whole, _plain(residuals), _plain(left_out), _plain(naive))
+
+
+def _fit(times: np.ndarray, spreads: np.ndarray, used: np.ndarray, lost: float) -> Aging:
+    """Least squares from several starts; logarithms keep every number positive."""
+    from scipy.optimize import least_squares
+
+    def model(p: np.ndarray) -> Aging:
+        return Aging(exp(p[0]), 1.0 - exp(-exp(p[1])), exp(p[2]), lost)
+
+    def gaps(p: np.ndarray) -> np.ndarray:
+        return ((np.array(model(p).seconds(len(times))) - times) / spreads)[used]
+
+    low, high = np.log([1e-3, 1e-3, 1e-6]), np.log([1e6, 3.0, 3.0])
+    starts = [np.log([times[used][0], spent, refill]) for spent in (0.1, 0.4) for refill in (1e-3, 0.05)]
+    found = [least_squares(gaps, start, bounds=(low, high), xtol=1e-10, ftol=1e-10) for start in starts]
+    return model(min(found, key=lambda fit: fit.cost).x)
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _plain(values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
+    return tuple(float(v) for v in values)
