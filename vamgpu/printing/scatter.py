@@ -1,0 +1,96 @@
+"""Automatic exposure: the light goes out when the resin scatters as much as a calibrated print does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+
+STOP = 0.35
+"""Gray levels per voxel at which the paper stops; 0.15 to 0.35 are acceptable there."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One camera frame. seconds: when it was taken.  density: gray levels per voxel of the part above the first frame.
+
+    stop: that the light should be out by now.
+    """
+
+    seconds: float
+    density: float
+    stop: bool
+
+
+@dataclass
+class ScatterStop:
+    """Scatter density S(t) = ΣI(t)/V − ΣI(0)/V of camera frames, and when it reaches a threshold.
+
+    Eq. 1 of the automatic exposure paper; V counts voxels of the part, so thresholds hold for one voxel size and one
+    camera.  voxels: V, the sum of a target's fractions.  threshold: [gray levels/voxel].  steady: frames in a row that
+    must reach it, against a flash.  The first frame is the background, taken before the light comes on: what scatters
+    then (dust, dark counts, used resin) does not count.  Raises `BadInput`.
+    """
+
+    voxels: float
+    threshold: float = STOP
+    steady: int = 1
+    readings: list[Reading] = field(default_factory=list, init=False)
+    _background: float = field(default=0.0, init=False)
+    _shape: tuple[int, ...] = field(default=(), init=False)
+
+    def __post_init__(self) -> None:
+        positive("voxels of the part", self.voxels)
+        positive("threshold [gray levels/voxel]", self.threshold)
+        if isinstance(self.steady, bool) or not isinstance(self.steady, int) or self.steady < 1:
+            raise BadInput(f"steady is {self.steady!r}; wanted at least 1 frame")
+
+    def see(self, seconds: float, image: npt.NDArray[np.generic]) -> Reading:
+        """Take in one frame [row, column] in gray levels, the first one before the light. Raises `BadInput`."""
+        total = self._total(image)
+        if self.readings and seconds <= self.readings[-1].seconds:
+            raise BadInput(f"a frame at {seconds:g} s after one at {self.readings[-1].seconds:g} s; wanted later ones")
+        if not self.readings:
+            self._background, self._shape = total, image.shape
+        density = (total - self._background) / self.voxels
+        reached = [*(r.density for r in self.readings), density][-self.steady :]
+        stop = self.stopped is not None or (len(reached) == self.steady and min(reached) >= self.threshold)
+        self.readings.append(Reading(float(seconds), density, stop))
+        return self.readings[-1]
+
+    @property
+    def stopped(self) -> float | None:
+        """Time of the frame [s] that said stop; None before."""
+        return next((reading.seconds for reading in self.readings if reading.stop), None)
+
+    @property
+    def crossing(self) -> float | None:
+        """Time [s] at which the density passed the threshold before the stop, linear between frames; None before."""
+        if self.stopped is None:
+            return None
+        last = next(k for k, reading in enumerate(self.readings) if reading.stop) - self.steady + 1
+        if last == 0:
+            return self.readings[0].seconds
+        before, after = self.readings[last - 1], self.readings[last]
+        share = (self.threshold - before.density) / (after.density - before.density)
+        return before.seconds + share * (after.seconds - before.seconds)
+
+    def watch(self, frames: Iterable[tuple[float, npt.NDArray[np.generic]]]) -> float | None:
+        """Take in (seconds, image) until the stop, and return its time; None where frames end first."""
+        for seconds, image in frames:
+            if self.see(seconds, image).stop:
+                break
+        return self.stopped
+
+    def _total(self, image: npt.NDArray[np.generic]) -> float:
+        if image.ndim != 2 or (self._shape and image.shape != self._shape):
+            raise BadInput(f"a frame has shape {image.shape}; wanted {self._shape or '[row, column]'}, one camera's")
+        total = float(image.sum(dtype=np.float64))
+        if not np.isfinite(total):
+            raise BadInput("a frame holds values that are not finite; wanted gray levels")
+        return total
