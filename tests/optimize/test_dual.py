@@ -30,7 +30,7 @@ def phantom() -> np.ndarray:
     from skimage.data import shepp_logan_phantom
     from skimage.transform import resize
 
-    return np.clip(resize(shepp_logan_phantom(), (100, 100), anti_aliasing=True), 0.0, 1.0)
+    return np.clip(np.asarray(resize(shepp_logan_phantom(), (100, 100), anti_aliasing=True)), 0.0, 1.0)
 
 
 def letter(n: int = N) -> np.ndarray:

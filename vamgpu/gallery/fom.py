@@ -13,6 +13,7 @@ from vamgpu.metrics.merit import Merit, acceptable, merit
 from vamgpu.optimize import optimize
 from vamgpu.optimize.papers import AUTOMATIC_EXPOSURE
 from vamgpu.targets.shapes import exposure_disk
+from vamgpu.targets.shapes.calibration import GAPS_PX, SPOKES_PX
 from vamgpu.targets.target import Target
 
 STOPS = (1.0, 1.06, 1.12, 1.18, 1.24)
@@ -24,7 +25,7 @@ def fom(device: Device, quick: bool = False, pixel: float = 0.067, angles: int =
         noise: float = 0.03) -> Picture:  # fmt: skip
     """The disk by the recipe of automatic exposure; ``blur`` [mm] is the standard deviation of what oxygen diffuses,
     ``noise`` that of the resin's sensitivity from place to place and of the stop from print to print."""
-    pitch, turn = (2 * pixel, 60) if quick else (pixel, int(angles))
+    pitch, turn = pixel, 60 if quick else int(angles)
     target = Target.from_mesh(exposure_disk(thickness=4 * pitch), factor=1.0, pitch=pitch, device=device)
     plan = optimize(scene.straight(target, turn, device), target, "recipe")
     dose = plan.dose().numpy()[:, :, 1].astype(np.float64)
@@ -46,13 +47,14 @@ def fom(device: Device, quick: bool = False, pixel: float = 0.067, angles: int =
     rows = tuple((f"{stop:g}", (*row, row.mean(), row.std(ddof=1), *_least(each)))
                  for stop, row, each in zip(STOPS, figures, merits, strict=True))  # fmt: skip
     header = ("stop dose", *(f"FOM, print {k + 1}" for k in range(REPLICATES)), "mean", "deviation",
-              "thinnest spoke held [px]", "narrowest gap open [px]")  # fmt: skip
-    low, high = found or (float("nan"), float("nan"))
+              "thinnest spoke held [px], 8 for none",
+              "narrowest gap open [px], 9 for none")  # fmt: skip
+    ends = () if found is None else (Fact("lowest acceptable stop dose", found[0], "", 3),
+                                     Fact("highest acceptable stop dose", found[1], "", 3))  # fmt: skip
     facts = (
         Fact("FOM of the design itself", float(merit(design, pitch, pixel=pixel).figure), "", 2, 7.0, "eq. 2"),
         Fact("greatest mean FOM", float(figures.mean(axis=1).max()), "", 3, 7.0, "ideal", "≤"),
-        Fact("lowest acceptable stop dose", low, "", 3),
-        Fact("highest acceptable stop dose", high, "", 3),
+        *ends,
     )
     caption = (
         f"A disk with half disks on two spokes of 1–7 or behind gaps of 2–8 pixels of {1e3 * pixel:g} µm, printed in "
@@ -87,10 +89,10 @@ def _judged(printed: np.ndarray, pitch: float) -> Merit:
 
 
 def _least(merits: list[Merit]) -> tuple[float, float]:
-    """Means of the thinnest spoke that holds and of the narrowest open gap; NaN where no print has one."""
-    spokes = [m.least_spoke for m in merits if m.least_spoke is not None]
-    gaps = [m.least_gap for m in merits if m.least_gap is not None]
-    return float(np.mean(spokes)) if spokes else float("nan"), float(np.mean(gaps)) if gaps else float("nan")
+    """Means of the thinnest spoke that holds and of the narrowest open gap; one more than the widest where none is."""
+    spokes = [max(SPOKES_PX) + 1 if m.least_spoke is None else m.least_spoke for m in merits]
+    gaps = [max(GAPS_PX) + 1 if m.least_gap is None else m.least_gap for m in merits]
+    return float(np.mean(spokes)), float(np.mean(gaps))
 
 
 def _curve(axis, figures: np.ndarray, found: tuple[float, float] | None) -> None:  # noqa: ANN001
