@@ -21,8 +21,8 @@ from vamgpu.kernels.transport import transport
 SPECIES = ("A", "B", "C")
 NEVER = -1.0
 """What the fields of times hold in voxels that have not crossed."""
-FUSED = 5
-"""Steps an item with a block of columns takes before it goes on: what lies between stays in its cache."""
+FUSED, CACHE = 5, 2_500_000
+"""Most steps an item with a block of columns takes before it goes on, and bytes that what lies between may fill."""
 SPACING = 256
 
 
@@ -224,16 +224,23 @@ class Transport:
         """Steps a launch takes: several where an item owns a block of columns, else one."""
         columns = self.box.shape[0] * self.box.shape[1]
         items = self.device.items(transport, self.box.shape)
-        return FUSED if self.device.lanes_for(1) and items * 16 <= columns else 1
+        if not self.device.lanes_for(1) or items * 16 > columns:
+            return 1
+        return 1 + max(1, min(FUSED - 1, CACHE // (4 * self._plane)))
+
+    @cached_property
+    def _plane(self) -> int:
+        """Floats of scratch that a step between two others takes: three planes of x of all species."""
+        _, ny, nz = self.box.shape
+        lanes = self.device.lanes_for(nz)
+        return 9 * -(-nz // lanes) * (ny * lanes + SPACING)
 
     @cached_property
     def _scratch(self) -> DeviceArray:
-        nx, ny, nz = self.box.shape
         if self._fused == 1:
             return self.device.empty((1, 1), "float32" if self.device.lanes_for(1) else None, table=True)
-        lanes = self.device.lanes_for(nz)
-        room = (self._fused - 1) * 9 * -(-nz // lanes) * (ny * lanes + SPACING)
-        return self.device.empty((self.device.items(transport, (nx, ny, nz)), room), "float32", table=True)
+        items = self.device.items(transport, self.box.shape)
+        return self.device.empty((items, (self._fused - 1) * self._plane), "float32", table=True)
 
     @cached_property
     def _spare(self) -> list[DeviceArray]:
