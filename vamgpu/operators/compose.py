@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import final
+from typing import Any, final
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, DeviceError, ShapeMismatch
+from vamgpu.geometry import Beam
 from vamgpu.kernels.update import linear
 from vamgpu.operators.linear import LinearOperator, Transposed
 
@@ -14,6 +15,15 @@ GEOMETRY = ("grid", "beam", "motion", "vessel")
 """What else optimizers and reports ask of a projector."""
 
 NO_FLOOR = -3e38
+
+
+class Derived(LinearOperator):
+    """An operator made of others, with their geometry as far as they have one."""
+
+    grid: Any
+    beam: Beam
+    motion: Any
+    vessel: Any
 
 
 def inherit(operator: LinearOperator, source: LinearOperator) -> None:
@@ -30,7 +40,7 @@ def same_device(first: LinearOperator, second: LinearOperator) -> None:
 
 
 @final
-class Composed(LinearOperator):
+class Composed(Derived):
     """outer ∘ inner, with the geometry of the one that has it. Raises `ShapeMismatch`, `DeviceError`."""
 
     def __init__(self, outer: LinearOperator, inner: LinearOperator) -> None:
@@ -64,7 +74,7 @@ class Composed(LinearOperator):
 
 
 @final
-class Sum(LinearOperator):
+class Sum(Derived):
     """Σ weight·operator, e.g. over sub-rays of an aperture, with the geometry of the first.
 
     weights: one a term, 1 where none are given.  Raises `BadInput`, `ShapeMismatch`, `DeviceError`.

@@ -13,7 +13,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Chords, Vessel, positive
 from vamgpu.operators.blur import Blur, gaussian
-from vamgpu.operators.compose import Composed, Sum, inherit
+from vamgpu.operators.compose import Composed, Derived, Sum, inherit
 from vamgpu.operators.light import EQUAL, OpenAir
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.oblique import Oblique
@@ -107,7 +107,7 @@ class _GradedRows:
 
 
 @final
-class Defocused(LinearOperator):
+class Defocused(Derived):
     """A projector whose light has a width that grows away from the focus, across columns and across rows.
 
     A = Σ Bₖ·Pₖ: the projector Pₖ counts the light whose variance is near that of node k, straight lines between nodes,

@@ -14,7 +14,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam
 from vamgpu.kernels.shift import shift_images
-from vamgpu.operators.compose import inherit
+from vamgpu.operators.compose import Derived, inherit
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.space import require
 from vamgpu.operators.wobble import Wobble
@@ -57,7 +57,7 @@ def _check_projector(operator: Any, name: str) -> None:
 
 
 @final
-class Wobbled(LinearOperator):
+class Wobbled(Derived):
     """A projector whose axis, vessel and all, stands elsewhere at every pose: its images move along r.
 
     Only `Wobble.across` moves them, by parts of a pixel: parallel light is the same all along its way. For light that
@@ -115,7 +115,7 @@ class TiledSpace:
 
 
 @final
-class Tiles(LinearOperator):
+class Tiles(Derived):
     """A volume taller than the beam, exposed in turns with the beam at several heights; range [tile·angle, r, row].
 
     Optimize with the tall projector, then ``split`` its light: tiles overlap with complementary weights, so that their

@@ -86,6 +86,7 @@ class WebProjection(LinearOperator):
                 f"{beam} and {grid.shape[1]} as {grid}: build it on the same geometry"
             )
         self.grid, self.beam, self.light = grid, beam, light
+        self.vessel = None
         self.motion = Feed.past(grid.shape[0], light.shape[2], step, poses, start)
         self.motion.check_lit(light, grid.shape[0], whole_web=poses is None and start is None)
         self.first = self.motion.start

@@ -9,11 +9,10 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, EmptyMesh, OpticsWarning, TargetTooLarge
-from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import extent
 from vamgpu.operators.space import require
-from vamgpu.operators.web import WebProjection
 from vamgpu.optimize.projector import Projector
+from vamgpu.web import WebGrid
 
 
 def fractions_of(operator: Projector, target: Any) -> DeviceArray:
@@ -22,8 +21,10 @@ def fractions_of(operator: Projector, target: Any) -> DeviceArray:
     target: a `Target`, or fractions (NumPy or on the device).  Raises `BadInput` for another pitch and for values
     beyond 0..1, `EmptyMesh` where nothing is to be printed, `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
     """
+    if not hasattr(operator, "grid") or not hasattr(operator, "beam"):
+        raise BadInput(f"got {operator!r} as operator; wanted a projector, or something made of one")
     radius = getattr(target, "radius", None)
-    if not isinstance(operator, WebProjection):
+    if not isinstance(operator.grid, WebGrid):
         check = getattr(operator.vessel, "check_fits", None)
         if radius is not None and check is not None:
             check(radius)
@@ -62,7 +63,7 @@ def _check_values(fractions: DeviceArray) -> None:
         raise EmptyMesh("every voxel of the target is 0; wanted some that are filled")
 
 
-def _check_beam(operator: Projection, radius: float | None, height: float | None) -> None:
+def _check_beam(operator: Projector, radius: float | None, height: float | None) -> None:
     """Refuse a part [mm] higher than the light; warn of one wider, which only the poses along it light whole."""
     (columns, rows), pitch, vessel = operator.beam.pixels, operator.beam.pitch, operator.vessel
     if height is not None and height > rows * pitch * (1.0 + 1e-6):

@@ -8,8 +8,8 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.kernels.filter import filter_rows
+from vamgpu.operators.feed import Feed
 from vamgpu.operators.reductions import dot
-from vamgpu.operators.web import WebProjection
 from vamgpu.optimize.projector import Projector
 from vamgpu.web import WebGrid
 
@@ -59,11 +59,13 @@ def identity(operator: Projector) -> Taps:
 
 
 def _scale(operator: Projector) -> float:
-    if isinstance(operator, WebProjection):
-        return _web_scale(operator)
+    grid, motion = operator.grid, operator.motion
+    if isinstance(grid, WebGrid):
+        return _web_scale(operator, grid)
+    assert not isinstance(motion, Feed)
     # A voxel of Aᵀ gathers pitch² / beam pitch from each angle; π per half turn is what the inversion formula asks
-    area = operator.grid.pitch**2 / operator.beam.pitch
-    return np.pi / operator.motion.angles / area / operator.beam.pitch
+    area = grid.pitch**2 / operator.beam.pitch
+    return np.pi / motion.angles / area / operator.beam.pitch
 
 
 def bar(grid: WebGrid) -> np.ndarray:
@@ -74,10 +76,10 @@ def bar(grid: WebGrid) -> np.ndarray:
     return np.repeat(inside[:, :, None], grid.shape[2], 2).astype(np.float32)
 
 
-def _web_scale(operator: WebProjection) -> float:
+def _web_scale(operator: Projector, grid: WebGrid) -> float:
     # Less than half a turn of light that fades has no closed formula: measured, so that a bar comes back as high
     device, columns = operator.device, operator.beam.pixels[0]
-    target, shadow, shown = device.upload(bar(operator.grid)), *map(device.empty, (operator.range.shape,) * 2)
+    target, shadow, shown = device.upload(bar(grid)), *map(device.empty, (operator.range.shape,) * 2)
     operator(target, out=shadow)
     taps = device.table(_ramp_taps(columns))
     device.launch(filter_rows, sinogram=shadow, taps=taps, stride=2, floor=-3e38, filtered=shown)
