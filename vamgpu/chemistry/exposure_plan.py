@@ -1,0 +1,196 @@
+"""The light of a turn in both colors, what it does when something is a little off, and how long it takes to send."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.chemistry.printability import TurnDoses
+from vamgpu.errors import BadInput
+from vamgpu.geometry import counts, positive
+from vamgpu.kernels.update import linear
+from vamgpu.operators.blur import Blur, gaussian
+from vamgpu.operators.compose import same_device
+from vamgpu.operators.moves import Wobbled
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.reductions import extent, total
+from vamgpu.operators.space import require
+from vamgpu.operators.wobble import Wobble
+
+NO_FLOOR = -3e38
+PER_CM2 = 100.0
+"""mm² of a cm²."""
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What may be off: shares of the dose of either color, the axis across the light [mm], the width of the focus.
+
+    blur: full width at half maximum [mm] of one pixel's light, the same at every depth.  Raises `BadInput`.
+    """
+
+    visible: float = 1.0
+    ultraviolet: float = 1.0
+    axis: float = 0.0
+    blur: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive("Disturbance visible", self.visible, zero=True)
+        positive("Disturbance ultraviolet", self.ultraviolet, zero=True)
+        positive("Disturbance blur [mm]", self.blur, zero=True)
+        if not np.isfinite(self.axis):
+            raise BadInput(f"Disturbance axis is {self.axis!r}; wanted a finite offset [mm]")
+
+
+def disturbances(dose: float = 0.0, axis: float = 0.0, blur: float = 0.0) -> tuple[Disturbance, ...]:
+    """Every corner: either color's dose ± a share, the axis ± mm, focus as it is and blurred [mm].
+
+    Both colors change by themselves, for they come from two lamps. Raises `BadInput`.
+    """
+    dose, axis = positive("dose", dose, zero=True), positive("axis [mm]", axis, zero=True)
+    if dose >= 1.0:
+        raise BadInput(f"dose may be off by {dose:g}; wanted a share below 1")
+    shares = (1.0,) if dose == 0.0 else (1.0 - dose, 1.0 + dose)
+    offsets = (0.0,) if axis == 0.0 else (-axis, 0.0, axis)
+    widths = (0.0,) if blur == 0.0 else (0.0, blur)
+    return tuple(Disturbance(*case) for case in product(shares, shares, offsets, widths))
+
+
+@dataclass(frozen=True, eq=False)
+class TurnLight:
+    """The light of one turn, visible and perhaps ultraviolet, with the operators that say where it goes.
+
+    light, ultraviolet_light: [angle, r, z] ≥ 0 on the device, fluence in air of every pose [mJ/mm²].  strength: visible
+    dose that a unit of ultraviolet dose undoes, the linear model's k.  Raises `ShapeMismatch`, `DeviceError`.
+    """
+
+    visible: Projection
+    light: DeviceArray
+    ultraviolet: Projection | None = None
+    ultraviolet_light: DeviceArray | None = None
+    strength: float = 1.0
+
+    def __post_init__(self) -> None:
+        require(self.visible.range, self.light, "the visible light")
+        if (self.ultraviolet is None) != (self.ultraviolet_light is None):
+            raise BadInput("ultraviolet light needs its operator, and the operator its light; give both or neither")
+        if self.ultraviolet is not None:
+            require(self.ultraviolet.range, self.ultraviolet_light, "the ultraviolet light")
+            same_device(self.visible, self.ultraviolet)
+        positive("strength", self.strength, zero=True)
+
+    def dose(self, off: Disturbance = Disturbance()) -> DeviceArray:
+        """Visible dose − strength·ultraviolet dose [x, y, z] of a turn.
+
+        [mJ/mm³] where the vessels absorb, else a fluence [mJ/mm²].
+        """
+        return self._mixed(self._seen(off.axis, off.blur), off)
+
+    def doses(self, target: DeviceArray, cases: Sequence[Disturbance] = ()) -> tuple[TurnDoses, ...]:
+        """Extremes of a turn's dose for each case, undisturbed where there is none; voxels of the cylinder count.
+
+        target: fractions [x, y, z] on the device.  Raises `ShapeMismatch`, `EmptyMesh`.
+        """
+        grid, seen, found = self.visible.grid, {}, []
+        require(self.visible.domain, target, "the target")
+        for off in cases or (Disturbance(),):
+            key = (off.axis, off.blur)
+            if key not in seen:
+                seen = {key: self._seen(*key)} if len(seen) > 4 else {**seen, key: self._seen(*key)}
+            reach = grid.inscribed_radius / grid.pitch * (1.0 + 1e-6)
+            found.append(TurnDoses.of(self._mixed(seen[key], off), target, reach))
+        return tuple(found)
+
+    def _seen(self, axis: float, blur: float) -> tuple[DeviceArray, ...]:
+        """Dose of each color."""
+        pairs = ((self.visible, self.light), (self.ultraviolet, self.ultraviolet_light))
+        return tuple(_exposed(A, light, axis, blur) for A, light in pairs if A is not None and light is not None)
+
+    def _mixed(self, seen: tuple[DeviceArray, ...], off: Disturbance) -> DeviceArray:
+        device, out = self.visible.device, self.visible.device.empty(self.visible.domain.shape)
+        a, b = off.visible * _unit(self.visible), 0.0
+        if self.ultraviolet is not None:
+            b = -self.strength * off.ultraviolet * _unit(self.ultraviolet)
+        device.launch(linear, a=a, x=seen[0], b=b, y=seen[-1], floor=NO_FLOOR, out=out)
+        return out
+
+
+@dataclass(frozen=True)
+class ExposurePlan:
+    """How a print is sent.
+
+    turns, power: times the light of a turn.  period: of a turn, seconds: of the print, frame: of a pose [s].
+    visible_peak, visible_mean, ultraviolet_peak, ultraviolet_mean: irradiance in air of the brightest pixel at its
+    brightest, and of all pixels at all poses [mW/cm²].  visible_energy, ultraviolet_energy: sent in all [mJ].
+    """
+
+    turns: int
+    power: float
+    period: float
+    seconds: float
+    frame: float
+    visible_peak: float
+    visible_mean: float
+    ultraviolet_peak: float
+    ultraviolet_mean: float
+    visible_energy: float
+    ultraviolet_energy: float
+
+
+def plan_exposure(
+    turn: TurnLight, turns: int, power: float, *, period: float | None = None, visible_limit: float | None = None,
+    ultraviolet_limit: float | None = None,
+) -> ExposurePlan:  # fmt: skip
+    """Seconds and mW/cm² for a number of turns at a power, poses sharing a turn evenly.
+
+    period: of a turn [s]; without it the shortest that the limits allow.  visible_limit, ultraviolet_limit: irradiance
+    of a full-on pixel in air [mW/cm²].  Raises `BadInput` for a period too short for a limit, saying which, and where
+    neither a period nor the limit of a color that shines is given.
+    """
+    turns, power = counts("turns", (turns,), 1)[0], positive("power", power)
+    angles = turn.visible.motion.angles
+    colors = {"visible": _sent(turn.light), "ultraviolet": _sent(turn.ultraviolet_light)}
+    limits = {"visible": visible_limit, "ultraviolet": ultraviolet_limit}
+    given = {name: positive(f"{name}_limit [mW/cm²]", limit) for name, limit in limits.items() if limit is not None}
+    needed = {name: angles * power * colors[name][0] * PER_CM2 / limit for name, limit in given.items()}
+    if period is None:
+        dark = [name for name, (peak, _) in colors.items() if peak > 0.0 and name not in needed]
+        if dark or not needed:
+            raise BadInput(f"no period and no limit for {' and '.join(dark) or 'any color'}; give period= [s], or the "
+                           "irradiance of a full-on pixel of every color [mW/cm²]")  # fmt: skip
+        period = max(needed.values())
+    period = positive("period [s]", period)
+    for name, least in needed.items():
+        if period < least * (1.0 - 1e-9):
+            raise BadInput(f"a turn of {period:.4g} s asks more than {given[name]:g} mW/cm² of {name} light; take at "
+                           f"least {least:.4g} s, or less power over more turns")  # fmt: skip
+    frame = period / angles
+    rates = [power * value / frame * PER_CM2 for name in colors for value in colors[name]]
+    areas = (turn.visible, turn.ultraviolet or turn.visible)
+    energies = [turns * power * mean * np.prod(A.range.shape) * A.beam.pixel_area
+                for (_, mean), A in zip(colors.values(), areas, strict=True)]  # fmt: skip
+    return ExposurePlan(turns, power, period, turns * period, frame, *map(float, rates), *map(float, energies))
+
+
+def _sent(light: DeviceArray | None) -> tuple[float, float]:
+    """Greatest and mean fluence of a pose [mJ/mm²]."""
+    if light is None:
+        return 0.0, 0.0
+    return extent(light)[1], total(light) / float(np.prod(light.shape))
+
+
+def _unit(A: Projection) -> float:
+    """What Aᵀ of a fluence [mJ/mm²] is to be multiplied by to be mJ/mm³, or mJ/mm² where nothing is absorbed."""
+    return A.beam.pixel_area / A.grid.voxel_volume
+
+
+def _exposed(A: Projection, light: DeviceArray, axis: float, blur: float) -> DeviceArray:
+    """Aᵀ of light that is blurred, about an axis that stands off."""
+    if blur > 0.0:
+        taps = gaussian(blur / A.beam.pitch)
+        light = Blur(A.range, A.device, taps, taps)(light)
+    return (Wobbled(A, Wobble(across=axis)) if axis else A).T(light)

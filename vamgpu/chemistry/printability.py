@@ -1,0 +1,234 @@
+"""What three conditions on the doses of a turn leave of the number of turns and of the light's power.
+
+(a) (N_R − 1)·D_in,max < T_opt: nothing in the part turns hard, and bends light, before the last turn.
+(b) N_R·D_in,min > T_mec: all of the part is firm at the end.
+(c) N_R·D_out,max < T_opt: nothing else is hard then.
+Doses of a turn are proportional to the power, and may be negative out of the part where ultraviolet outweighs visible
+light. Thresholds and doses share one unit, whichever it is.
+
+Source: the paper on binary photoinhibition, "Printability" and Fig. 7.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import floor, inf, isfinite
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
+from vamgpu.geometry import counts, positive
+from vamgpu.operators.reductions import EVERYWHERE, extent
+
+CONDITIONS = ("the part hardens before the last turn", "the part stays soft", "the rest hardens")
+"""What is wrong where (a), (b) and (c) do not hold."""
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Doses from which resin bends light otherwise (T_opt) and is firm (T_mec ≥ T_opt). Raises `BadInput`."""
+
+    optical: float
+    mechanical: float
+
+    def __post_init__(self) -> None:
+        for name in ("optical", "mechanical"):
+            object.__setattr__(self, name, positive(f"Thresholds {name}", getattr(self, name)))
+        if self.mechanical < self.optical:
+            raise BadInput(f"T_mec is {self.mechanical:g}, below T_opt = {self.optical:g}; resin is firm only after it "
+                           "has begun to harden")  # fmt: skip
+
+    @property
+    def gap(self) -> float:
+        """ΔT = T_mec − T_opt."""
+        return self.mechanical - self.optical
+
+    def delayed(self, dose: float) -> Thresholds:
+        """With more dissolved inhibitor: both come later by ``dose``. Raises `BadInput` below T_opt = 0."""
+        return Thresholds(self.optical + dose, self.mechanical + dose)
+
+
+@dataclass(frozen=True)
+class TurnDoses:
+    """Extremes of the dose of one turn at full power: D_in,min, D_in,max and D_out,max. Raises `BadInput`."""
+
+    in_least: float
+    in_most: float
+    out_most: float
+
+    def __post_init__(self) -> None:
+        values = (self.in_least, self.in_most, self.out_most)
+        if not all(isfinite(value) for value in values) or self.in_least > self.in_most:
+            raise BadInput(f"{self!r}: wanted finite doses, and in_least ≤ in_most")
+
+    @property
+    def gap(self) -> float:
+        """ΔD = D_in,min − D_out,max, of the worst pair of points."""
+        return self.in_least - self.out_most
+
+    @classmethod
+    def of(cls, dose: Any, target: Any, reach: float = EVERYWHERE) -> TurnDoses:
+        """Of a dose [x, y, z] and a target's fractions, both NumPy or both on one device; inside is at least one half.
+
+        reach: radius of the cylinder that counts [voxels].  Raises `ShapeMismatch`, `EmptyMesh`.
+        """
+        if tuple(dose.shape) != tuple(target.shape):
+            raise ShapeMismatch(f"the dose has shape {dose.shape}, the target {target.shape}; wanted the same")
+        if isinstance(dose, DeviceArray):
+            inside, outside = extent(dose, target, 0.5, inf, reach), extent(dose, target, -inf, 0.5, reach)
+        else:
+            i, j = (np.arange(n) - 0.5 * (n - 1) for n in dose.shape[:2])
+            near = np.broadcast_to((i[:, None] ** 2 + j[None] ** 2 <= reach**2)[..., None], dose.shape)
+            part, rest = dose[near & (target >= 0.5)], dose[near & (target < 0.5)]
+            inside, outside = (part.min(initial=inf), part.max(initial=-inf)), (0.0, rest.max(initial=-inf))
+        if not isfinite(inside[0]) or not isfinite(outside[1]):
+            raise EmptyMesh("no voxel is in the part, or none is out of it; printability compares the two")
+        return cls(float(inside[0]), float(inside[1]), float(outside[1]))
+
+    @classmethod
+    def worst(cls, *cases: TurnDoses) -> TurnDoses:
+        """The least and greatest of several cases: what holds for it holds for each. Raises `BadInput` for none."""
+        if not cases:
+            raise BadInput("the worst of no cases; wanted at least one")
+        return cls(min(c.in_least for c in cases), max(c.in_most for c in cases), max(c.out_most for c in cases))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the three conditions hold.
+
+    early, firm, spill: what remains until (a), (b) and (c) fail, in dose; not above 0 where one fails.
+    """
+
+    early: float
+    firm: float
+    spill: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether all three do."""
+        return min(self.early, self.firm, self.spill) > 0.0
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What goes wrong, in words."""
+        rests = (self.early, self.firm, self.spill)
+        return tuple(words for words, rest in zip(CONDITIONS, rests, strict=True) if rest <= 0.0)
+
+    @classmethod
+    def of(cls, before: TurnDoses, after: TurnDoses, thresholds: Thresholds) -> Verdict:
+        """From the doses before and after the last turn, for light whose effect is not proportional to turns."""
+        return cls(thresholds.optical - before.in_most, after.in_least - thresholds.mechanical,
+                   thresholds.optical - after.out_most)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PowerWindow:
+    """Powers at which a number of turns is legal: low < power < high; none where low ≥ high.
+
+    ceiling: which condition sets the upper end, "a", "c", or "" where nothing does.
+    """
+
+    turns: int
+    low: float
+    high: float
+    ceiling: str
+
+    @property
+    def legal(self) -> bool:
+        """Whether any power is."""
+        return self.low < self.high
+
+    @property
+    def middle(self) -> float:
+        """Power that is as far from either end, as a ratio; twice the lowest where there is no upper end."""
+        return (self.low * self.high) ** 0.5 if isfinite(self.high) else 2.0 * self.low
+
+    @property
+    def tolerance(self) -> float:
+        """How far power may be off either way from the middle, as a share; 0 where nothing is legal."""
+        return max(0.0, 1.0 - self.low / self.middle) if self.legal else 0.0
+
+
+def judge(doses: TurnDoses, thresholds: Thresholds, turns: int, power: float = 1.0) -> Verdict:
+    """The three conditions after ``turns`` equal turns at a power. Raises `BadInput`."""
+    n, power = counts("turns", (turns,), 1)[0], positive("power", power)
+    return Verdict(
+        thresholds.optical - (n - 1) * power * doses.in_most,
+        n * power * doses.in_least - thresholds.mechanical,
+        thresholds.optical - n * power * doses.out_most,
+    )
+
+
+def power_window(doses: TurnDoses, thresholds: Thresholds, turns: int) -> PowerWindow:
+    """All powers at which ``turns`` turns meet (a) to (c); empty where the part gets no dose. Raises `BadInput`."""
+    n = counts("turns", (turns,), 1)[0]
+    low = thresholds.mechanical / (n * doses.in_least) if doses.in_least > 0 else inf
+    early = thresholds.optical / ((n - 1) * doses.in_most) if n > 1 and doses.in_most > 0 else inf
+    spill = thresholds.optical / (n * doses.out_most) if doses.out_most > 0 else inf
+    high = min(early, spill)
+    return PowerWindow(n, low, high, "" if high == inf else "a" if early <= spill else "c")
+
+
+def most_turns(doses: TurnDoses, thresholds: Thresholds) -> float:
+    """The greatest legal number of turns at the best power: inf where any will do, 0 where none does.
+
+    (a) and (b) ask (N − 1)/N < T_opt·D_in,min/(T_mec·D_in,max), (b) and (c) T_opt·D_in,min > T_mec·D_out,max.
+    """
+    if not power_window(doses, thresholds, 1).legal:
+        return 0
+    ratio = thresholds.optical * doses.in_least / (thresholds.mechanical * doses.in_most)
+    if ratio >= 1.0:
+        return inf
+    count = floor(1.0 / (1.0 - ratio)) + 1
+    while count > 1 and not power_window(doses, thresholds, count).legal:
+        count -= 1
+    return count
+
+
+def legal_turns(doses: TurnDoses, thresholds: Thresholds, most: int = 20) -> tuple[PowerWindow, ...]:
+    """Windows of all legal numbers of turns up to ``most``. Raises `BadInput`."""
+    windows = (power_window(doses, thresholds, n) for n in range(1, counts("most", (most,), 1)[0] + 1))
+    return tuple(window for window in windows if window.legal)
+
+
+def turns_at(doses: TurnDoses, thresholds: Thresholds, power: float = 1.0, most: int = 1000) -> tuple[int, ...]:
+    """Legal numbers of turns up to ``most`` at a power, light being as it is. Raises `BadInput`."""
+    powers = ((n, power_window(doses, thresholds, n)) for n in range(1, counts("most", (most,), 1)[0] + 1))
+    power = positive("power", power)
+    return tuple(n for n, window in powers if window.low < power < window.high)
+
+
+@dataclass(frozen=True)
+class StaticInhibition:
+    """How much later more dissolved inhibitor must make the thresholds for a number of turns: low < dose < high.
+
+    Negative doses mean less inhibitor. ``turns``·ΔD > ΔT is needed, and (a) beside.
+    """
+
+    turns: int
+    low: float
+    high: float
+
+    @property
+    def legal(self) -> bool:
+        """Whether any amount works."""
+        return self.low < self.high
+
+
+def static_inhibition(
+    doses: TurnDoses, thresholds: Thresholds, turns: int, power: float = 1.0
+) -> StaticInhibition:  # fmt: skip
+    """The delay [dose] that makes ``turns`` turns at a power legal: (b) with (c) is N_R·ΔD > ΔT. Raises `BadInput`."""
+    n, power = counts("turns", (turns,), 1)[0], positive("power", power)
+    hottest = max(n * doses.out_most, (n - 1) * doses.in_most)
+    low = max(power * hottest - thresholds.optical, -thresholds.optical)
+    return StaticInhibition(n, low, n * power * doses.in_least - thresholds.mechanical)
+
+
+def static_turns(doses: TurnDoses, thresholds: Thresholds, power: float = 1.0) -> float:
+    """The least number of turns with N_R·ΔD > ΔT; inf where ΔD is not above 0. Raises `BadInput`."""
+    gained = positive("power", power) * doses.gap
+    return inf if gained <= 0.0 else floor(thresholds.gap / gained) + 1
