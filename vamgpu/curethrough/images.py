@@ -1,0 +1,146 @@
+"""Slices as files: what a picture says of itself, its bytes, and 8-bit pictures written fast."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from io import BytesIO
+
+import numpy as np
+
+from vamgpu.errors import SliceError
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+DEEP = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
+COLORS = {0: "gray", 2: "color", 3: "palette", 4: "gray with alpha", 6: "color with alpha"}
+HEAD = 33
+"""Bytes of a PNG that say what it is."""
+MOST_PIXELS = 1 << 27
+UP = 2
+"""PNG's filter that keeps differences from the row above: most rows of a slice are like the one before."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """Pixels along y and x, and the kind of pixels in words."""
+
+    shape: tuple[int, int]
+    kind: str
+
+
+def header(data: bytes, name: str) -> Header:
+    """What the first bytes (`HEAD`) of a PNG or a whole TIFF say.
+
+    Raises `SliceError` for 16 bits a pixel, several pages, and what is no picture.
+    """
+    if data.startswith(SIGNATURE):
+        if len(data) < HEAD or data[12:16] != b"IHDR":
+            raise SliceError(f"{name} is cut off after {len(data)} bytes; copy or export it again")
+        width, height, bits, color = struct.unpack(">IIBB", data[16:26])
+        return _promised(Header((height, width), f"{bits}-bit {COLORS.get(color, 'unknown')}"), bits, name)
+    from PIL import Image
+
+    try:
+        with Image.open(BytesIO(data), formats=("TIFF",)) as image:
+            width, height, mode, pages = *image.size, image.mode, getattr(image, "n_frames", 1)
+    except Exception as error:  # noqa: BLE001 - damaged files raise whatever their reader stumbles over
+        raise _damaged(name, error) from error
+    if pages != 1:
+        raise SliceError(f"{name} holds {pages} pages; wanted one slice a file: split it")
+    bits = 1 if mode == "1" else 16 if mode in DEEP else 8
+    return _promised(Header((height, width), f"{bits}-bit {'gray' if mode in ('1', 'L') else mode}"), bits, name)
+
+
+def _promised(found: Header, bits: int, name: str) -> Header:
+    if bits > 8:
+        raise SliceError(f"{name} has {bits} bits a pixel; wanted 8: export the slices again with 8 bits")
+    if min(found.shape) < 1 or found.shape[0] * found.shape[1] > MOST_PIXELS:
+        size = f"{found.shape[1]} × {found.shape[0]}"
+        raise SliceError(f"{name} is {size} pixels; wanted 1 to {MOST_PIXELS:,} in all: check the file")
+    return found
+
+
+def decode(data: bytes, name: str, out: np.ndarray) -> None:
+    """Gray levels of a picture into uint8 ``out`` [y, x]; 1-bit becomes 0 and 255, color has to be gray.
+
+    Raises `SliceError` for a damaged or cut-off file, for color, and for another size than that of ``out``.
+    """
+    from PIL import Image
+
+    if data.startswith(SIGNATURE):
+        _check_whole(data, name)
+    else:
+        header(data, name)
+    try:
+        with Image.open(BytesIO(data), formats=("PNG", "TIFF")) as image:
+            plain = image if image.mode in ("L", "1") else image.convert("RGBA")
+            values = np.asarray(plain.convert("L") if plain.mode == "1" else plain)
+    except Exception as error:  # noqa: BLE001 - as above
+        raise _damaged(name, error) from error
+    if values.ndim == 3:
+        values = _gray(values, name)
+    if values.shape != out.shape:
+        raise SliceError(
+            f"{name} is {values.shape[1]} × {values.shape[0]} pixels, others are {out.shape[1]} × {out.shape[0]}; "
+            "wanted one size: export the slices again"
+        )
+    out[...] = values
+
+
+def _gray(values: np.ndarray, name: str) -> np.ndarray:
+    if (values[..., 0] != values[..., 1]).any() or (values[..., 0] != values[..., 2]).any():
+        raise SliceError(f"{name} is colored; wanted shades of gray: export the slices as 8-bit gray")
+    if (values[..., 3] != 255).any():
+        raise SliceError(f"{name} is partly transparent; wanted plain gray: export the slices as 8-bit gray")
+    return values[..., 0]
+
+
+def _check_whole(data: bytes, name: str) -> None:
+    """Every chunk of a PNG with its check sum, up to the end: readers of pictures forgive what a print does not."""
+    at, size = len(SIGNATURE), len(data)
+    view = memoryview(data)
+    while at + 12 <= size:
+        length = int.from_bytes(data[at : at + 4], "big")
+        end = at + 12 + length
+        if end > size:
+            break
+        if zlib.crc32(view[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
+            raise SliceError(f"{name} is damaged: its check sum is wrong at byte {at}; copy or export it again")
+        if data[at + 4 : at + 8] == b"IEND":
+            return
+        at = end
+    raise SliceError(f"{name} is cut off after {size} bytes; copy or export it again")
+
+
+def _damaged(name: str, error: Exception) -> SliceError:
+    said = str(error) if "BytesIO" not in str(error) else "it is neither PNG nor TIFF"
+    return SliceError(f"{name} cannot be read: {said}; copy or export it again")
+
+
+def encode(levels: np.ndarray, ending: str) -> bytes:
+    """uint8 [y, x] as an 8-bit gray picture; ``ending``: .png, .tif or .tiff."""
+    return _png(levels) if ending.lower() == ".png" else _tiff(levels)
+
+
+def _png(levels: np.ndarray) -> bytes:
+    rows, columns = levels.shape
+    lines = np.empty((rows, columns + 1), np.uint8)
+    lines[:, 0] = UP
+    lines[0, 1:] = levels[0]
+    np.subtract(levels[1:], levels[:-1], out=lines[1:, 1:])
+    packed = zlib.compress(lines, 1)  # type: ignore[arg-type]
+    head = struct.pack(">IIBBBBB", columns, rows, 8, 0, 0, 0, 0)
+    return SIGNATURE + _chunk(b"IHDR", head) + _chunk(b"IDAT", packed) + _chunk(b"IEND", b"")
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))
+
+
+def _tiff(levels: np.ndarray) -> bytes:
+    import tifffile
+
+    stream = BytesIO()
+    tifffile.imwrite(stream, levels, photometric="minisblack", compression="zlib", compressionargs={"level": 1})
+    return stream.getvalue()

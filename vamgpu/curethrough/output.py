@@ -1,0 +1,165 @@
+"""Slices written back: whole stacks appear under their name at once, or not at all, and never over the originals."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import zipfile
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from vamgpu.curethrough.images import encode
+from vamgpu.curethrough.stack import ARCHIVES, ZipStack, threads
+from vamgpu.errors import StorageError
+from vamgpu.storage.atomic import replacing
+from vamgpu.storage.manifest import plain
+
+RECORD = "curethrough.json"
+"""Says in a folder of slices, or beside them in a zip, what they were made with."""
+WAITING = 64
+"""Slices that may wait to be written; more would fill the memory where the disk is slow."""
+
+
+class Writer(ABC):
+    """Codes slices on all processors and writes them in the order they come; names: of slice 0 and on."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self.names = names
+        self._pool = ThreadPoolExecutor(threads(), "slices")
+        self._coding: deque[tuple[str, Future[bytes]]] = deque()
+        self.written = 0
+
+    def write(self, start: int, levels: np.ndarray) -> None:
+        """Slices from number ``start`` on, uint8 [slice, y, x], in any order of blocks. They are copied."""
+        for k, picture in enumerate(np.array(levels)):
+            name = self.names[start + k]
+            self._coding.append((name, self._pool.submit(encode, picture, PurePosixPath(name).suffix)))
+            while len(self._coding) > WAITING:
+                self._one()
+
+    def finish(self) -> None:
+        """Write what still waits."""
+        while self._coding:
+            self._one()
+        self._pool.shutdown()
+
+    def drop(self) -> None:
+        """Forget what still waits."""
+        self._pool.shutdown(cancel_futures=True)
+
+    def _one(self) -> None:
+        name, coded = self._coding.popleft()
+        data = coded.result()
+        self.written += len(data)
+        self.put(name, data)
+
+    @abstractmethod
+    def put(self, name: str, data: bytes) -> None:
+        """Write a file."""
+
+
+class _Folder(Writer):
+    def __init__(self, draft: Path, names: tuple[str, ...]) -> None:
+        super().__init__(names)
+        self._draft = draft
+        for folder in {draft / PurePosixPath(name).parent for name in names}:
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def put(self, name: str, data: bytes) -> None:
+        (self._draft / name).write_bytes(data)
+
+
+class _Zip(Writer):
+    def __init__(self, archive: zipfile.ZipFile, names: tuple[str, ...]) -> None:
+        super().__init__(names)
+        self._archive = archive
+
+    def put(self, name: str, data: bytes) -> None:
+        self._archive.writestr(name, data)  # pictures are packed already
+
+
+@contextmanager
+def writing(
+    path: str | Path, names: tuple[str, ...], *, source: object = None, overwrite: bool = False,
+    record: Mapping[str, Any] | None = None,
+) -> Iterator[Writer]:  # fmt: skip
+    """A writer to a folder, or to a zip where ``path`` ends in .zip, .sl1 or .sl1s.
+
+    source: stack the slices were made from; an SL1's other files are taken over, with the number of layers changed.
+    record: what the slices were made with, read when they are written. The stack takes its name when it is whole;
+    after any exception nothing is left. Raises `StorageError` as `check_place` does and for a full disk.
+    """
+    place = Path(path)
+    check_place(place, source, overwrite=overwrite)
+    with replacing(place, overwrite=overwrite) as draft:
+        if place.suffix.lower() not in ARCHIVES:
+            draft.mkdir()
+            with _finished(_Folder(draft, names)) as writer:
+                yield writer
+            (draft / RECORD).write_text(_text(record), encoding="utf-8")
+            return
+        with zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive:
+            with _finished(_Zip(archive, names)) as writer:
+                yield writer
+            if place.suffix.lower() == ".zip":
+                archive.writestr(RECORD, _text(record))
+            elif isinstance(source, ZipStack):
+                _take_over(archive, source, len(names))
+            place_of = {name: k for k, name in enumerate(names)}
+            archive.filelist.sort(key=lambda info: place_of.get(info.filename, -1))  # readers may go by this order
+
+
+@contextmanager
+def _finished(writer: Writer) -> Iterator[Writer]:
+    try:
+        yield writer
+        writer.finish()
+    finally:
+        writer.drop()
+
+
+def check_place(path: str | Path, source: object = None, *, overwrite: bool = False) -> None:
+    """Raise `StorageError` where slices must not be written: over or among the originals, or over other files."""
+    place = Path(path)
+    origin = getattr(source, "place", None)
+    if origin is not None:
+        there, new = Path(origin).resolve(), place.resolve()
+        if new == there or there in new.parents or new in there.parents:
+            raise StorageError(
+                f"{str(path)!r} would overwrite the originals in {str(origin)!r}; choose a path beside them"
+            )
+    if place.suffix.lower() in (".sl1", ".sl1s") and not _is_sl1(source):
+        raise StorageError(f"{str(path)!r} would lack what an SL1 says of its printer; write a .zip or a folder")
+    if not os.path.lexists(place):
+        return
+    if not overwrite:
+        raise StorageError(f"{str(path)!r} exists; choose another path, or allow overwriting it")
+    folder = place.suffix.lower() not in ARCHIVES
+    if folder != place.is_dir() or (folder and not (place / RECORD).is_file()):
+        raise StorageError(f"{str(path)!r} exists and holds no corrected slices; choose another path")
+
+
+def _is_sl1(source: object) -> bool:
+    return isinstance(source, ZipStack) and any(info.filename == "config.ini" for info in source.others)
+
+
+def _take_over(archive: zipfile.ZipFile, source: ZipStack, slices: int) -> None:
+    """The files of an SL1 beside its layers; the number of layers is what it is now."""
+    for info in source.others:
+        data = source.entry(info.filename)
+        if info.filename == "config.ini":
+            layers = f"numFast = {slices}".encode()
+            data = re.sub(rb"^numFast\s*=\s*\d+", layers, data, flags=re.MULTILINE)
+        archive.writestr(info.filename, data, zipfile.ZIP_DEFLATED)
+
+
+def _text(record: Mapping[str, Any] | None) -> str:
+    return json.dumps(plain(dict(record or {}), "record"), indent=2, ensure_ascii=False) + "\n"

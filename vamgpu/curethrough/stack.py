@@ -1,0 +1,240 @@
+"""Stacks of slices in files, read lazily: uint8 [slice, y, x], slice 0 at the platform, row 0 of a picture first."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import zipfile
+from abc import ABC, abstractmethod
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from vamgpu.curethrough.images import HEAD, Header, decode, header
+from vamgpu.curethrough.names import is_slice, ordered
+from vamgpu.errors import SliceError
+from vamgpu.storage.atomic import explained
+
+ARCHIVES = (".zip", ".sl1", ".sl1s")
+AHEAD = 32
+"""Slices that are decoded while those after them are computed with."""
+MOST_BYTES = 1 << 28
+"""A slice's file is never as large as that."""
+
+
+def threads() -> int:
+    """Processors that pictures are coded on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class FileStack(ABC):
+    """Slices in files. ``stack[a:b]`` decodes on all processors, and begins with the slices before it.
+
+    names: of the slices, from the platform on.  shape: slices, y, x.  A context manager: `close` lets the files go.
+    """
+
+    def __init__(self, place: Path, names: tuple[str, ...]) -> None:
+        self.place, self.names = place, names
+        plane = self._plane()
+        self.shape = (len(names), *plane)
+        self._pool = ThreadPoolExecutor(threads(), "slices")
+        self._begun: dict[tuple[int, int], tuple[np.ndarray, list[Future[None]]]] = {}
+
+    @abstractmethod
+    def _bytes(self, name: str, most: int | None = None) -> bytes:
+        """A file, or its first ``most`` bytes; raises `SliceError`."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, key: slice, /) -> np.ndarray:
+        """Slices, uint8 [slice, y, x]. Raises `SliceError` for a file that cannot be read or is unlike the others."""
+        start, stop, step = key.indices(len(self.names))
+        if step != 1:
+            raise SliceError(f"slices come in steps of 1; got {step}")
+        out, decoding = self._begun.pop((start, stop), None) or self._begin(start, stop)
+        for waiting in self._begun.values():  # another order than the last one: what was begun is of no use
+            _drop(waiting[1])
+        self._begun.clear()
+        before = max(0, start - AHEAD)
+        if before < start:
+            self._begun[before, start] = self._begin(before, start)
+        try:
+            for one in decoding:
+                one.result()
+        except BaseException:
+            _drop(decoding)
+            raise
+        return out
+
+    def _begin(self, start: int, stop: int) -> tuple[np.ndarray, list[Future[None]]]:
+        out = np.empty((stop - start, *self.shape[1:]), np.uint8)
+        return out, [self._pool.submit(self._decode, self.names[start + k], out[k]) for k in range(stop - start)]
+
+    def _decode(self, name: str, out: np.ndarray) -> None:
+        decode(self._bytes(name), self._told(name), out)
+
+    def _told(self, name: str) -> str:
+        return repr(str(self.place / name))
+
+    def _plane(self) -> tuple[int, int]:
+        """Pixels of all slices, from the beginnings of their files; raises `SliceError` where one differs.
+
+        A TIFF may say at its end what it is: those after the first are checked when they are read.
+        """
+        first: Header | None = None
+        for name in self.names:
+            png = name.lower().endswith(".png")
+            if first is not None and not png:
+                continue
+            found = header(self._bytes(name, HEAD if png else None), self._told(name))
+            if first is None:
+                first = found
+            if found != first:
+                raise SliceError(
+                    f"{self._told(name)} is {_worded(found)}, but {self.names[0]!r} is {_worded(first)}; "
+                    "wanted all slices alike: export them again"
+                )
+        assert first is not None
+        return first.shape
+
+    def close(self) -> None:
+        """Stop reading."""
+        for _, decoding in self._begun.values():
+            _drop(decoding)
+        self._begun.clear()
+        self._pool.shutdown(cancel_futures=True)
+
+    def __enter__(self) -> FileStack:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class FolderStack(FileStack):
+    """The pictures of a folder. Raises `SliceError`."""
+
+    def __init__(self, path: str | Path) -> None:
+        place = Path(path)
+        try:
+            names = [entry.name for entry in os.scandir(place) if is_slice(entry.name) and entry.is_file()]
+        except OSError as error:
+            raise SliceError(f"cannot read the folder {str(path)!r}: {error.strerror}; check the path") from error
+        super().__init__(place, ordered(names, repr(str(path))))
+
+    def _bytes(self, name: str, most: int | None = None) -> bytes:
+        try:
+            with open(self.place / name, "rb") as file:
+                return file.read(-1 if most is None else most)
+        except OSError as error:
+            raise explained("read", self.place / name, error) from error
+
+
+class ZipStack(FileStack):
+    """The pictures of a zip; of an SL1 those beside its ``config.ini``. Nothing is unpacked to disk.
+
+    Raises `SliceError`, also for entries that would leave the folder they are unpacked in.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        place = Path(path)
+        try:
+            self._zip = zipfile.ZipFile(place)
+        except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+            raise SliceError(
+                f"cannot read the zip {str(path)!r}: {error}; it is cut off or no zip: copy or export it again"
+            ) from error
+        try:
+            self.others = tuple(info for info in self._zip.infolist() if not info.is_dir())
+            for info in self.others:
+                _check_entry(info, str(path))
+            names = _pictures(self.others, str(path))
+            self.others = tuple(info for info in self.others if info.filename not in set(names))
+            super().__init__(place, ordered(names, repr(str(path))))
+        except BaseException:
+            self._zip.close()
+            raise
+
+    def _bytes(self, name: str, most: int | None = None) -> bytes:
+        try:
+            with self._zip.open(name) as file:
+                return file.read(-1 if most is None else most)
+        except Exception as error:  # noqa: BLE001 - zipfile and its codecs raise whatever they stumble over
+            raise SliceError(f"cannot read {self._told(name)}: {error}; the zip is damaged: export it again") from error
+
+    def entry(self, name: str) -> bytes:
+        """Another file of the zip; raises `SliceError`."""
+        return self._bytes(name)
+
+    def close(self) -> None:
+        """Stop reading and close the zip."""
+        super().close()
+        self._zip.close()
+
+
+def open_stack(path: str | Path) -> FileStack:
+    """The slices of a folder, a zip or an SL1 file. Raises `SliceError`."""
+    place = Path(path)
+    if place.is_dir():
+        return FolderStack(place)
+    if not place.exists():
+        raise SliceError(f"there is nothing at {str(path)!r}; wanted a folder of slices or a zip: check the path")
+    if place.suffix.lower() in ARCHIVES or zipfile.is_zipfile(place):
+        return ZipStack(place)
+    raise SliceError(f"{str(path)!r} is neither a folder nor a file ending in {', '.join(ARCHIVES)}; check the path")
+
+
+def layer_height(stack: object) -> float | None:
+    """What an SL1 file says its layers' height [mm] is; None where nothing does."""
+    if not isinstance(stack, ZipStack) or all(info.filename != "config.ini" for info in stack.others):
+        return None
+    text = stack.entry("config.ini").decode("utf-8", "replace")
+    found = re.search(r"^layerHeight\s*=\s*([0-9.eE+-]+)\s*$", text, re.MULTILINE)
+    try:
+        return float(found[1]) if found else None
+    except ValueError:
+        return None
+
+
+def _check_entry(info: zipfile.ZipInfo, place: str) -> None:
+    """Refuse what is dangerous to unpack, and what cannot be read."""
+    name = info.orig_filename.replace("\\", "/")
+    path = PurePosixPath(name)
+    why = ""
+    if path.is_absolute() or ".." in path.parts or re.match(r"[A-Za-z]:", name) or "\0" in name:
+        why = "climbs out of the folder it would be unpacked in"
+    elif stat.S_ISLNK(info.external_attr >> 16):
+        why = "is a link"
+    elif info.flag_bits & 1:
+        why = "is encrypted"
+    elif info.file_size > MOST_BYTES:
+        why = f"takes {info.file_size / 1e6:.0f} MB unpacked"
+    if why:
+        raise SliceError(f"{place!r}: entry {info.orig_filename!r} {why}; nothing was read: pack the slices again")
+
+
+def _pictures(entries: tuple[zipfile.ZipInfo, ...], place: str) -> list[str]:
+    """Names of the slices: all pictures of one folder."""
+    every = [info.filename for info in entries]
+    twice = next((name for name in every if every.count(name) > 1), None) if len(set(every)) < len(every) else None
+    if twice is not None:
+        raise SliceError(f"{place!r} holds {twice!r} more than once; pack the slices again")
+    names = [name for name in every if is_slice(name)]
+    if "config.ini" in every:
+        return [name for name in names if "/" not in name]
+    folders = sorted({str(PurePosixPath(name).parent) for name in names})
+    if len(folders) > 1:
+        raise SliceError(f"{place!r} holds pictures in {len(folders)} folders ({', '.join(folders[:3])}…); wanted one")
+    return names
+
+
+def _worded(found: Header) -> str:
+    return f"{found.kind} of {found.shape[1]} × {found.shape[0]} pixels"
+
+
+def _drop(decoding: list[Future[None]]) -> None:
+    for one in decoding:
+        one.cancel()
