@@ -57,7 +57,8 @@ class LeastSquares:
         visible, uv = _Color(bench, bench.colors.visible, self.cap, 1.0), _Color(
             bench, bench.colors.uv, self.cap, -bench.colors.strength)  # fmt: skip
         bench.light, bench.uv = visible.light, uv.light
-        pace = _Pace(1.0 / (visible.gain() + uv.gain()))
+        # half of what the gains allow: gradients held at dark light have gaps, which the ramp turns into coarse light
+        pace = _Pace(0.5 / (visible.gain() + uv.gain()))
         band = Band((-0.5 * self.below, 1.0), (0.5 * self.below, 0.0), (0.5, 0.5))
         dose, under, over = bench.volume(), bench.volume(), bench.volume()
         for _ in range(self.iterations):
