@@ -104,10 +104,10 @@ def test_every_point_of_a_ray_finds_its_column_and_its_density(vial: GradedVial)
 
 def test_a_round_medium_keeps_index_times_distance() -> None:
     u = np.linspace(-4.0, 4.0, 33)
-    bundle = ROUND.bundle
-    mirrored = bundle.across + bundle.across[::-1]
+    sheet = ROUND.sheet
+    mirrored = sheet.across + sheet.across[::-1]
     np.testing.assert_allclose(mirrored, 0.0, atol=1e-8)
-    nearest = [np.hypot(bundle.across[ray], bundle.along[ray]).min() for ray in range(0, ROUND.rays, 64)]
+    nearest = [np.hypot(sheet.across[ray], sheet.along[ray]).min() for ray in range(0, ROUND.rays, 64)]
     columns, _ = ROUND._column(np.arange(0.0, ROUND.rays, 64))
     n = np.sqrt(RING.look(np.array([[r, 0.0, 0.0] for r in nearest]))[1])
     np.testing.assert_allclose(n * nearest, np.abs(columns) * ROUND.bath_index, rtol=1e-4, atol=1e-4)

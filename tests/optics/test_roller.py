@@ -11,7 +11,7 @@ from vamgpu.errors import BadInput, RayError
 from vamgpu.geometry import Beam
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
-from vamgpu.optics.roller_index import IndexField
+from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.optics.roller_rays import End, Layers, trace
 from vamgpu.optics.wrap_map import WrapMap
 from vamgpu.web import Propagation, WebGrid, Wrap
@@ -315,7 +315,7 @@ def graded(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def test_marching_through_one_index_is_going_straight() -> None:
-    same = IndexField(lambda x, y: np.full(x.shape, 1.49), stride=0.31)
+    same = FilmIndex(lambda x, y: np.full(x.shape, 1.49), stride=0.31)
     machine, marched = roller(rays=4), roller(rays=4, index=same)
     beam = Beam((100, 4), 0.2)
     one, other = (m.propagation(grid(m), beam).dense() for m in (machine, marched))
@@ -327,7 +327,7 @@ def test_marched_rays_keep_the_invariant_of_a_graded_film() -> None:
     u = np.linspace(0.5, 9.5, 19)
     errors = []
     for stride in (0.2, 0.1, 0.05):
-        traced = roller(index=IndexField(graded, stride)).trace(u)
+        traced = roller(index=FilmIndex(graded, stride)).trace(u)
         s = traced.segments
         kept = [np.flatnonzero((s.ray == ray) & (s.side == 0))[-1] for ray in range(u.size)]
         middle = np.hypot(s.x + 0.5 * s.length * s.dx, s.y + 0.5 * s.length * s.dy)[kept]
@@ -336,11 +336,13 @@ def test_marched_rays_keep_the_invariant_of_a_graded_film() -> None:
         errors.append(np.max(np.abs(found / (u * 1.33) - 1)))
     assert errors[2] < 2e-5
     assert errors[0] / errors[2] > 10
-    assert roller(index=IndexField(graded)).trace(u).length[-1] != pytest.approx(roller().trace(u).length[-1], rel=1e-4)
+    assert roller(index=FilmIndex(graded)).trace(u).length[-1] != pytest.approx(roller().trace(u).length[-1], rel=1e-4)
 
 
 def test_index_that_is_none_is_told() -> None:
     with pytest.raises(BadInput, match="at least 1"):
-        roller(index=IndexField(lambda x, y: 0.5 + 0 * x)).trace([1.0])
+        roller(index=FilmIndex(lambda x, y: 0.5 + 0 * x)).trace([1.0])
+    with pytest.raises(BadInput, match="wanted a FilmIndex"):
+        roller(index=1.5)
     with pytest.raises(BadInput, match="function"):
-        IndexField(1.5)  # type: ignore[arg-type]
+        FilmIndex(1.5)  # type: ignore[arg-type]

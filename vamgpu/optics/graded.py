@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, RayError
 from vamgpu.geometry import Chords, positive
-from vamgpu.optics.bundle import Bundle, through
 from vamgpu.optics.index_field import FormulaField, FunctionField, GridField, Region
 from vamgpu.optics.inputs import Floats, absorbed_share, as_offsets, index
 from vamgpu.optics.interface import impact_after, transmittance
 from vamgpu.optics.march import march
+from vamgpu.optics.ray_sheet import RaySheet, through
 from vamgpu.optics.vial import LARGEST_DENSITY
 
 SETTLED = 1e-9      # of the radius: how well the ends of rays are known
@@ -141,7 +141,7 @@ class GradedVial:
         return 0.5 * (low + high) + half * np.sin(psi), half * np.cos(psi) * np.pi / (self.rays - 1)
 
     @cached_property
-    def bundle(self) -> Bundle:
+    def sheet(self) -> RaySheet:
         """The rays from face to face."""
         u, _ = self._column(np.arange(self.rays, dtype=float))
         place, turn, behind, sine = self._entry(u)
@@ -157,20 +157,20 @@ class GradedVial:
             times[~clear & (times < 2.0 * step)] = 0.0
         zero = np.zeros((self.rays, 1))
         starts = np.concatenate([place, zero, along * behind[:, None], zero], axis=1)
-        return Bundle.traced(field.look, starts, times, self.rows)
+        return RaySheet.traced(field.look, starts, times, self.rows)
 
     @cached_property
     def _chords(self) -> tuple[Floats, Floats, Floats]:
         """Distance p and turn d of the straight chord nearest each ray, and the ray's length."""
-        x, y = self.bundle.across, self.bundle.along
+        x, y = self.sheet.across, self.sheet.along
         # The chord of a ray without length is its tangent, by the neighbour that has one.
         angle = np.arctan2(-(x[:, -1] - x[:, 0]), y[:, -1] - y[:, 0])
-        short = self.bundle.path[:, -1] < 1e-6 * self.radius
+        short = self.sheet.path[:, -1] < 1e-6 * self.radius
         if short.any():
             node = np.arange(self.rays)
             angle[short] = np.interp(node[short], node[~short], angle[~short])
         offset = x * np.cos(angle)[:, None] + y * np.sin(angle)[:, None]
-        return 0.5 * (offset.min(axis=1) + offset.max(axis=1)), angle, self.bundle.path[:, -1]
+        return 0.5 * (offset.min(axis=1) + offset.max(axis=1)), angle, self.sheet.path[:, -1]
 
     @property
     def lit_radius(self) -> float:
@@ -179,9 +179,9 @@ class GradedVial:
 
     @cached_property
     def _lit_radius(self) -> float:
-        distance = np.hypot(self.bundle.across, self.bundle.along)
-        crossed = distance[2:-2][self.bundle.turned[2:-2] <= 0.0]
-        outermost = (_least(self.bundle.across[ray], self.bundle.along[ray]) for ray in (0, -1))
+        distance = np.hypot(self.sheet.across, self.sheet.along)
+        crossed = distance[2:-2][self.sheet.turned[2:-2] <= 0.0]
+        outermost = (_least(self.sheet.across[ray], self.sheet.along[ray]) for ray in (0, -1))
         return float(min(self.inner_radius, *outermost, crossed.min(initial=np.inf)))
 
     def chords(self, u: ArrayLike) -> Chords:
@@ -214,9 +214,9 @@ class GradedVial:
 
     def _inside(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         low, high = self._span
-        ray, share, met = self.bundle.find(x, y, float(self._node(np.zeros(1))[0]))
+        ray, share, met = self.sheet.find(x, y, float(self._node(np.zeros(1))[0]))
         u, slope = self._column(ray)
-        across, along, path = self.bundle.at(ray, share)
+        across, along, path = self.sheet.at(ray, share)
         crossing = across[1] * along[2] - across[2] * along[1]
         width = np.hypot(across[2], along[2]) * np.maximum(slope, 1e-9 * (high - low))
         density = width / np.maximum(np.abs(crossing), width * self.bath_index / LARGEST_DENSITY)

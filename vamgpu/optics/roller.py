@@ -15,7 +15,7 @@ from vamgpu.optics.film import Film
 from vamgpu.optics.inputs import Floats, as_offsets
 from vamgpu.optics.roller_cells import cells
 from vamgpu.optics.roller_coverage import Coverage, coverage
-from vamgpu.optics.roller_index import IndexField
+from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.optics.roller_rays import Layers, Traced, trace
 from vamgpu.optics.wrap_map import WrapMap
 from vamgpu.web import Propagation, WebGrid
@@ -37,6 +37,7 @@ class Roller:
     radius: of the roller [mm].  film: what it carries.  step: turn [rad] from one pose to the next.  legs: length [mm]
     of each leg in the window; None for the depth in which light falls to 5 %.  reflectivity: of the roller, specular.
     compensation: largest gain of columns that make up for Fresnel's loss, as `gain` says; None for columns as they are.
+    The gain counts as light of the beam: a projector whose columns are equally bright must show pictures times `gain`.
     divergence: half angle [rad] of the fan of light that each column is in the bath, even in its sine, about the point
     where the column meets the middle of the film.  neutral: depth of the line that bending does not stretch, in
     thicknesses from the roller.  rays, fan: rays across the width and across the fan of a column; where the walls of
@@ -56,11 +57,13 @@ class Roller:
     neutral: float = 0.5
     rays: int = 32
     fan: int = 9
-    index: IndexField | None = None
+    index: FilmIndex | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.film, Film):
             raise BadInput(f"Roller film is {self.film!r}; wanted a Film")
+        if self.index is not None and not isinstance(self.index, FilmIndex):
+            raise BadInput(f"Roller index is {self.index!r}; wanted a FilmIndex, or None for the film's own")
         for name, unit in (("radius", " [mm]"), ("step", " [rad]")):
             object.__setattr__(self, name, positive(f"Roller {name}{unit}", getattr(self, name)))
         _bounded("Roller step [rad]", self.step, pi, "half a turn or less")

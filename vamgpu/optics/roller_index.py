@@ -17,7 +17,7 @@ NUDGE = 1e-4
 
 
 @dataclass(frozen=True)
-class IndexField:
+class FilmIndex:
     """Index of the resin at wrapped places, fixed in the laboratory as one pose needs it.
 
     index: (x, y) [mm], arrays → refractive indices, same shape; asked up to `NUDGE` outside the film too.  stride:
@@ -28,9 +28,9 @@ class IndexField:
     stride: float = 0.05
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stride", positive("IndexField stride [mm]", self.stride))
+        object.__setattr__(self, "stride", positive("FilmIndex stride [mm]", self.stride))
         if not callable(self.index):
-            raise BadInput(f"IndexField index is {self.index!r}; wanted a function of x and y [mm]")
+            raise BadInput(f"FilmIndex index is {self.index!r}; wanted a function of x and y [mm]")
 
     def at(self, x: Floats, y: Floats) -> Floats:
         """Index at places; raises `BadInput` where it is below 1 or not finite."""

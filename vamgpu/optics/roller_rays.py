@@ -15,7 +15,7 @@ import numpy as np
 from vamgpu.errors import RayError
 from vamgpu.optics.inputs import Floats
 from vamgpu.optics.roller_faces import reflect, refract
-from vamgpu.optics.roller_index import IndexField
+from vamgpu.optics.roller_index import FilmIndex
 
 MOST_FACES = 2000
 """Faces a ray may meet before it is said never to leave."""
@@ -45,7 +45,7 @@ class Layers:
     bath: float
     sheet: float
     reflectivity: float
-    field: IndexField | None = None
+    field: FilmIndex | None = None
 
     def resin_at(self, x: Floats, y: Floats) -> Floats:
         """Index of the resin at wrapped places."""

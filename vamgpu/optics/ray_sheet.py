@@ -20,7 +20,7 @@ CLOSE = 1e-9        # of the sheet's size: a point this near to its ray is met
 
 
 @dataclass(frozen=True, eq=False)
-class Bundle:
+class RaySheet:
     """Rays in order of their offsets, each at equal shares of its ∫ds/n; first index the ray, second the share.
 
     across, along: places [mm].  path: length from the ray's start [mm].  Light travels towards larger ``along``.
@@ -31,7 +31,7 @@ class Bundle:
     path: Floats
 
     @classmethod
-    def traced(cls, look: Look, starts: Floats, times: Floats, rows: int) -> Bundle:
+    def traced(cls, look: Look, starts: Floats, times: Floats, rows: int) -> RaySheet:
         """Rays from places and headings (rays, 6), each for its own ∫ds/n [mm], in ``rows`` − 1 steps by Sharma."""
         state, step = State(look, starts), times / (rows - 1)
         across, along, path = ([value] for value in (state.place[:, 0], state.place[:, 1], state.length))
@@ -40,12 +40,12 @@ class Bundle:
             across.append(state.place[:, 0])
             along.append(state.place[:, 1])
             path.append(state.length)
-        bundle = cls(*(np.stack(rows_of, axis=1) for rows_of in (across, along, path)))
-        back = (np.diff(bundle.along, axis=1) <= 0).any(axis=1) & (times > 1e-6 * times.max())
+        sheet = cls(*(np.stack(rows_of, axis=1) for rows_of in (across, along, path)))
+        back = (np.diff(sheet.along, axis=1) <= 0).any(axis=1) & (times > 1e-6 * times.max())
         if back.any():
             raise RayError(f"{np.count_nonzero(back)} of {len(back)} rays turn back against the light; wanted a medium "
                            "that bends them by less than a right angle")  # fmt: skip
-        return bundle
+        return sheet
 
     @property
     def size(self) -> float:
