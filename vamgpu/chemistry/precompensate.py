@@ -26,7 +26,7 @@ PAPERS = (
     "A. Orth et al., Deconvolution volumetric additive manufacturing, Nat. Commun. 14 (2023) 4412",
     "A. Beck, M. Teboulle, A fast iterative shrinkage-thresholding algorithm, SIAM J. Imaging Sci. 2 (2009) 183",
 )
-HALO = 6.0
+HALO = 9.0
 """Blur's deviations around a block of slices that are solved with it and thrown away."""
 
 

@@ -52,7 +52,7 @@ def history(
 def _drawn(found: AgingFit, measured: np.ndarray) -> Any:
     figure, axes = style.sheet("aab", 4.0)
     ages = np.arange(1, len(measured) + 1)
-    bars = {"fmt": "o", "color": style.INK, "capsize": 3}
+    bars: dict[str, Any] = {"fmt": "o", "color": style.INK, "capsize": 3}
     axes["a"].errorbar(ages, measured, BENCHY_DEVIATIONS, **bars, label="measured, 5 prints")
     later = found.aging.seconds(len(measured) + 2)
     axes["a"].plot(np.arange(1, len(later) + 1), later, color=style.BLUE, label="fitted to all, and on")

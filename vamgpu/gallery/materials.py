@@ -55,10 +55,10 @@ def _drawn(indices: list[tuple[str, Dispersion]], resin: Resin, points: int) -> 
     for hue, (name, index) in zip(style.HUES, indices, strict=False):
         low, high = max(index.range[0], 350 * nm), min(index.range[1], 700 * nm)
         waves = np.linspace(low, high, points if low < high else 1)
-        look = {"color": hue, "marker": "" if low < high else "o", "label": name}
+        look: dict[str, Any] = {"color": hue, "marker": "" if low < high else "o", "label": name}
         axes["a"].plot(waves / nm, [index.at(w) for w in waves], **look)
     axes["a"].set(title="Refractive index", xlabel="wavelength [nm]", xlim=(345, 705))
-    axes["a"].legend(ncols=2, loc="upper right")
+    axes["a"].legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 0.2))
     times = np.geomspace(1.0, 1000.0, points)
     for hue, name in zip(style.HUES, Inhibitor.names(), strict=False):
         lengths = [1e3 * diffusion_length(resin.diffusivity(name), t) for t in times]

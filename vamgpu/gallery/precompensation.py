@@ -60,7 +60,7 @@ def _walls(n: int) -> np.ndarray:
     wave = np.sin(w * x) * np.cos(w * y) + np.sin(w * y) * np.cos(w * z) + np.sin(w * z) * np.cos(w * x)
     thick = 0.55 - 0.4 * (x / n + 0.5)
     steep = np.clip(0.5 + (thick - np.abs(wave)) / (1.3 * w), 0.0, 1.0)
-    inside = (np.hypot(x, y) < 0.45 * n) & (np.abs(z) < 0.21 * n)
+    inside = (np.hypot(x, y) < 0.45 * n) & (np.abs(z) < 0.15 * n)
     return (steep * inside).astype(np.float32)
 
 
@@ -73,7 +73,7 @@ def _table(part: np.ndarray, grid: Grid, diffusion: Diffusion, device: Device) -
 
 
 def _drawn(part: np.ndarray, plain: np.ndarray, found: Compensated, made_up: np.ndarray) -> Any:
-    figure, axes = style.sheet("abcd", 3.4)
+    figure, axes = style.sheet("abcd", 2.9)
     middle = part.shape[2] // 2
     doses = {"vmin": 0.0, "vmax": 1.1}
     style.shown(axes["a"], part[:, :, middle], "Target", **doses)
