@@ -59,7 +59,7 @@ class FileStack(ABC):
             _drop(waiting[1])
         self._begun.clear()
         before = max(0, start - AHEAD)
-        if before < start:
+        if before < start and stop - start > 1:  # single slices are looked at here and there
             self._begun[before, start] = self._begin(before, start)
         try:
             for one in decoding:

@@ -1,0 +1,205 @@
+"""From a stack of slices to its model or its correction, in one pass from the last slice to the first."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.curethrough.correction import Correction, Corrector
+from vamgpu.curethrough.dose import Exposure, Judge, Stack, blocks
+from vamgpu.curethrough.machine import Machine
+from vamgpu.curethrough.names import following
+from vamgpu.curethrough.output import check_place, writing
+from vamgpu.curethrough.score import Features, Sample, features, ratio, sample
+from vamgpu.errors import SliceWarning
+
+Told = Callable[[str, float], None]
+"""Told of progress: what is being done, and how much of it is done, 0..1."""
+GRAY_PER_DOSE = 51
+"""Gray levels of a critical dose in pictures of the dose: white is five."""
+
+
+@dataclass(frozen=True, eq=False)
+class Heights:
+    """Heights [mm] of a whole print. over: cured where it is void; under: uncured where it is part; [y, x].
+
+    peak: greatest Ω at a border, None where it was not followed.
+    """
+
+    over: np.ndarray
+    under: np.ndarray
+
+    @property
+    def error(self) -> float:
+        """All heights that are wrong, summed over the pixels [mm]."""
+        return float(self.over.sum(dtype=np.float64) + self.under.sum(dtype=np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a stack prints as: heights of the whole, and the followed columns.
+
+    levels: uint8 [slice, column] of the sample as shown.  features: of the sample's columns.
+    """
+
+    heights: Heights
+    levels: np.ndarray
+    features: Features
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A modeled stack, and its correction where there is one.
+
+    machine: printer and resin.  shape: slices, y, x of the part.  threshold: gray level from which a pixel is solid.
+    sample: followed columns; ``solid`` [slice, column] is what they should be.  missed, closed: features that lack dose
+    at their back side and voids that stay cured, summed over pixels, of the correction.
+    """
+
+    machine: Machine
+    shape: tuple[int, int, int]
+    threshold: int
+    sample: Sample
+    solid: np.ndarray
+    before: Shown
+    after: Shown | None = None
+    correction: Correction | None = None
+    missed: np.ndarray | None = None
+    closed: np.ndarray | None = None
+    written: int = 0
+
+    @property
+    def ratio(self) -> float | None:
+        """Height errors of the whole print, corrected over uncorrected; None without a correction."""
+        if self.after is None or self.before.heights.error <= 0:
+            return None
+        return self.after.heights.error / self.before.heights.error
+
+    @property
+    def feature_ratio(self) -> tuple[float, float] | None:
+        """Height errors of the followed features, corrected over uncorrected: together, and the median."""
+        return None if self.after is None else ratio(self.before.features, self.after.features)
+
+
+def model(
+    machine: Machine, stack: Stack, *, threshold: int = 128, doses: str | Path | None = None,
+    device: str | Device | None = None, overwrite: bool = False, told: Told = lambda stage, share: None,
+) -> Outcome:  # fmt: skip
+    """What slices print as they are.
+
+    doses: a folder or zip for pictures of the dose, 51 gray levels a critical dose. Raises `BadInput`, `SliceError`,
+    `StorageError`.
+    """
+    warn_of(machine)
+    place = open_device(device)
+    follow = _Follow(machine, stack, threshold, place)
+    if doses is None:
+        for start, stop in blocks(stack.shape[0]):
+            follow[start:stop]
+            told("model", 1.0 - start / stack.shape[0])
+    else:
+        names = getattr(stack, "names", tuple(f"dose_{k:05d}.png" for k in range(stack.shape[0])))
+        record = {"gray levels a critical dose": GRAY_PER_DOSE, "machine": _described(machine)}
+        with writing(doses, names, source=stack, overwrite=overwrite, record=record) as writer:
+            exposure = Exposure(machine, follow.shape[1:], place)
+            for start, stop in blocks(stack.shape[0]):
+                found = exposure.step(follow[start:stop]).numpy()
+                writer.write(start, np.minimum(np.rint(GRAY_PER_DOSE * found), 255.0).astype(np.uint8))
+                told("model", 1.0 - start / stack.shape[0])
+    return Outcome(machine, follow.shape, threshold, follow.sample, follow.solid, follow.shown())
+
+
+def correct_stack(
+    correction: Correction, stack: Stack, out: str | Path | None = None, *, device: str | Device | None = None,
+    overwrite: bool = False, record: Mapping[str, Any] | None = None, told: Told = lambda stage, share: None,
+) -> Outcome:  # fmt: skip
+    """Correct a stack and score it before and after, from the bytes that are written to ``out``.
+
+    out: a folder or zip of slices with the same names, the tail's counted on; without it nothing is written. Raises
+    `BadInput`, `SliceError`, `StorageError`; a run that fails leaves nothing.
+    """
+    machine = correction.machine
+    warn_of(machine)
+    place = open_device(device)
+    if out is not None:
+        check_place(out, stack, overwrite=overwrite)
+    follow = _Follow(machine, stack, correction.threshold, place)
+    corrector = Corrector(correction, follow.shape, place)
+    after, levels = Judge(machine, follow.shape[1:], place), []
+
+    def run(write: Callable[[int, np.ndarray], None]) -> None:
+        for block in corrector.run(follow):
+            after.add(block.table, block.words, block.start // 32)
+            pictures = block.levels
+            levels.append(follow.sample.of(pictures))
+            write(block.start, pictures)
+            told("correct", 1.0 - block.start / corrector.slices)
+
+    written = 0
+    if out is None:
+        run(lambda start, pictures: None)
+    else:
+        own = getattr(stack, "names", tuple(f"slice_{k:05d}.png" for k in range(stack.shape[0])))
+        names = own + following(own[-1], corrector.slices - len(own), own)
+        text = {"machine": _described(machine), "added slices": len(names) - len(own), **(record or {})}
+        with writing(out, names, source=stack, overwrite=overwrite, record=text) as writer:
+            run(writer.write)
+        written = writer.written
+    shown = np.concatenate(levels[::-1])
+    found = Shown(Heights(after.over(), after.under()), shown, features(machine, shown, follow.solid))
+    flaws = (corrector.missed, corrector.closed)
+    return Outcome(machine, follow.shape, correction.threshold, follow.sample, follow.solid, follow.shown(), found,
+                   correction, *flaws, written)  # fmt: skip
+
+
+class _Follow:
+    """A stack that is judged, as it is, while it passes to whoever reads it, last block first."""
+
+    def __init__(self, machine: Machine, stack: Stack, threshold: int, device: Device) -> None:
+        self._machine, self._stack, self._threshold = machine, stack, threshold
+        self.shape: tuple[int, int, int] = tuple(stack.shape)  # type: ignore[assignment]
+        self.sample = sample(stack, threshold)
+        self._judge = Judge(machine, self.shape[1:], device)
+        self._levels = np.zeros((self.shape[0], len(self.sample.rows)), np.uint8)
+
+    def __getitem__(self, key: slice, /) -> np.ndarray:
+        block = self._stack[key]
+        if len(block):
+            self._judge.step(block, block, self._threshold)
+            self._levels[key] = self.sample.of(block)
+        return block
+
+    @property
+    def solid(self) -> np.ndarray:
+        return self._levels >= self._threshold
+
+    def shown(self) -> Shown:
+        """What the slices print as, once all have passed."""
+        found = features(self._machine, self._levels, self.solid)
+        return Shown(Heights(self._judge.over(), self._judge.under()), self._levels, found)
+
+
+def warn_of(machine: Machine) -> None:
+    """Warn where level 0 alone cures what it reaches: nothing can be uncured then."""
+    dose = float(machine.doses[0] / machine.decay)
+    if dose >= 1.0:
+        warnings.warn(
+            f"level 0 alone leaves {dose:.3g} critical doses behind: everything it reaches cures, nothing can stay "
+            f"uncured. Print at least {dose:.3g} times faster, or darken level 0",
+            SliceWarning,
+            stacklevel=3,
+        )
+
+
+def _described(machine: Machine) -> dict[str, Any]:
+    """A printer in plain values; its light by gray level."""
+    from dataclasses import asdict, is_dataclass
+
+    return asdict(machine) if is_dataclass(machine) and not isinstance(machine, type) else {}

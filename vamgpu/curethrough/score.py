@@ -1,0 +1,195 @@
+"""What single columns of a print come to: cured heights of features and voids, from the bytes that are shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.curethrough.dose import Stack, column_doses
+from vamgpu.curethrough.machine import Machine
+
+AT_ONCE = 256
+"""Columns whose doses are in memory together."""
+PEEKED = 24
+"""Slices that are looked at to see where the part is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Runs of solid slices, one entry each.
+
+    column: number of the column.  front, back: first slice, and the one after the last.  behind: slices of void between
+    it and the next feature, to the end of the print for the last.  over: cured height [mm] of the void before it,
+    which is its cure-through.  under: uncured height [mm] within it.
+    """
+
+    column: np.ndarray
+    front: np.ndarray
+    back: np.ndarray
+    behind: np.ndarray
+    over: np.ndarray
+    under: np.ndarray
+
+    @property
+    def error(self) -> np.ndarray:
+        """Height error [mm]: what is cured too much and too little."""
+        return self.over + self.under
+
+    def __len__(self) -> int:
+        return len(self.column)
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Columns that are followed through a print: (row, column) of each.
+
+    The first ``grid`` are spread over the part, then come those of one row of pixels and those of one column.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    grid: int
+    width: int
+
+    @property
+    def across(self) -> slice:
+        """The columns of the row of pixels, from left to right."""
+        return slice(self.grid, self.grid + self.width)
+
+    @property
+    def along(self) -> slice:
+        """The columns of the column of pixels, from top to bottom."""
+        return slice(self.grid + self.width, len(self.rows))
+
+    def of(self, block: np.ndarray) -> np.ndarray:
+        """A block [slice, y, x] at the columns; [slice, column]."""
+        return block[:, self.rows, self.columns]
+
+
+def sample(stack: Stack, threshold: int = 128, side: int = 48) -> Sample:
+    """Columns to follow: side × side over the part's box, and its fullest row and column, from a few slices."""
+    slices, ny, nx = stack.shape
+    seen = np.zeros((ny, nx), int)
+    for k in np.unique(np.linspace(0, slices - 1, PEEKED).astype(int)):
+        seen += stack[k : k + 1][0] >= threshold
+    filled = np.argwhere(seen)
+    filled = filled if len(filled) else np.array([[0, 0], [ny - 1, nx - 1]])
+    ends = zip(filled.min(axis=0), filled.max(axis=0), strict=True)
+    at = [np.unique(np.linspace(low, high, side).round().astype(int)) for low, high in ends]
+    rows, columns = (part.ravel() for part in np.meshgrid(*at, indexing="ij"))
+    row, column = int((seen > 0).sum(axis=1).argmax()), int((seen > 0).sum(axis=0).argmax())
+    return Sample(
+        np.concatenate([rows, np.full(nx, row), np.arange(ny)]),
+        np.concatenate([columns, np.arange(nx), np.full(ny, column)]),
+        len(rows),
+        nx,
+    )
+
+
+def cured(machine: Machine, shown: np.ndarray, critical: float = 1.0) -> np.ndarray:
+    """Share of every slice's height that reaches the critical dose; shown: uint8 [slice, column]; float64, same shape.
+
+    Between borders the dose follows its own curve (S22, S48), so the place where it crosses is exact.
+    """
+    borders = column_doses(machine, shown)
+    if machine.layered:
+        start, stop, rest = borders[:-1], (1.0 - machine.decay) * borders[:-1], 0.0
+    else:
+        start, stop, rest = borders[1:], borders[:-1], machine.doses[shown] / machine.decay
+    with np.errstate(divide="ignore", invalid="ignore"):
+        done = np.log((critical - rest) / (start - rest)) * machine.fade_scale
+    crosses = (start >= critical) != (stop >= critical)
+    share = np.where(crosses, np.clip(done, 0.0, 1.0), 1.0)
+    return np.where(start >= critical, share, 1.0 - share)
+
+
+def features(machine: Machine, shown: np.ndarray, solid: np.ndarray, critical: float = 1.0) -> Features:
+    """Features of columns and how they print. shown: uint8 [slice, column]; solid: bool, as many slices or fewer."""
+    count = shown.shape[1]
+    wanted = np.zeros(shown.shape, bool)
+    wanted[: len(solid)] = solid
+    found = [
+        _features(machine, shown[:, k : k + AT_ONCE], wanted[:, k : k + AT_ONCE], k, critical)
+        for k in range(0, count, AT_ONCE)
+    ]
+    return Features(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def _features(
+    machine: Machine, shown: np.ndarray, wanted: np.ndarray, first: int, critical: float
+) -> tuple[np.ndarray, ...]:
+    slices = len(shown)
+    share, inside = cured(machine, shown, critical).T.ravel(), wanted.T.ravel()
+    change = np.flatnonzero(inside[1:] != inside[:-1]) + 1
+    starts = np.union1d(change, np.arange(0, len(inside), slices))
+    ends = np.append(starts[1:], len(inside))
+    solid = inside[starts]
+    height = machine.slice_height
+    done = np.add.reduceat(share, starts)
+    which = np.flatnonzero(solid)
+    front, column = starts[which] % slices, starts[which] // slices
+    void = front > 0  # the run before a feature in its own column is void
+    over = np.where(void, done[np.maximum(which - 1, 0)], 0.0)
+    under = (ends - starts - done)[which]
+    nxt = np.minimum(which + 1, len(starts) - 1)
+    last = ends[which] % slices == 0
+    behind = np.where(last, 0, (ends - starts)[nxt])
+    return column + first, front, front + (ends - starts)[which], behind, over * height, np.maximum(under, 0) * height
+
+
+@dataclass(frozen=True)
+class Group:
+    """Features that lie at the same slices: how many columns have one, and mean height errors [mm]."""
+
+    front: int
+    back: int
+    behind: int
+    columns: int
+    before: float
+    after: float | None
+    missed: int
+
+    @property
+    def ratio(self) -> float | None:
+        """Height error corrected over uncorrected; None without both."""
+        return None if self.after is None or self.before <= 0 else self.after / self.before
+
+
+def grouped(before: Features, after: Features | None = None, tolerance: float = 0.0) -> tuple[Group, ...]:
+    """Features by their place, the most frequent first. Both are of the same columns of the same part.
+
+    missed: corrected features that lack more than ``tolerance`` [mm].
+    """
+    keys = np.stack([before.front, before.back], axis=1)
+    if len(keys) == 0:
+        return ()
+    places, which, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    which = which.ravel()
+    shown = before if after is None else after
+    mean = [np.bincount(which, weights) / count for weights in (before.error, shown.error, shown.behind)]
+    missed = np.bincount(which, shown.under > tolerance)
+    order = np.argsort(-count, kind="stable")
+    return tuple(
+        Group(int(places[k, 0]), int(places[k, 1]), round(float(mean[2][k])), int(count[k]), float(mean[0][k]),
+              None if after is None else float(mean[1][k]), int(missed[k]))
+        for k in order
+    )  # fmt: skip
+
+
+def ratio(before: Features, after: Features) -> tuple[float, float]:
+    """Height errors corrected over uncorrected: of all features together, and the median of single ones.
+
+    The measure of the paper's Fig. S6a; features that print right uncorrected have no ratio of their own.
+    """
+    wrong = before.error > 0
+    single = after.error[wrong] / before.error[wrong]
+    total = float(before.error.sum())
+    middle = float(np.median(single)) if len(single) else 0.0
+    return (float(after.error.sum()) / total if total > 0 else 0.0), middle
+
+
+def widest(groups: Sequence[Group], most: int) -> tuple[Group, ...]:
+    """The groups that most columns have, sorted from the platform up."""
+    return tuple(sorted(groups[:most], key=lambda group: (group.front, group.back)))
