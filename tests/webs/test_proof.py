@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from trimesh.creation import box
 
 from vamgpu.cli import main
 from vamgpu.errors import JobError, StorageError
@@ -17,6 +18,7 @@ from vamgpu.printing.frames import Frames
 from vamgpu.web import WebGrid
 from vamgpu.webs.proof import prove_web
 from vamgpu.webs.store import WebFolder
+from vamgpu.webs.tiles import Columns
 
 SMALL = (
     "web.length=60 mm", "beam.pitch=300 um", "beam.height=1.2 mm", "roller.step=2 deg", "solve.iterations=10",
@@ -102,11 +104,25 @@ def test_the_limits_are_told_from_the_same_file() -> None:
     assert parse_limits(JOB).length == 80.0
 
 
+def test_a_mesh_stays_where_it_is(tmp_path: Path) -> None:
+    block = box((2.0, 1.0, 0.6))
+    block.apply_translation((1.5, 2.0, 0.0))
+    block.export(tmp_path / "block.stl")
+    text = JOB.replace('lattice = "SheetGyroid"', 'mesh = "block.stl"').replace('cell = "6 mm"', 'period = "5 mm"')
+    job = stream_of(parse_web(text, SMALL, folder=tmp_path))
+    columns = Columns(job.tiles, job.grid, job.length).take(0, round(5.0 / job.grid.edges[0]))
+    _, rho, z = job.grid.axes()
+    filled = columns.sum(axis=0)
+    assert np.average(rho, weights=filled.sum(axis=1)) == pytest.approx(2.0, abs=0.02)
+    assert np.average(z, weights=filled.sum(axis=0)) == pytest.approx(0.0, abs=0.02)
+    assert columns.sum() * job.grid.voxel_volume == pytest.approx(1.2, rel=0.01)
+
+
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
         ("target.lattice=cheese", "wanted one of .*SheetGyroid"),
-        ("target.strut=1 mm", "SheetGyroid takes other parameters"),
+        ("target.strut=1 mm", "SheetGyroid takes other parameters, cell, level: remove strut"),
         ("target.mesh=part.stl", "exactly one of lattice"),
         ("film.thickness=3", "wanted a length with its unit"),
         ("solve.core=0", "greater than 0"),

@@ -82,7 +82,7 @@ class Tile:
     """An array that knows its voxels."""
 
     values: np.ndarray
-    pitch: float
+    pitch: float | tuple[float, ...]
 
     def numpy(self) -> np.ndarray:
         return self.values
@@ -98,6 +98,8 @@ class Tile:
         (np.full((10, 6, 4), 1.5), r"reaches from 1.5 to 1.5; wanted fractions"),
         (np.full((10, 6, 4), np.nan), r"reaches from nan"),
         (np.full((10, 6, 4), "a"), r"holds <U1"),
+        (Tile(np.zeros((10, 6, 4)), (0.1, 0.1)), r"has voxels of 0.1 × 0.1 mm"),
+        (None, r"has shape \(\)"),
     ],
 )
 def test_a_tile_that_does_not_fit_ends_the_stream_there(odd: object, said: str, tmp_path: Path) -> None:
@@ -119,7 +121,10 @@ def test_what_couples_a_web_is_refused() -> None:
 
 
 def test_bad_numbers_are_refused() -> None:
-    for options in ({"iterations": 0}, {"core": 0.0}, {"overlap": -1.0}, {"scale": 0.0}, {"length": -1.0}):
+    for options in (
+        {"iterations": 0}, {"core": 0.0}, {"overlap": -1.0}, {"overlap": float("nan")}, {"scale": 0.0},
+        {"length": -1.0},
+    ):  # fmt: skip
         with pytest.raises(BadInput, match=next(iter(options))):
             list(stream(part(60), **options))  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="section"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,7 +30,10 @@ Windows = Annotated[float, Field(gt=0)]
 
 
 class WebTarget(Section):
-    """What is printed on the web: a lattice, a mesh repeated along it, or an array of fractions [l, rho, z]."""
+    """What is printed on the web: a lattice, a mesh repeated along it, or an array of fractions [l, rho, z].
+
+    A mesh stays where it is: its x along the web, its y from the roller's side outwards, its z across about the middle.
+    """
 
     lattice: str | None = None
     cell: Length | None = None
@@ -67,7 +71,7 @@ class WebSolve(Section):
 
     iterations: Count = 100
     core: Windows = 4.0
-    overlap: Windows = 1.0
+    overlap: Annotated[float, Field(ge=0)] = 1.0
     device: str | None = None
 
 
@@ -167,7 +171,7 @@ def target_of(job: WebJob) -> Any:
         from vamgpu.targets.stream import Repeated
 
         assert section.period is not None
-        return Repeated(load_mesh(job.folder / section.mesh), section.period)
+        return Repeated(load_mesh(job.folder / section.mesh, center=False), section.period)
     try:
         return np.load(job.folder / str(section.tiles), mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError) as error:
@@ -185,11 +189,12 @@ def _lattice(section: WebTarget) -> Any:
         raise JobError(
             f"target.lattice: got {section.lattice!r}; wanted one of {', '.join(lattices.__all__)}: correct the name"
         )
-    options = {key: getattr(section, key) for key in ("cell", "strut", "level")}
-    try:
-        return getattr(lattices, name)(**{key: value for key, value in options.items() if value is not None})
-    except TypeError as error:
-        raise JobError(f"target: {name} takes other parameters: {error}; remove what it does not take") from error
+    lattice = getattr(lattices, name)
+    options = {key: getattr(section, key) for key in ("cell", "strut", "level") if getattr(section, key) is not None}
+    if odd := [key for key in options if key not in signature(lattice).parameters]:
+        takes = ", ".join(signature(lattice).parameters)
+        raise JobError(f"target: {name} takes other parameters, {takes}: remove {' and '.join(odd)}")
+    return lattice(**options)
 
 
 def solve_web(job: WebJob, path: str | Path, *, overwrite: bool = False, told: Told = _quietly) -> WebFolder:

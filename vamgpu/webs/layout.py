@@ -37,8 +37,7 @@ class Layout:
                 f"the web moves {step:.9g} columns a pose; wanted a ratio of whole numbers up to {DENOMINATOR}, "
                 f"so that segments begin at whole columns: take a pitch along l of {step / near:.14g} times this one"
             )
-        if overlap < 0.0:
-            raise BadInput(f"overlap is {overlap!r} windows; wanted ≥ 0")
+        overlap = positive("overlap [windows]", overlap, zero=True)
         many = exact.denominator
         poses = positive("core [windows]", core) * window / step
         return cls(window, exact, many * ceil(poses / many), many * ceil(overlap * window / step / many))

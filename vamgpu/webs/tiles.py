@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 ALONG = 64
 """Columns of a tile that is sampled from a function or a mesh."""
+_END = object()
+"""What the iterator of tiles gives where it ends; a tile that is None is a mistake, not an end."""
 
 
 class Columns:
@@ -61,8 +63,8 @@ class Columns:
         if self.limit is not None and self._read >= self.limit:
             self._ended = True
             return
-        item = next(self._tiles, None)
-        if item is None:
+        item = next(self._tiles, _END)
+        if item is _END:
             self._end_early()
             return
         columns = self._checked(item)
@@ -87,8 +89,9 @@ class Columns:
         where = f"the tile at column {self._read} ({self._mm(self._read)})"
         pitch = getattr(getattr(item, "grid", item), "pitch", None)
         if pitch is not None:
-            edges = np.broadcast_to(np.asarray(pitch, float), 3)
-            if not np.allclose(edges, self.grid.edges, rtol=1e-6):
+            edges = np.asarray(pitch, float).ravel()
+            edges = np.repeat(edges, 3) if edges.size == 1 else edges
+            if edges.size != 3 or not np.allclose(edges, self.grid.edges, rtol=1e-6, atol=0.0):
                 raise TileError(
                     f"{where} has voxels of {_by(edges)} mm, the web of {_by(self.grid.edges)} mm: resample it"
                 )
