@@ -79,6 +79,30 @@ class KernelError(DeviceError):
     """A kernel was bound to arguments that do not fit its declaration, or did not compile."""
 
 
+class DeviceNotFound(DeviceError):
+    """A configured machine does not answer at its address."""
+
+
+class DeviceBusy(DeviceError):
+    """A machine is held by another program."""
+
+
+class WrongDevice(DeviceError):
+    """A machine answers, but is not the one the configuration names, or runs a firmware that cannot do what is asked."""
+
+
+class DeviceRefused(DeviceError):
+    """A machine understood a command and refused it; ``code`` is what it gave as the reason."""
+
+    def __init__(self, message: str, code: str = "") -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class ProtocolError(DeviceError):
+    """What came over a line is no message: cut short, garbled, or of another protocol."""
+
+
 class JobError(BadInput):
     """A job file holds a wrong value."""
 
