@@ -139,17 +139,22 @@ def test_devices_agree_with_the_reference(device: Device, case: Case) -> None:
         assert np.abs(got - wanted).max() <= 1e-5 * np.abs(wanted).max()
 
 
-def test_torch_unfolds_and_folds_the_same(device: Device) -> None:
+SIZES = {"small": (60, 7, 3, 23, 19), "half a turn in half degrees": (400, 38, 2, 360, 262)}
+
+
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_torch_unfolds_and_folds_the_same(fast_device: Device, size: tuple[int, ...]) -> None:
     torch = pytest.importorskip("torch", reason="a test extra")
-    grid, window = WebGrid((60, 7, 3), 0.0785), 23
-    A = WebProjection.from_light(grid, straight_light(19, 7, window), device=device)
+    length, layers, slices, window, columns = size
+    grid = WebGrid((length, layers, slices), 0.0785)
+    A = WebProjection.from_light(grid, straight_light(columns, layers, window), device=fast_device)
     rng = np.random.default_rng(5)
     web, light = rng.random(A.domain.shape), rng.random(A.range.shape)
-    P, padded = torch.tensor(A.light.dense().reshape(19, -1)), (7, 60 + 2 * (window - 1))
+    P, padded = torch.tensor(A.light.dense().reshape(columns, -1)), (layers, length + 2 * (window - 1))
     slices = torch.nn.functional.pad(torch.tensor(web).permute(2, 1, 0)[:, None], (window - 1, window - 1))
-    wanted = (P @ torch.nn.functional.unfold(slices, (7, window))).permute(2, 1, 0).numpy()
+    wanted = (P @ torch.nn.functional.unfold(slices, (layers, window))).permute(2, 1, 0).numpy()
     assert np.abs(A(web) - wanted).max() <= 1e-5 * wanted.max()
-    folded = torch.nn.functional.fold(P.T @ torch.tensor(light).permute(2, 1, 0), padded, (7, window))
+    folded = torch.nn.functional.fold(P.T @ torch.tensor(light).permute(2, 1, 0), padded, (layers, window))
     dose = folded[:, 0, :, window - 1 : 1 - window].permute(2, 1, 0).numpy()
     assert np.abs(A.T(light) - dose).max() <= 1e-5 * dose.max()
 
