@@ -20,7 +20,6 @@ from vamgpu.operators.linear import LinearOperator
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optimize.bclp import BCLP
 from vamgpu.printing.focus import FocusMasks
-from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import pack
 from vamgpu.storage.manifest import plain
@@ -28,6 +27,7 @@ from vamgpu.web import Wrap
 from vamgpu.webs.describe import described, described_focus, described_target
 from vamgpu.webs.layout import Layout
 from vamgpu.webs.section import focus_masks, one_column
+from vamgpu.webs.segment import Segment
 from vamgpu.webs.segments import Outcome, Solver
 from vamgpu.webs.store import RECORD, WebFolder
 from vamgpu.webs.tiles import Columns
@@ -37,38 +37,6 @@ QUANTILE = 0.9999
 
 Told = Callable[[int, int | None], None]
 """Told after each segment: how many are done, of how many (None where nobody knows)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """One segment that is decided.
-
-    number: counted from 0.  first: number of its first frame on the web.  images: uint8 [pose, row, column].
-    target: uint8 [l, rho, z], fractions times 255, of the columns that are judged with this segment.  scale: light of a
-    full-on pixel.  loss: of the first and last iteration, overlaps included.  saturated: pixels that wanted more than
-    full-on.  seconds: it took.  last: whether the web ends here.
-    """
-
-    number: int
-    first: int
-    images: np.ndarray
-    target: np.ndarray
-    scale: float
-    loss: tuple[float, float]
-    saturated: int
-    seconds: float
-    last: bool
-    gray: GrayCurve
-
-    @property
-    def frames(self) -> Frames:
-        """The pictures, for whatever shows or simulates them."""
-        return Frames.from_bytes(
-            self.images, "numpy", bits=8, gray=self.gray, scale=self.scale, columns=self.images.shape[2]
-        )
-
-    def __str__(self) -> str:
-        return f"segment {self.number}: frames {self.first} to {self.first + len(self.images) - 1}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,73 @@
+"""When a web machine tells its lens where to focus, when it triggers its mirrors, and when they are lit.
+
+Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S14: the command for the
+lens goes out, right after it the trigger, and the mirrors wait for the lens to settle before they show their picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import counts, positive
+from vamgpu.printing.focus import slots
+from vamgpu.webs.limits import Limits
+
+TICK = 1e-6
+"""Seconds of the clock that sends commands and triggers, unless told otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timetable:
+    """Times [s] of every picture of some poses, arrays (poses, bins), from the start of pose 0 of the web.
+
+    plane: which focus plane is shown.  power: of the lens [dpt].  command: when the lens is told; NaN where it keeps
+    its power.  trigger: of the mirrors.  start, stop: between them light is on; equally long for all pictures.
+    delay: from trigger to light [s], set once in the mirrors. So a picture in the plane of the one before is triggered
+    while that one is still lit.
+    """
+
+    plane: np.ndarray
+    power: np.ndarray
+    command: np.ndarray
+    trigger: np.ndarray
+    start: np.ndarray
+    stop: np.ndarray
+    delay: float
+
+
+def timetable(limits: Limits, poses: int, first: int = 0, tick: float = TICK) -> Timetable:
+    """Times of ``poses`` poses from pose ``first`` on.
+
+    Every time is rounded to the clock's ``tick`` [s] from where it should be, counted from the beginning of the web,
+    and not from the picture before: so nothing adds up, however long the web is.  Raises `BadInput` for a speed at
+    which pictures are not shown as long as the mirrors need.
+    """
+    count, tick = counts("poses", (poses,), 1)[0], positive("tick [s]", tick)
+    if isinstance(first, bool) or not isinstance(first, int) or first < 0:
+        raise BadInput(f"first is {first!r}; wanted the number of a pose, 0 or more")
+    shown, bins = limits.display, limits.lens.bins
+    period, busy = 1.0 / limits.pose_rate, shown.wire + limits.lens.settle
+    lit = (period - limits.moves * busy) / bins
+    if lit < (1.0 - 1e-9) / shown.rate + 2.0 * tick * (limits.moves > 0):
+        raise BadInput(
+            f"at {limits.speed:.4g} mm/s a picture is lit for {1e3 * lit:.4g} ms, and the mirrors need "
+            f"{1e3 / shown.rate:.4g} ms and two ticks; wanted less than {limits.binding.speed:.4g} mm/s"
+        )
+    plane = slots(first + count, bins, turning=shown.turning)[first:]
+    moves = np.ones((count, bins), bool)
+    if limits.moves < bins:  # what was shown last is shown first
+        moves[:, 0] = False
+    wait = np.where(moves, busy, 0.0)
+    begin = (first + np.arange(count))[:, None] * period + np.cumsum(wait + lit, axis=1) - wait - lit
+    command = _on_clock(np.where(moves, begin, np.nan), tick)
+    trigger = _on_clock(begin + np.where(moves, shown.wire, -limits.lens.settle), tick)
+    start = trigger + limits.lens.settle
+    return Timetable(plane, limits.lens.power(np.array(limits.masks.planes))[plane], command, trigger, start,
+                     start + lit - 2.0 * tick * (limits.moves > 0), limits.lens.settle)  # fmt: skip
+
+
+def _on_clock(time: np.ndarray, tick: float) -> np.ndarray:
+    return np.round(time / tick) * tick
