@@ -45,6 +45,8 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "contrast": "Fewer angles: frequencies, spread and contrast",
         "exact": "A gray phantom reproduced exactly by light of both signs",
         "dualcolor": "One color, one with a tolerance, and two",
+        "printability": "Doses of a turn, two thresholds, and the power between",
+        "joint": "Two colors found together, through the kinetics",
         "designs": "Dots, bars, wedges and posts in one color and two",
         "fom": "A calibration disk at five stop doses",
     }
