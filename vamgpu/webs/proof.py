@@ -13,6 +13,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import Beam
+from vamgpu.metrics.segments import segment_windows
 from vamgpu.operators.web import WebProjection
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
@@ -158,10 +159,10 @@ def prove_web(web: WebFolder | str | Path, device: str | Device | None = None) -
     folder = web if isinstance(web, WebFolder) else WebFolder.open(web)
     simulation = _Simulation(folder, open_device(device))
     edges = np.linspace(0.0, REACH, BINS + 1)
-    counts, extremes, spans = [], [], []
+    counts, windows, spans = [], [], []
     for piece in simulation.pieces(None):
         counts.append(np.stack([_counted(piece.dose[piece.target == part], edges) for part in (False, True)]))
-        extremes.append(_extremes(piece))
+        windows.append(_windows(piece))
         spans.append((piece.number, piece.columns))
     if not counts:
         raise BadInput(
@@ -170,7 +171,7 @@ def prove_web(web: WebFolder | str | Path, device: str | Device | None = None) -
     total = np.sum(counts, axis=0)
     at = _best(total)
     scores = tuple(
-        _score(folder, span, count, extreme, at) for span, count, extreme in zip(spans, counts, extremes, strict=True)
+        _score(folder, span, count, window, at) for span, count, window in zip(spans, counts, windows, strict=True)
     )
     return WebProof(
         folder, simulation.grid, simulation.beam, simulation.light, scores, _iou(total, at), float(edges[at]), total,
@@ -182,14 +183,11 @@ def _counted(dose: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.histogram(np.minimum(dose, edges[-1]), edges)[0]
 
 
-def _extremes(piece: Piece) -> tuple[float, float]:
-    """Strict and trimmed process window of a piece; 0 where it has no part, or nothing but part."""
-    inside, outside = piece.dose[piece.target], piece.dose[~piece.target]
-    if not inside.size or not outside.size:
-        return 0.0, 0.0
-    peak = max(float(inside.max()), float(outside.max())) or 1.0
-    low, high = np.quantile(inside, 0.01), np.quantile(outside, 0.99)
-    return float(inside.min() - outside.max()) / peak, float(low - high) / peak
+def _windows(piece: Piece) -> tuple[float, float]:
+    """Strict and trimmed process window of a piece; 0 where it has no part."""
+    found = segment_windows(piece.dose, piece.target, len(piece.dose))
+    strict, trimmed = np.nan_to_num([found.strict[0], found.trimmed[0]])
+    return float(strict), float(trimmed)
 
 
 def _split(counts: np.ndarray, at: int) -> tuple[int, int, int]:
@@ -208,9 +206,9 @@ def _best(counts: np.ndarray) -> int:
 
 
 def _score(
-    folder: WebFolder, span: tuple[int, tuple[int, int]], counts: np.ndarray, extremes: tuple[float, float], at: int
+    folder: WebFolder, span: tuple[int, tuple[int, int]], counts: np.ndarray, windows: tuple[float, float], at: int
 ) -> PieceScore:
     number, columns = span
     _, missing, excess = _split(counts, at)
     record: Any = folder.segments[number]
-    return PieceScore(columns, _iou(counts, at), *extremes, missing, excess, record.loss[1], record.saturated)
+    return PieceScore(columns, _iou(counts, at), *windows, missing, excess, record.loss[1], record.saturated)
