@@ -83,6 +83,10 @@ class DeviceNotFound(DeviceError):
     """A configured machine does not answer at its address."""
 
 
+class DeviceLost(DeviceError):
+    """A machine that answered before does no longer: unplugged, without power, or hung."""
+
+
 class DeviceBusy(DeviceError):
     """A machine is held by another program."""
 
