@@ -107,6 +107,20 @@ class ProtocolError(DeviceError):
     """What came over a line is no message: cut short, garbled, or of another protocol."""
 
 
+class TimingInfeasible(BadInput):
+    """A machine cannot keep pace; ``limit`` names what binds, ``speed`` is the greatest that fits, in ``unit``."""
+
+    def __init__(self, message: str, limit: str, speed: float, unit: str) -> None:
+        super().__init__(message)
+        self.limit = limit
+        self.speed = speed
+        self.unit = unit
+
+
+class Underrun(DeviceError):
+    """Pictures came too late too often; the light was turned off and then the motion stopped."""
+
+
 class JobError(BadInput):
     """A job file holds a wrong value."""
 

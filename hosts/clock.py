@@ -1,0 +1,45 @@
+"""Time as hosts see it: whole nanoseconds since some start, from the machine or from a program."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol, runtime_checkable
+
+SHORT = 200_000
+"""The last stretch before a wake-up that is not slept through but watched [ns]; a sleep overshoots by about 60 µs."""
+
+
+@runtime_checkable
+class Clock(Protocol):
+    """What tells the time and waits; nothing else in this package does either."""
+
+    def now(self) -> int:
+        """The time [ns]; it never goes back."""
+        ...
+
+    def sleep_until(self, until: int) -> None:
+        """Return at ``until`` [ns] or soon after it; at once where that is past."""
+        ...
+
+
+class RealClock:
+    """The machine's own monotonic clock.
+
+    watch: how long before a wake-up [ns] to stop sleeping and watch the clock instead, which costs a core meanwhile; 0,
+    the default, never does.  `SHORT` is enough to be on time.
+    """
+
+    def __init__(self, watch: int = 0) -> None:
+        self.watch = int(watch)
+
+    def now(self) -> int:
+        """The time [ns] since the machine started."""
+        return time.monotonic_ns()
+
+    def sleep_until(self, until: int) -> None:
+        """Sleep to ``until`` [ns]; returns late by what the system takes to wake a thread."""
+        left = until - self.watch - time.monotonic_ns()
+        if left > 0:
+            time.sleep(left * 1e-9)
+        while self.watch and time.monotonic_ns() < until:
+            pass
