@@ -86,6 +86,8 @@ def test_the_commands_solve_prove_and_draw(tmp_path: Path, capsys: pytest.Captur
     assert "Light about the roller" in page and "focused at" in page and "http://" not in page.split("</style>")[0]
     assert main(["solve", str(file), *options, "--set", "target.cell=5 mm"]) == 1
     assert "holds another web" in capsys.readouterr().err
+    assert main(["export", str(tmp_path / "gyroid.vam"), "--png", str(tmp_path / "png")]) == 1
+    assert "is a web" in capsys.readouterr().err
 
 
 def test_the_demo_shows_contrast(tmp_path: Path) -> None:

@@ -15,10 +15,12 @@ from vamgpu.operators.web import WebProjection
 from vamgpu.optics.film import Film
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller
+from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.optimize import optimize
 from vamgpu.optimize.bclp import BCLP
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.web import WebGrid
+from vamgpu.webs.describe import described
 from vamgpu.webs.layout import Layout
 from vamgpu.webs.store import WebFolder
 from vamgpu.webs.stream import Stream
@@ -123,7 +125,7 @@ def test_what_couples_a_web_is_refused() -> None:
 def test_bad_numbers_are_refused() -> None:
     for options in (
         {"iterations": 0}, {"core": 0.0}, {"overlap": -1.0}, {"overlap": float("nan")}, {"scale": 0.0},
-        {"length": -1.0},
+        {"length": -1.0}, {"pitch": (0.1, 0.1)}, {"section": 6}, {"gray": "linear"},
     ):  # fmt: skip
         with pytest.raises(BadInput, match=next(iter(options))):
             list(stream(part(60), **options))  # type: ignore[arg-type]
@@ -242,3 +244,9 @@ class _Pitched:
     def __init__(self, values: np.ndarray) -> None:
         self.values, self.shape = values, values.shape
         self.grid = WebGrid(values.shape, 0.2)  # type: ignore[arg-type]
+
+
+def test_a_function_is_described_by_its_name() -> None:
+    film = Film(thickness=3.0, resin_index=1.5, bath_index=1.33, absorption=0.2)
+    wrap = Roller(7.5, film, 0.02, index=FilmIndex(images))  # type: ignore[arg-type]
+    assert described(wrap)["index"]["index"] == f"{images.__module__}.images"

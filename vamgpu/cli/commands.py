@@ -130,6 +130,7 @@ def export(
     fps: frames a second of the film
     """
     from vamgpu.errors import BadInput
+    from vamgpu.jobs.web import is_web_folder
     from vamgpu.printing.export import export as write
     from vamgpu.printing.folder import load_frames
 
@@ -140,6 +141,11 @@ def export(
     for ending, place in places.items():
         if place.suffix.lower() not in {ending, ending.replace("tiff", "tif")}:
             raise BadInput(f"got {str(place)!r}; wanted a path with {f'ending {ending}' if ending else 'no ending'}")
+    if is_web_folder(job):
+        raise BadInput(
+            f"{str(job)!r} is a web, whose frames have no end; wanted the folder of a vial's job: read frames of a web "
+            "one by one in Python, with vamgpu.webs.store.WebFolder.open(path).frame(number)"
+        )
     frames = load_frames(job, "numpy")
     screen = console()
     for place in places.values():

@@ -21,6 +21,8 @@ from vamgpu.web import WebGrid
 
 _SLACK = 1e-6
 """Voxels by which a length may miss a whole number of them."""
+MOST_OVERLAPS = 1000
+"""Copies of a part that may reach into one another; more are a period in the wrong unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +39,11 @@ class Repeated:
     def __post_init__(self) -> None:
         if not isinstance(self.solid, Solid):
             raise BadInput(f"got a {type(self.solid).__name__}; wanted a Solid: load_mesh reads one from a file")
-        positive("period [mm]", self.period)
+        period, extent = positive("period [mm]", self.period), float(np.ptp(self.solid.bounds[:, 0]))
+        if extent > MOST_OVERLAPS * period:
+            raise BadInput(f"period is {period:g} mm, but {self.solid.name} is {extent:.4g} mm long, so that "
+                           f"{extent / period:.3g} copies would overlap; wanted at most {MOST_OVERLAPS}: take a longer "
+                           "period [mm]")
 
     def copies(self, low: float, high: float) -> Solid | None:
         """All copies that reach between two positions along l [mm] as one surface; None where there is none."""

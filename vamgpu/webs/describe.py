@@ -42,4 +42,6 @@ def _simple(value: Any) -> Any:
         return {key: _simple(part) for key, part in value.items()}
     if isinstance(value, (list, tuple)):
         return [_simple(part) for part in value]
+    if callable(value) and hasattr(value, "__qualname__"):  # its repr tells where it lies in this process's memory
+        return f"{value.__module__}.{value.__qualname__}"
     return value if isinstance(value, (int, float, str, bool, type(None))) else repr(value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from vamgpu.errors import BadInput, ShapeMismatch
-from vamgpu.geometry import Beam
+from vamgpu.geometry import Beam, counts
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller
 from vamgpu.printing.focus import FocusMasks
@@ -22,9 +22,10 @@ def one_column(
     best, and then voxels are the film's thickness over their count along rho.  pitch: voxel edges [mm] along l, rho, z;
     None takes one pose along l and the beam's pitch.  Raises `BadInput` where no film tells the section.
     """
-    along, deep, across = pitch or (wrap.advance, beam.pitch, beam.pitch)
+    edges = (wrap.advance, beam.pitch, beam.pitch) if pitch is None else pitch
+    along, deep, across = WebGrid((1, 1, 1), edges).edges
     if section is not None:
-        return WebGrid((1, *section), (along, deep, across))
+        return WebGrid((1, *counts("section (voxels along rho and z)", section, 2)), (along, deep, across))  # type: ignore[arg-type]
     thickness = getattr(getattr(wrap, "film", None), "thickness", None)
     if thickness is None:
         raise BadInput("a section is wanted: voxels along rho and z, such as section=(38, 32)")

@@ -96,7 +96,8 @@ class Solver:
         self.device.launch(linear, a=0.0, x=dark, b=0.0, y=dark, floor=1.0, out=dark)
         self.operator.T(dark, out=dose)
         lit = dose.numpy()[:, :, dose.shape[2] // 2, None]
-        return np.clip(1.0 - lit / lit[len(lit) // 2], 0.0, 1.0)
+        endless = np.broadcast_to(lit[len(lit) // 2], lit.shape)
+        return np.clip(1.0 - np.divide(lit, endless, out=np.ones_like(lit), where=endless > 0.0), 0.0, 1.0)
 
     def _dark(self) -> DeviceArray:
         """``light`` = what a web of nothing casts: darkness."""

@@ -91,7 +91,9 @@ class Stream:
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise BadInput(f"iterations is {count!r}; wanted a whole number ≥ 1")
         self.iterations = count
-        self.gray = self.gray or GrayCurve.linear()
+        self.gray = GrayCurve.linear() if self.gray is None else self.gray
+        if not isinstance(self.gray, GrayCurve):
+            raise BadInput(f"got {self.gray!r} as gray; wanted a GrayCurve, such as GrayCurve.load(path), or None")
         self.grid = one_column(self.wrap, self.beam, self.section, self.pitch)
         self.masks = focus_masks(self.lens, self.wrap, self.beam)
         self.light = self.wrap.propagation(self.grid, self.beam)
