@@ -1,0 +1,226 @@
+"""The one holder of the light: it goes on when all that must hold does, and off first whatever happens."""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import signal
+import threading
+import weakref
+from collections.abc import Callable, Mapping
+from types import FrameType
+from typing import Any, Protocol
+
+from vamgpu.errors import BadInput, DeviceBusy
+from vamgpu.hosts.interlock import Budget, InterlockOpen, Seen, reason_dark
+from vamgpu.hosts.lease import Lease
+
+log = logging.getLogger(__name__)
+
+
+class Switch(Protocol):
+    """Something that can make it dark: a controller's gate, a lamp's driver, a projector that shows black."""
+
+    def off(self) -> None:
+        """Make it dark; harmless where it is dark."""
+        ...
+
+
+class Lamp(Switch, Protocol):
+    """The switch that can also make light."""
+
+    def on(self, power: float) -> None:
+        """Make light of a power."""
+        ...
+
+
+class LightGuard:
+    """Holds the light of one rig. Entered last and left first; the only place that calls a lamp's ``on``.
+
+    lamp: what is switched on.  others: further ways to make it dark, named, tried after the lamp, each whatever the
+    one before it did.  tolerance: of motion, in the unit that `look` is given.  signals: whether SIGINT and SIGTERM put
+    the light out before they do what they did (main thread only).  told: hears "on" and "off" with the reason.
+
+    A fault latches: light stays off until the guard is left. Use::
+
+        with LightGuard(lamp, lease, tolerance=0.5) as light:
+            light.look(armed=True, motion=0.0, shown=0, scheduled=0)
+            light.on(0.8)
+    """
+
+    def __init__(
+        self,
+        lamp: Lamp,
+        lease: Lease,
+        *,
+        tolerance: float,
+        budget: Budget | None = None,
+        others: Mapping[str, Switch] | None = None,
+        signals: bool = True,
+        told: Callable[[str, str], None] | None = None,
+    ) -> None:
+        if not tolerance > 0:
+            raise BadInput(f"tolerance of motion is {tolerance!r}; wanted > 0")
+        self.lease, self.budget, self.tolerance = lease, budget, float(tolerance)
+        self._lamp, self._others = lamp, dict(others or {})
+        self._told = told or (lambda what, why: None)
+        self._signals = signals
+        self._lock = threading.RLock()
+        self._seen = Seen()
+        self._lit = False
+        self._entered = False
+        self._fault: str | None = None
+        self._before: dict[int, Any] = {}
+
+    # ---- as a context --------------------------------------------------------------------------------------
+    def __enter__(self) -> LightGuard:
+        with self._lock:
+            if self._entered:
+                raise DeviceBusy("the light is held already; one holder at a time")
+            self._seen, self._fault, self._entered = Seen(), None, True
+        self._guard_process()
+        try:
+            self._dark("begin")  # whatever state a crashed host left
+            self.lease.begin()
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        try:
+            self.off("left" if error is None else f"{type(error).__name__}: {error}")
+        finally:
+            self.lease.revoke()
+            self._entered = False
+            self._release_process()
+
+    # ---- what is seen --------------------------------------------------------------------------------------
+    @property
+    def lit(self) -> bool:
+        """Whether light was switched on and not off since."""
+        return self._lit
+
+    @property
+    def fault(self) -> str | None:
+        """Why the light went off for good; None while it may go on again."""
+        return self._fault
+
+    def reason(self) -> str | None:
+        """Why it must be dark now; None where light may be on."""
+        if not self._entered:
+            return "nobody holds the light"
+        if self._fault is not None:
+            return self._fault
+        return reason_dark(self._seen.change(lease=self.lease.fresh()), self.tolerance)
+
+    def look(self, **seen: object) -> None:
+        """Tell what is seen of the machines (fields of `Seen`); light that may not be on goes off at once.
+
+        Raises `InterlockOpen` where it was on and had to go off.
+        """
+        with self._lock:
+            self._seen = self._seen.change(**seen)
+        self.check()
+
+    def check(self) -> None:
+        """Put the light out where it may not be on. Raises `InterlockOpen` then."""
+        with self._lock:
+            why = self.reason() if self._lit else None
+            if why is not None:
+                self.fail(why)
+                raise InterlockOpen(f"the light went off: {why}")
+
+    # ---- on and off ----------------------------------------------------------------------------------------
+    def on(self, power: float) -> None:
+        """Make light. Raises `InterlockOpen` with the reason where it must stay dark."""
+        with self._lock:
+            why = self.reason()
+            if why is not None:
+                self.off(why)
+                raise InterlockOpen(f"no light: {why}")
+            if not power > 0:
+                raise BadInput(f"power is {power!r}; wanted > 0, or off()")
+            self._lit = True  # first: a lamp that fails half-way may be on
+            try:
+                self._lamp.on(power)
+            except BaseException as error:
+                self.fail(f"the lamp failed: {error}")
+                raise
+            self._told("on", f"{power:.6g}")
+
+    def spend(self, power: float, on_time: int) -> None:
+        """Count light of ``on_time`` [ns]; over the budget it goes off for good. Raises `OverDose`."""
+        if self.budget is None:
+            return
+        try:
+            self.budget.spend(power, on_time)
+        except InterlockOpen as error:
+            self.fail(str(error))
+            raise
+
+    def off(self, why: str = "asked") -> None:
+        """Make it dark; as often as one likes, from any thread, whatever has failed before. Never raises."""
+        with self._lock:
+            was = self._lit
+            self._dark(why)
+            if was:
+                self._told("off", why)
+
+    def fail(self, why: str) -> None:
+        """Make it dark for good: no light before the guard is left, and no lease either."""
+        with self._lock:
+            self._fault = self._fault or why
+            self.lease.revoke()  # first, as it cannot fail: should every line be dead, the controller closes by itself
+            self.off(why)
+
+    def _dark(self, why: str) -> None:
+        """Try every switch; a switch that fails stops no other. With all of them dead the lease is left to run out."""
+        worked = 0
+        for name, switch in (("lamp", self._lamp), *self._others.items()):
+            try:
+                switch.off()
+                worked += 1
+            except Exception as error:
+                log.error("off by the %s failed (%s): %s", name, why, error)
+                self.lease.revoke()
+                self._fault = self._fault or f"the {name} did not go off: {error}"
+        self._lit = False
+        if not worked:
+            log.critical("no switch answered; the controller closes the light when its lease runs out (%s)", why)
+
+    # ---- the process ---------------------------------------------------------------------------------------
+    def _guard_process(self) -> None:
+        """Signals and the interpreter's end put the light out too; they hold no reference that keeps a guard alive."""
+        atexit.register(self._at_exit)
+        if not self._signals or threading.current_thread() is not threading.main_thread():
+            return
+        mine = weakref.ref(self)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            before = signal.getsignal(number)
+
+            def dark_first(number: int, frame: FrameType | None, before: Any = before) -> None:
+                guard = mine()
+                if guard is not None:
+                    guard.fail(signal.Signals(number).name)
+                _as_before(number, frame, before)
+
+            self._before[number] = before
+            signal.signal(number, dark_first)
+
+    def _release_process(self) -> None:
+        atexit.unregister(self._at_exit)
+        for number, before in self._before.items():
+            signal.signal(number, before)
+        self._before = {}
+
+    def _at_exit(self) -> None:
+        self.fail("the interpreter ends")
+
+
+def _as_before(number: int, frame: FrameType | None, before: Any) -> None:
+    """Do what a signal did before the light was held."""
+    if callable(before):
+        before(number, frame)
+    elif before != signal.SIG_IGN:
+        raise SystemExit(128 + number)
