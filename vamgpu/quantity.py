@@ -14,7 +14,7 @@ SPELLINGS = {
     "an absorption": ("1/mm", "/mm", "1/cm", "/cm"),
     "an irradiance": ("mW/cm2", "mW/cm²", "mW/mm2", "mW/mm²"),
     "a dose": ("mJ/cm3", "mJ/cm³", "mJ/mm3", "mJ/mm³"),
-    "a speed": ("mm/min", "mm/s", "m/min"),
+    "a speed": ("mm/min", "mm/s", "mm/h", "m/min"),
     "an angle": ("deg", "°", "rad"),
     "a time": ("ms", "s", "us", "µs", "min"),
     "a rate": ("Hz", "kHz"),

@@ -17,6 +17,7 @@ ms = 1e-3
 us = 1e-6
 Hz = 1.0
 minute = 60.0
+hour = 3600.0
 mJ = 1.0
 J = 1e3
 mW = 1.0
@@ -44,7 +45,7 @@ NAMES = {
     "mW/cm2": mW_cm2, "mW/cm²": mW_cm2, "mJ/cm3": mJ_cm3, "mJ/cm³": mJ_cm3, "mJ/cm2": mJ_cm2, "mJ/cm²": mJ_cm2,
     "mW/mm2": mW / mm**2, "mW/mm²": mW / mm**2, "mJ/mm3": mJ / mm**3, "mJ/mm³": mJ / mm**3,
     "1/mm": 1.0 / mm, "/mm": 1.0 / mm, "1/cm": 1.0 / cm, "/cm": 1.0 / cm,
-    "rpm": rpm, "deg/s": deg / s, "mm/s": mm / s, "mm/min": mm / minute, "m/min": m / minute,
+    "rpm": rpm, "deg/s": deg / s, "mm/s": mm / s, "mm/min": mm / minute, "mm/h": mm / hour, "m/min": m / minute,
     "dpt": dpt, "MB/s": 1e6 / s, "GB/s": 1e9 / s,
     "kg/m3": kg_m3, "kg/m³": kg_m3, "g/cm3": 1e3 * kg_m3, "g/cm³": 1e3 * kg_m3, "Pa s": Pa_s, "mPa s": 1e-3 * Pa_s,
     "mm2/s": mm**2 / s, "mm²/s": mm**2 / s, "cm2/s": cm**2 / s, "cm²/s": cm**2 / s, "m2/s": m**2 / s, "m²/s": m**2 / s,

@@ -19,7 +19,11 @@ STAGES = {
     "contrast": "weighing the angles that enter the film",
     "proof": "proving the print from its frames",
     "report": "drawing the report",
+    "model": "modeling the print",
+    "correct": "correcting the slices",
 }
+MEASURED = ("light", "model", "correct")
+"""Stages that say how much of them is done."""
 
 
 @contextmanager
@@ -43,8 +47,8 @@ class _Now:
         if stage != self._stage:
             self.finish()
             self._stage, self._began = stage, time.perf_counter()
-            self._task = self._bar.add_task(STAGES.get(stage, stage), total=1.0 if stage == "light" else None)
-        if self._task is not None and stage == "light":
+            self._task = self._bar.add_task(STAGES.get(stage, stage), total=1.0 if stage in MEASURED else None)
+        if self._task is not None and stage in MEASURED:
             self._bar.update(self._task, completed=share)
 
     def finish(self) -> None:

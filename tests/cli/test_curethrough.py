@@ -1,0 +1,124 @@
+"""``vam curethrough``: what it reads, writes, says and refuses."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vamgpu.cli import main
+from vamgpu.curethrough.images import encode
+from vamgpu.curethrough.output import RECORD
+from vamgpu.curethrough.stack import open_stack
+from vamgpu.jobs.curethrough import EXAMPLE, parse_curethrough
+
+
+def part() -> np.ndarray:
+    """Two plates and a beam, 70 slices of 12 × 16 pixels."""
+    stack = np.zeros((70, 12, 16), np.uint8)
+    stack[:8, 1:11, 1:15] = stack[40:64, 1:11, 1:9] = stack[50:60, 3:6, 9:15] = 255
+    return stack
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    (tmp_path / "slices").mkdir()
+    for k, picture in enumerate(part()):
+        (tmp_path / "slices" / f"slice{k}.png").write_bytes(encode(picture, ".png"))
+    (tmp_path / "part.toml").write_text(EXAMPLE, encoding="utf-8")
+    return tmp_path / "part.toml"
+
+
+def test_correct_writes_slices_beside_the_originals(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {file.name: file.read_bytes() for file in (job.parent / "slices").iterdir()}
+    assert main(["curethrough", "correct", str(job)]) == 0
+    said = capsys.readouterr().out
+    out, page = job.parent / "slices-corrected", job.parent / "slices-corrected.html"
+    assert "error ratio" in said and str(page) in said and "4 added after the last" in said
+    with open_stack(out) as stack:
+        assert stack.shape == (74, 12, 16) and stack.names[69:71] == ("slice69.png", "slice70.png")
+        levels = stack[0:74]
+    assert (levels[64:67, 1:11, 1:9].min(axis=(1, 2)) > 0).all(), "light in the void behind the last feature"
+    assert (levels[20:34] == 0).all()
+    record = json.loads((out / RECORD).read_text())
+    assert record["job"]["printer"]["speed"] == "1000 mm/h" and record["added slices"] == 4
+    assert {file.name: file.read_bytes() for file in (job.parent / "slices").iterdir()} == before
+    html = page.read_text()
+    assert html.count("data:image/png") >= 12 and "<svg" in html and "The correction leaves" in html
+    assert main(["curethrough", "correct", str(job)]) == 1
+    assert "exists; choose another path" in capsys.readouterr().err
+    assert main(["curethrough", "correct", str(job), "--overwrite"]) == 0
+    assert main(["curethrough", "correct", str(job), "--out", str(job.parent / "slices"), "--overwrite"]) == 1
+    assert "would overwrite the originals" in capsys.readouterr().err
+
+
+def test_model_writes_doses_and_a_report(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    doses = job.parent / "doses.zip"
+    assert main(["curethrough", "model", str(job), "--doses", str(doses)]) == 0
+    said = capsys.readouterr().out
+    assert "excess height, uncorrected" in said and "corrected, corrected" not in said
+    assert "print wrong" in (job.parent / "part-model.html").read_text()
+    from vamgpu.curethrough.dose import column_doses
+
+    machine = parse_curethrough(EXAMPLE).machine
+    wanted = np.minimum(np.rint(51 * column_doses(machine, part())[:-1]), 255)
+    with open_stack(doses) as stack:
+        assert np.abs(stack[0:70].astype(int) - wanted).max() <= 1
+
+
+def test_zips_meshes_and_layers(job: Path) -> None:
+    archive = job.parent / "print.sl1"
+    with zipfile.ZipFile(archive, "w") as file:
+        file.writestr("config.ini", "layerHeight = 0.1\nnumFast = 70\n")
+        for k, picture in enumerate(part()):
+            file.writestr(f"print{k:05d}.png", encode(picture, ".png"))
+    words = ["curethrough", "correct", str(job), "--slices", str(archive)]
+    layers = job.parent / "layers.toml"
+    layers.write_text(EXAMPLE.replace('speed = "1000 mm/h"', 'exposure = "0.9 s"').replace("2 mm", "110 um"))
+    assert main([*words[:2], str(layers), *words[3:]]) == 0
+    with open_stack(job.parent / "print-corrected.sl1") as stack:
+        assert stack.shape == (70, 12, 16), "layer by layer nothing is added"
+    mesh = job.parent / "mesh.toml"
+    text = EXAMPLE.replace('path = "slices"', 'mesh = "cube.obj"\npitch = "250 um"\nheight = "3 mm"')
+    mesh.write_text(text)
+    corners = [f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    faces = ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
+    (job.parent / "cube.obj").write_text("\n".join([*corners, *(f"f {face}" for face in faces)]) + "\n")
+    assert main(["curethrough", "correct", str(mesh)]) == 0
+    with open_stack(job.parent / "mesh-corrected") as stack:
+        assert stack.shape == (64, 16, 16) and stack.names[0] == "slice_0000.png"
+
+
+def test_an_sl1_of_other_layers_is_warned_of(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with zipfile.ZipFile(job.parent / "a.sl1", "w") as file:
+        file.writestr("config.ini", "layerHeight = 0.1\n")
+        file.writestr("a00000.png", encode(part()[0], ".png"))
+    assert main(["curethrough", "model", str(job), "--slices", str(job.parent / "a.sl1")]) == 0
+    assert "says its layers are 100 µm high, the job says 50 µm" in capsys.readouterr().err
+
+
+def test_where_nothing_can_stay_uncured(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dark = ["--set", "printer.dark=20 mW/cm2"]
+    assert main(["curethrough", "correct", str(job), *dark]) == 1
+    assert "720 mJ/cm³" in (said := capsys.readouterr().err) and "576" in said and "print faster than" in said
+    assert not (job.parent / "slices-corrected").exists()
+    assert main(["curethrough", "model", str(job), *dark]) == 0
+    assert "level 0 alone leaves 1.25 critical doses" in capsys.readouterr().err
+    assert main(["curethrough", "correct", str(job), "--set", "printer.light=10 mW/cm2"]) == 1
+    assert "print slower than" in capsys.readouterr().err
+
+
+def test_bad_jobs_and_bad_slices_are_one_clear_text(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (job.parent / "slices" / "slice7.png").unlink()
+    assert main(["curethrough", "correct", str(job)]) == 1
+    said = capsys.readouterr().err
+    assert "69 slices numbered 0 to 69: missing 7" in said and "Traceback" not in said
+    assert main(["curethrough", "model", str(job), "--set", "printer.speed=5", "--set", "printer.colour=1"]) == 1
+    said = capsys.readouterr().err
+    assert "printer.speed: got 5; wanted a speed" in said and "printer.colour: unknown key" in said
+    both = [word for setting in ("printer.exposure=2 s",) for word in ("--set", setting)]
+    assert main(["curethrough", "model", str(job), *both]) == 1
+    assert "exactly one of speed" in capsys.readouterr().err

@@ -1,0 +1,91 @@
+"""The commands ``vam curethrough model | correct | fit``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cyclopts import App
+from rich.markup import escape
+
+from vamgpu.cli.commands import Overwrite, Settings, app, console
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from vamgpu.curethrough.job import Outcome
+
+__all__ = ["app"]
+
+group = App(name="curethrough", help="Stereolithography: model what light cures behind a part, and correct the slices.")
+app.command(group)
+
+
+@group.command
+def model(
+    job: Path, *, slices: Path | None = None, doses: Path | None = None, report: Path | None = None,
+    settings: Settings = None, overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Tell what slices print as they are, and draw a report.
+
+    Parameters
+    ----------
+    job: the TOML file
+    slices: a folder, zip or SL1 file that takes the place of the job's slices
+    doses: a folder or zip for pictures of the dose, 51 gray levels a critical dose
+    report: the HTML file; the job's name with -model.html by default
+    """
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.curethrough import model_job, read_curethrough
+
+    wanted, screen = read_curethrough(job, settings or ()), console()
+    with shown(screen) as told:
+        found = model_job(wanted, slices=slices, doses=doses, overwrite=overwrite, told=told)
+        told("report", 0.0)
+        page = _draw(found, report or job.with_name(f"{job.stem}-model.html"), wanted.name)
+    _lines(screen, found)
+    if doses is not None:
+        screen.print(f"doses   [bold]{escape(str(doses))}[/]")
+    screen.print(f"report  [bold]{escape(str(page.resolve()))}[/]")
+
+
+@group.command
+def correct(
+    job: Path, *, slices: Path | None = None, out: Path | None = None, report: Path | None = None,
+    settings: Settings = None, overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Write corrected slices beside the originals, and draw a report of both.
+
+    Parameters
+    ----------
+    job: the TOML file
+    slices: a folder, zip or SL1 file that takes the place of the job's slices
+    out: where the corrected slices go, a folder or a zip; by default the slices' name with -corrected
+    report: the HTML file; beside the corrected slices by default
+    """
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.curethrough import correct_job, read_curethrough
+
+    wanted, screen = read_curethrough(job, settings or ()), console()
+    place = out if out is not None else wanted.beside(slices)
+    with shown(screen) as told:
+        found = correct_job(wanted, place, slices=slices, overwrite=overwrite, told=told)
+        told("report", 0.0)
+        page = _draw(found, report or place.with_name(f"{place.stem}.html"), wanted.name)
+    _lines(screen, found)
+    added = found.correction.added if found.correction is not None else 0
+    screen.print(f"slices  [bold]{escape(str(place))}[/]{f', {added} added after the last' if added else ''}")
+    screen.print(f"report  [bold]{escape(str(page.resolve()))}[/]")
+
+
+def _draw(found: Outcome, path: Path, title: str) -> Path:
+    from vamgpu.curethrough.report import write_report
+
+    return write_report(found, path, title=title)
+
+
+def _lines(screen: Console, found: Outcome) -> None:
+    from vamgpu.curethrough.report import lines
+
+    for name, value, meaning in lines(found):
+        screen.print(f"  {name:<27} [bold]{value:<16}[/] [dim]{meaning}[/]")

@@ -1,0 +1,153 @@
+"""A modeled or corrected stack as one self-contained HTML page."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import vamgpu
+from vamgpu.curethrough import pictures
+from vamgpu.curethrough.job import Outcome
+from vamgpu.curethrough.score import Group, grouped, widest
+from vamgpu.storage.atomic import replacing
+
+PAPER = (
+    "Z. D. Pritchard, M. P. de Beer, R. J. Whelan, T. F. Scott, M. A. Burns, Modeling and correcting cure-through in "
+    "continuous stereolithographic 3D printing, Adv. Mater. Technol. (2019), doi:10.1002/admt.201900700"
+)
+ROWS = 24
+LACKING = 0.1
+"""A feature lacks something where more than this share of a slice height is uncured."""
+
+
+def write_report(outcome: Outcome, path: str | Path, *, title: str = "", facts: dict[str, str] | None = None) -> Path:
+    """Write the page. facts: more lines of the set-up. Raises `StorageError`."""
+    page = render(outcome, title or Path(path).stem, facts or {})
+    with replacing(path, overwrite=True) as draft:
+        draft.write_text(page, encoding="utf-8")
+    return Path(path)
+
+
+def render(outcome: Outcome, title: str, facts: dict[str, str]) -> str:
+    """The page as text."""
+    from jinja2 import Environment
+
+    text = resources.files("vamgpu.curethrough").joinpath("templates", "curethrough.html").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(text).render(title=title, **_content(outcome, facts))
+
+
+def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
+    """(name, value, meaning) of the numbers that a person looks at first."""
+    found = []
+    pixels = max(1, int((outcome.before.heights.over + outcome.before.heights.under > 0).sum()))
+    for name, shown in (("uncorrected", outcome.before), ("corrected", outcome.after)):
+        if shown is not None:
+            over, under = (float(getattr(shown.heights, key).sum(dtype=float)) / pixels for key in ("over", "under"))
+            found.append((f"excess height, {name}", micro(over), "cured void, mean over the pixels that print wrong "
+                          "uncorrected"))  # fmt: skip
+            found.append((f"missing height, {name}", micro(under), "uncured part, mean over the same pixels"))
+    if outcome.ratio is not None:
+        found.append(("error ratio", f"{outcome.ratio:.3g}", "all height errors, corrected over uncorrected"))
+    single = outcome.feature_ratio
+    if single is not None:
+        found.append(("median error ratio", f"{single[1]:.3g}", "of single features, corrected over uncorrected"))
+    if outcome.missed is not None and outcome.closed is not None:
+        found.append(("features out of reach", f"{int(outcome.missed.sum()):,}", "lack dose at their back side"))
+        found.append(("voids out of reach", f"{int(outcome.closed.sum()):,}", "cannot fall below the critical dose"))
+    return tuple(found)
+
+
+def micro(millimeters: float) -> str:
+    """A height in µm or mm."""
+    return f"{millimeters:.3g} mm" if abs(millimeters) >= 1.0 else f"{1e3 * millimeters:.3g} µm"
+
+
+def _content(outcome: Outcome, facts: dict[str, str]) -> dict[str, Any]:
+    corrected = outcome.after is not None
+    groups = grouped(
+        outcome.before.features,
+        outcome.after.features if outcome.after is not None else None,
+        LACKING * outcome.machine.slice_height,
+    )
+    drawn, most = pictures.maps(outcome)
+    row, column = (ends[0] for ends in (outcome.sample.rows[outcome.sample.across],
+                                        outcome.sample.columns[outcome.sample.along]))  # fmt: skip
+    good, verdict = _verdict(outcome)
+    return {
+        "corrected": corrected,
+        "good": good,
+        "verdict": verdict,
+        "tiles": [(name, value) for name, value, _ in lines(outcome)][:7],
+        "columns": pictures.columns_chart(outcome),
+        "sections": pictures.sections(outcome),
+        "most": f"{pictures.MOST_DOSE:g}",
+        "sections_note": f"Along row {row} and along column {column} of the pictures; the platform is below, every "
+        "pixel as wide as it has room.",
+        "maps": drawn,
+        "maps_note": f"From none to {micro(most)}, the same scale for all.",
+        "header": _header(corrected),
+        "rows": [_row(group, outcome.machine.slice_height) for group in widest(groups, ROWS)],
+        "table_note": _table_note(outcome, groups),
+        "setup": _setup(outcome, facts),
+        "papers": (PAPER,),
+    }
+
+
+def _verdict(outcome: Outcome) -> tuple[bool, str]:
+    if outcome.after is None:
+        error = outcome.before.heights.error
+        wrong = int((outcome.before.heights.over + outcome.before.heights.under > 0).sum())
+        text = f"{wrong:,} columns of pixels print wrong, by {micro(error / max(1, wrong))} of height on average."
+        return error == 0, text
+    missed, ratio = int(outcome.missed.sum()) if outcome.missed is not None else 0, outcome.ratio
+    if ratio is None:
+        return True, "The slices print right as they are."
+    text = f"The correction leaves {100 * ratio:.2g} % of the height errors."
+    if missed:
+        text += f" {missed:,} features lack room behind them for the light they need."
+    return missed == 0 and ratio < 1, text
+
+
+def _header(corrected: bool) -> tuple[str, ...]:
+    after = ("error corrected", "ratio", "lacking") if corrected else ("lacking",)
+    return ("from", "to", "height", "void behind", "columns", "error uncorrected", *after)
+
+
+def _row(group: Group, height: float) -> tuple[str, ...]:
+    place = (f"{group.front * height:.4g} mm", f"{group.back * height:.4g} mm")
+    size = (micro((group.back - group.front) * height), micro(group.behind * height), f"{group.columns:,}")
+    if group.after is None:
+        return (*place, *size, micro(group.before), f"{group.missed:,}")
+    share = "–" if group.ratio is None else f"{group.ratio:.2g}"
+    return (*place, *size, micro(group.before), micro(group.after), share, f"{group.missed:,}")
+
+
+def _table_note(outcome: Outcome, groups: tuple[Group, ...]) -> str:
+    more = f"; {len(groups) - ROWS:,} rarer places are left out" if len(groups) > ROWS else ""
+    return (
+        f"Runs of solid slices in {len(outcome.sample.rows):,} columns of pixels{more}. The error is the cured height "
+        "of the void before a feature and the uncured height within it, a mean over its columns; lacking are columns "
+        f"where more than {LACKING:g} of a slice height within the feature stay uncured."
+    )
+
+
+def _setup(outcome: Outcome, facts: dict[str, str]) -> list[tuple[str, str]]:
+    from vamgpu.units import mJ_cm3, mW_cm2
+
+    machine: Any = outcome.machine
+    slices, ny, nx = outcome.shape
+    rows = [
+        ("slices", f"{slices:,} of {nx} × {ny} pixels, {micro(machine.slice_height)} high"),
+        ("resin", f"absorption height {micro(machine.absorption_height)}, critical dose "
+                  f"{machine.critical_dose / mJ_cm3:.4g} mJ/cm³"),
+        ("light", f"{machine.light[0] / mW_cm2:.3g} to {machine.light[-1] / mW_cm2:.4g} mW/cm²"),
+        ("print", f"{machine.exposure:.4g} s a slice" if machine.layered else
+                  f"{machine.speed:.4g} mm/s, {3600 * machine.speed:.4g} mm/h"),
+        ("solid", f"from gray level {outcome.threshold} on"),
+    ]  # fmt: skip
+    if outcome.correction is not None:
+        rows.append(("correction", f"{outcome.correction.profile}, {outcome.correction.added} slices added"
+                                   f"{', dithered' if outcome.correction.dither else ''}"))  # fmt: skip
+    return [*rows, *facts.items(), ("vamgpu", vamgpu.__version__)]

@@ -1,0 +1,222 @@
+"""Jobs of stereolithography: slices, printer and resin from a TOML file; a model or a correction of them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from vamgpu.backend import open_device
+from vamgpu.curethrough.correction import Correction
+from vamgpu.curethrough.job import Outcome, Told, correct_stack, model
+from vamgpu.curethrough.layers import LayerPrinter
+from vamgpu.curethrough.printer import Printer, levels_of
+from vamgpu.curethrough.profile import Flat, Parallel, Profile
+from vamgpu.curethrough.sliced import MeshStack
+from vamgpu.curethrough.stack import ARCHIVES, layer_height, open_stack
+from vamgpu.errors import JobError, SliceWarning
+from vamgpu.jobs.model import Count, Listed, Section
+from vamgpu.jobs.quantity import Background, DoseValue, Exposure, Irradiance, Length, Speed, Thickness
+from vamgpu.jobs.read import checked, read_text
+
+EXAMPLE = """\
+# The continuous printer of the cure-through paper.
+
+[printer]
+absorption_height = "2 mm"
+critical_dose = "576 mJ/cm3"
+slice_height = "50 um"
+speed = "1000 mm/h"
+light = "100 mW/cm2"
+dark = "1 mW/cm2"
+
+[slices]
+path = "slices"
+
+[correct]
+dither = false
+"""
+"""An example of such a file."""
+DIFFERENT = 1e-3
+"""Share by which a file's layer height may differ from the job's."""
+
+
+class PrinterSection(Section):
+    """Printer and resin: ``speed`` of a continuous one, ``exposure`` of a slice where it prints layer by layer.
+
+    light, dark: irradiance of levels 255 and 0.  gray: file whose table [gray] says what lies between, and how dark
+    level 0 is.
+    """
+
+    absorption_height: Length
+    critical_dose: DoseValue
+    slice_height: Length
+    speed: Speed | None = None
+    exposure: Exposure | None = None
+    light: Irradiance
+    dark: Background | None = None
+    gray: str | None = None
+    dead_zone: Thickness = 0.0
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> PrinterSection:
+        if (self.speed is None) == (self.exposure is None):
+            raise ValueError('wanted exactly one of speed = "1000 mm/h" and exposure = "2 s"')
+        if self.dark is not None and self.gray is not None:
+            raise ValueError("wanted dark or gray, not both: the gray curve says how dark level 0 is")
+        if self.exposure is not None and self.dead_zone:
+            raise ValueError("wanted a dead_zone only with a speed: layer by layer there is none")
+        return self
+
+
+class SlicesSection(Section):
+    """Slices of a folder or zip, or a mesh that is sliced: pixel pitch, size, the printer's pixels along x and y."""
+
+    path: str | None = None
+    mesh: str | None = None
+    pitch: Length | None = None
+    height: Length | None = None
+    factor: Annotated[float, Field(gt=0)] | None = None
+    pixels: Annotated[tuple[Count, Count] | None, Listed] = None
+    threshold: Annotated[int, Field(ge=1, le=255)] = 128
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> SlicesSection:
+        if self.path is not None and self.mesh is not None:
+            raise ValueError('wanted path = "slices" or mesh = "part.stl", not both')
+        if (self.mesh is None) != (self.pitch is None):
+            raise ValueError('wanted mesh = "part.stl" and pitch = "50 um" together')
+        return self
+
+
+class CorrectSection(Section):
+    """The correction: dose inside features, ``flat`` at ``most`` critical doses or ``parallel`` to the bounds."""
+
+    profile: Literal["flat", "parallel"] = "flat"
+    most: Annotated[float, Field(ge=1)] | None = None
+    share: Annotated[float, Field(ge=0, le=1)] = 0.5
+    tail: Annotated[int, Field(ge=0)] | None = None
+    platform: bool = True
+    dither: bool = False
+    device: str | None = None
+
+
+class CurethroughFile(Section):
+    """A job of stereolithography."""
+
+    printer: PrinterSection
+    slices: SlicesSection = SlicesSection()
+    correct: CorrectSection = CorrectSection()
+
+
+@dataclass(frozen=True)
+class CurethroughJob:
+    """A checked job. given: its keys as written.  folder: what its paths are relative to."""
+
+    wanted: CurethroughFile
+    given: dict[str, Any]
+    folder: Path
+    name: str
+
+    @property
+    def machine(self) -> Printer | LayerPrinter:
+        """Printer and resin. Raises `StorageError`, `BadInput` for a gray curve that cannot be read."""
+        section = self.wanted.printer
+        curve = None
+        if section.gray is not None:
+            from vamgpu.printing.gray import GrayCurve
+
+            curve = GrayCurve.load(self.folder / section.gray)
+        light = levels_of(section.light, section.dark or 0.0, curve)
+        common = (section.absorption_height, section.critical_dose, section.slice_height)
+        if section.exposure is not None:
+            return LayerPrinter(*common, section.exposure, light)
+        assert section.speed is not None
+        return Printer(*common, section.speed, light, section.dead_zone)
+
+    @property
+    def correction(self) -> Correction:
+        """What to correct, and how. Raises `BadInput` where light or darkness do not suffice."""
+        section, machine = self.wanted.correct, self.machine
+        profile: Profile = Flat() if section.most is None else Flat(section.most)
+        if section.profile == "parallel":
+            if not isinstance(machine, Printer):
+                raise JobError('correct.profile = "parallel": wanted a printer with a speed; use "flat"')
+            profile = Parallel(section.share, machine.absorption_height, machine.phi_min, machine.phi_max)
+        threshold = self.wanted.slices.threshold
+        return Correction(machine, profile, section.tail, threshold, section.platform, section.dither)
+
+    def stack(self, slices: Path | None = None) -> AbstractContextManager[Any]:
+        """The slices, or those at a path that takes their place. Raises `SliceError`, `MeshError`, `JobError`."""
+        section = self.wanted.slices
+        if slices is None and section.mesh is not None:
+            from vamgpu.targets.mesh import load_mesh
+
+            assert section.pitch is not None
+            solid = load_mesh(self.folder / section.mesh, height=section.height, factor=section.factor)
+            return MeshStack(solid, section.pitch, self.wanted.printer.slice_height, section.pixels,
+                             self.wanted.correct.device)  # fmt: skip
+        place = slices if slices is not None else None if section.path is None else self.folder / section.path
+        if place is None:
+            raise JobError('the job names no slices; wanted path = "slices" or mesh = "part.stl" in [slices]')
+        stack = open_stack(place)
+        said, height = layer_height(stack), self.wanted.printer.slice_height
+        if said is not None and abs(said - height) > DIFFERENT * height:
+            warnings.warn(
+                f"{str(place)!r} says its layers are {1e3 * said:g} µm high, the job says {1e3 * height:g} µm; the "
+                "job's is used: correct printer.slice_height if that is wrong",
+                SliceWarning,
+                stacklevel=2,
+            )
+        return stack
+
+    def beside(self, slices: Path | None = None) -> Path:
+        """Where corrected slices go unless told otherwise: beside the originals."""
+        section = self.wanted.slices
+        if slices is None and section.path is None:
+            return self.folder / f"{self.name}-corrected"
+        place = slices if slices is not None else self.folder / str(section.path)
+        archive = place.suffix.lower() in ARCHIVES
+        name = place.stem if archive else place.name
+        return place.with_name(f"{name}-corrected{place.suffix if archive else ''}")
+
+
+def read_curethrough(path: str | Path, settings: Iterable[str] = ()) -> CurethroughJob:
+    """Read a TOML job file; ``settings`` are ``key=value`` that replace its values. Raises `JobError`."""
+    return parse_curethrough(
+        read_text(path), settings, source=str(path), folder=Path(path).parent, name=Path(path).stem
+    )
+
+
+def parse_curethrough(
+    text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(), name: str = "job"
+) -> CurethroughJob:
+    """A job from TOML text. Raises `JobError` naming every wrong value at once."""
+    return CurethroughJob(*checked(CurethroughFile, text, settings, source=source), folder, name)
+
+
+def model_job(
+    job: CurethroughJob, *, slices: Path | None = None, doses: Path | None = None, overwrite: bool = False,
+    told: Told = lambda stage, share: None,
+) -> Outcome:  # fmt: skip
+    """What a job's slices print as; as `vamgpu.curethrough.job.model`."""
+    device = open_device(job.wanted.correct.device)
+    with job.stack(slices) as stack:
+        return model(job.machine, stack, threshold=job.wanted.slices.threshold, doses=doses, device=device,
+                     overwrite=overwrite, told=told)  # fmt: skip
+
+
+def correct_job(
+    job: CurethroughJob, out: Path, *, slices: Path | None = None, overwrite: bool = False,
+    told: Told = lambda stage, share: None,
+) -> Outcome:  # fmt: skip
+    """Correct a job's slices and write them to ``out``; as `vamgpu.curethrough.job.correct_stack`."""
+    correction, device = job.correction, open_device(job.wanted.correct.device)
+    with job.stack(slices) as stack:
+        return correct_stack(correction, stack, out, device=device, overwrite=overwrite, record={"job": job.given},
+                             told=told)  # fmt: skip
