@@ -250,3 +250,12 @@ def test_a_function_is_described_by_its_name() -> None:
     film = Film(thickness=3.0, resin_index=1.5, bath_index=1.33, absorption=0.2)
     wrap = Roller(7.5, film, 0.02, index=FilmIndex(images))  # type: ignore[arg-type]
     assert described(wrap)["index"]["index"] == f"{images.__module__}.images"
+
+
+def test_a_web_without_a_segment_keeps_no_other_from_its_place(tmp_path: Path) -> None:
+    place = tmp_path / "web.vam"
+    with pytest.raises(TileError):
+        stream([np.ones((4, 4))]).write(place)
+    assert not WebFolder.open(place).segments
+    folder = stream(tiled(part(60)), iterations=3).write(place)
+    assert folder.complete and folder.details["method"]["iterations"] == 3

@@ -205,8 +205,8 @@ class Stream:
         return folder
 
     def _begun(self, place: Path, resume: bool, overwrite: bool) -> WebFolder:
-        if overwrite and (place / RECORD).is_file():
-            shutil.rmtree(place)
+        if (place / RECORD).is_file() and (overwrite or (resume and not WebFolder.open(place).segments)):
+            shutil.rmtree(place)  # nothing is lost with a web that has not one whole segment
         details = self.details()
         if resume and (place / RECORD).is_file():
             folder = WebFolder.open(place).swept()
