@@ -189,7 +189,7 @@ def test_both_colors_through_the_kinetics_beat_the_linear_model() -> None:
     assert np.abs(found.linear_dose().numpy() - found.effective_dose().numpy()).max() > 0.1
     assert min(found.visible.numpy().min(), found.ultraviolet.numpy().min()) >= 0.0
     assert dark.ultraviolet.numpy().max() == 0.0
-    assert found.history[-1].loss < 0.02 * found.history[0].loss
+    assert found.history[-1].loss < 0.1 * found.history[0].loss  # the first is that of the linear model's light
     # from the light of the linear model, which stays as it is, it goes on
     kept = line.visible.numpy()
     again = optimize_colors(model, target, aims, 12, start=line)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil, sqrt
 from typing import TYPE_CHECKING
 
@@ -23,14 +24,14 @@ if TYPE_CHECKING:
 
 ALPHA, PAIRING = 0.2138, 0.432
 """k_B/k_A and k₂·[A]₀ [1/s] as fitted to the measured induction times."""
-OUTSIDE = 0.6
+OUTSIDE = 0.7
 """Effective dose that is asked for out of the part, at most."""
 LABELS = {"visible": "visible alone", "linear": "linear model's light", "joint": "through the kinetics"}
 HUES = dict(zip(LABELS, (style.ORANGE, style.QUIET, style.BLUE), strict=True))
 
 
 def joint(
-    device: Device, quick: bool = False, pixels: int = 96, angles: int = 120, iterations: int = 60, turns: int = 3,
+    device: Device, quick: bool = False, pixels: int = 80, angles: int = 120, iterations: int = 60, turns: int = 3,
     period: float = 10.0, supply: float = 5.0, firm: float = 1.25,
 ) -> Picture:  # fmt: skip
     """Words in a slice of Ø30 mm.
@@ -47,7 +48,7 @@ def joint(
     before = KineticModel(*pair, resin, max(int(turns) - 1, 1), period=period, runs=runs)
     aims = Aims(OUTSIDE, firm, firm + 0.25)
     plans = {
-        "visible": optimize_colors(model, target, Aims(OUTSIDE, firm, firm + 0.25, share=0.0), count),
+        "visible": optimize_colors(LinearModel(*pair, resin, int(turns)), target, replace(aims, share=0.0), count),
         "linear": optimize_colors(LinearModel(*pair, resin, int(turns)), target, aims, count),
         "joint": optimize_colors(model, target, aims, count),
     }
@@ -86,8 +87,9 @@ def joint(
         "arrives in the order of rotation, each color is attenuated by itself (μR = 0.5), C is used up, and B pairs up "
         f"in between: α = {ALPHA:g} and k₂ = {PAIRING:g}/s are those fitted to the measured induction times; "
         f"[C]₀ = {supply:g} [A]₀ is assumed. The linear model, visible − k·ultraviolet, knows no order and no decay, "
-        "and so counts on ultraviolet that is long forgotten; the kinetics, differentiated exactly through all turns, put "
-        "it where and when it lasts. Middle row, all with dose ≥ 1: right in black, missing in blue, too much in red."
+        "and so counts on ultraviolet that is long forgotten; the kinetics, differentiated exactly through all turns, "
+        "put it where and when it lasts. Middle row, all with dose ≥ 1: right in black, missing in blue, too much in "
+        "red."
     )
     formats = ("+.3f", "+.3f", "+.3f", "+.3f", ".2f", ".2f", ".3f", ".1f")
     return Picture(figure, caption, facts, Table(header, formats, rows), plans["joint"].papers)

@@ -27,6 +27,9 @@ BINARY_PHOTOINHIBITION = (
     "B. Wang et al., Lateral contrast enhancement in tomographic volumetric 3D-printing via binary photoinhibition"
 )
 
+LINEAR = 4
+"""Iterations of the linear model for each that visible light alone gets: they cost next to nothing."""
+
 
 @dataclass(frozen=True)
 class Aims:
@@ -96,7 +99,8 @@ def optimize_colors(
     """Light of both colors, never negative, whose effective dose prints the target.
 
     model: `KineticModel`, or `LinearModel` to compare with.  target: a `Target`, or fractions [x, y, z].  start: light
-    to begin with, copied; by default the visible light of ``warm`` iterations for that color alone, and no ultraviolet.
+    to begin with, copied; by default what the linear model finds in 4·``warm`` iterations, from the visible light of
+    ``warm`` iterations for that color alone.
     progress: gets every `Step`.  Raises `BadInput`, `ShapeMismatch`; `Cancelled` with the plan so far on Ctrl-C.
     """
     begun, count = time.perf_counter(), _whole("iterations", Aims.iterations if iterations is None else iterations)
@@ -127,14 +131,21 @@ def _whole(name: str, value: Any) -> int:
 
 
 def _warm(model: Model, target: DeviceArray, aims: Aims, iterations: int) -> Pair:
-    """Visible light that brings the part to the middle of what is wanted, and dark ultraviolet."""
+    """Visible light that brings the part to the middle of what is wanted, and what the linear model makes of it."""
     visible, ultraviolet = model.operators
     found = optimize(visible, target, iterations=iterations)
     device, light = visible.device, found.sinogram
     dose = found.dose().numpy()[target.numpy() >= 0.5]
     scale = 0.5 * (aims.inside + aims.most) / max(float(dose.mean()) * model.turns * model.resin.visible, 1e-30)
     device.launch(linear, a=scale, x=light, b=0.0, y=light, floor=NO_FLOOR, out=light)
-    return Pair(light, device.upload(np.zeros(ultraviolet.range.shape, np.float32)))
+    pair = Pair(light, device.upload(np.zeros(ultraviolet.range.shape, np.float32)))
+    if isinstance(model, LinearModel):
+        return pair
+    line = LinearModel(visible, ultraviolet, model.resin, model.turns)
+    descent = Descent(line, target, aims.band(model.resin), pair, aims.share)
+    for _ in zip(range(LINEAR * iterations), descent.steps()):  # noqa: B905 - whichever ends first
+        pass
+    return descent.light
 
 
 def _copied(model: Model, start: Pair | ColorPlan) -> Pair:
