@@ -1,9 +1,13 @@
 #include "common.h"
+#ifndef UNROLL
+#define UNROLL _Pragma("unroll")
+#endif
 
 // Pixels of a row are alike and next to each other: on a CPU an item owns a strip of a row and takes PACK pixels at a
 // time, one a lane; on a GPU strips are one pixel wide.
 #ifdef CPU
 #define PACK 16
+#define PACKS 4
 typedef float16 Real;
 typedef int16 Whole;
 typedef uint16 Word;
@@ -22,6 +26,7 @@ typedef uchar16 Bytes;
 #define CURE_KERNEL __kernel __attribute__((vec_type_hint(float16))) void
 #else
 #define PACK 1
+#define PACKS 1
 typedef float Real;
 typedef int Whole;
 typedef uint Word;
@@ -86,12 +91,35 @@ PACKED(bytes, uchar, Bytes, 0)
     const int x_begin = strip * width, x_end = min(x_begin + width, n_x); \
     const size_t row = (size_t)y * n_x, plane = (size_t)n_y * n_x;
 
+#ifdef CPU
+// No bit set; compilers are slow at the built-in test of bytes.
+static inline int NONE(Bytes value) {
+    const ulong2 halves = as_ulong2(value);
+    return (halves.x | halves.y) == 0;
+}
+#endif
+
 // What a slice adds at each pixel. Neighbours mostly show the same level.
 static inline Real light_of(__global const float *light, Bytes level) {
 #ifdef CPU
-    if (ALL(level == (Bytes)level.s0)) return (Real)light[level.s0];
+    if (NONE(level ^ (Bytes)level.s0)) return (Real)light[level.s0];
 #endif
     return GATHER(Real, light, level);
+}
+
+// The same for PACKS packs that follow each other.
+static inline void light_of_packs(__global const float *light, __global const uchar *line, int x, int n_x, Real *out) {
+    Bytes level[PACKS];
+    UNROLL for (int v = 0; v < PACKS; v++) level[v] = load_bytes(line, x + v * PACK, n_x);
+#ifdef CPU
+    const Bytes one = (Bytes)level[0].s0;
+    if (NONE((level[0] ^ one) | (level[1] ^ one) | (level[2] ^ one) | (level[3] ^ one))) {
+        const Real all = (Real)light[level[0].s0];
+        UNROLL for (int v = 0; v < PACKS; v++) out[v] = all;
+        return;
+    }
+#endif
+    UNROLL for (int v = 0; v < PACKS; v++) out[v] = light_of(light, level[v]);
 }
 
 static inline void add(Real *dose, Real *rest, Real change) {
@@ -133,18 +161,41 @@ CURE_KERNEL expose_slices(__global const uchar *restrict levels, __global const 
     STRIP
     __global float *own = state + row, *rests = state + plane + row;
     Real peak = (Real)0.0f;
-    for (int n = n_slice - 1; n >= 0; n--) {
-        __global const uchar *line = levels + n * plane + row;
-        __global float *out = doses + n * plane + row;
-        for (int x = x_begin; x < x_end; x += PACK) {
-            Real dose = load_real(own, x, n_x), rest = load_real(rests, x, n_x);
-            const Real change = light_of(light, load_bytes(line, x, n_x)) - decay * dose;
-            if (n < n_kept) store_real(out, x, n_x, (dose + part * change) * fade);
-            add(&dose, &rest, change);
-            store_real(own, x, n_x, dose);
-            store_real(rests, x, n_x, rest);
-            peak = fmax(peak, (NUMBERS + x < n_x) ? dose : (Real)0.0f);
+    int x = x_begin;
+    for (; x + PACKS * PACK <= x_end; x += PACKS * PACK) {  // a cache line of levels at a time, doses in registers
+        Real dose[PACKS], rest[PACKS];
+        UNROLL for (int v = 0; v < PACKS; v++) {
+            dose[v] = load_real(own, x + v * PACK, n_x);
+            rest[v] = load_real(rests, x + v * PACK, n_x);
         }
+        for (int n = n_slice - 1; n >= 0; n--) {
+            __global const uchar *line = levels + n * plane + row;
+            Real change[PACKS];
+            light_of_packs(light, line, x, n_x, change);
+            UNROLL for (int v = 0; v < PACKS; v++) change[v] -= decay * dose[v];
+            if (n < n_kept)
+                UNROLL for (int v = 0; v < PACKS; v++)
+                    store_real(doses + n * plane + row, x + v * PACK, n_x, (dose[v] + part * change[v]) * fade);
+            UNROLL for (int v = 0; v < PACKS; v++) {
+                add(&dose[v], &rest[v], change[v]);
+                peak = fmax(peak, dose[v]);
+            }
+        }
+        UNROLL for (int v = 0; v < PACKS; v++) {
+            store_real(own, x + v * PACK, n_x, dose[v]);
+            store_real(rests, x + v * PACK, n_x, rest[v]);
+        }
+    }
+    for (; x < x_end; x += PACK) {
+        Real dose = load_real(own, x, n_x), rest = load_real(rests, x, n_x);
+        for (int n = n_slice - 1; n >= 0; n--) {
+            const Real change = light_of(light, load_bytes(levels + n * plane + row, x, n_x)) - decay * dose;
+            if (n < n_kept) store_real(doses + n * plane + row, x, n_x, (dose + part * change) * fade);
+            add(&dose, &rest, change);
+            peak = fmax(peak, NUMBERS + x < n_x ? dose : (Real)0.0f);
+        }
+        store_real(own, x, n_x, dose);
+        store_real(rests, x, n_x, rest);
     }
     peaks[(size_t)y * n_strip + strip] = highest(peak);
 }
@@ -179,6 +230,32 @@ static inline Real looked_up(__global const float *table, Whole at) {
     return GATHER(Real, table, at);
 }
 
+// The level nearest to what is wanted, and its light; in a void that leads up to a back side not below it.
+static inline Whole choose(Real wanted, __global const float *light, __global const float *edges,
+                           __global const uchar *first, float bins, int n_bin, Real shift, Whole solid, Whole run,
+                           Real *shown) {
+    const float low = light[0], full = light[255];
+    Whole level = wanted >= full ? (Whole)255 : (Whole)0;
+    *shown = wanted >= full ? (Real)full : (Real)low;
+    const Whole between = (wanted > low && wanted < full) ? (Whole)~0 : (Whole)0;
+    if (!ANY(between != 0)) return level;
+    const Real aim = between != 0 ? wanted + shift : wanted;
+    const Whole bin = clamp(TO_WHOLE((clamp(aim, low, full) - low) * bins), (Whole)0, (Whole)(n_bin - 1));
+    level = TO_WHOLE(GATHER(Bytes, first, bin));
+    Whole more;
+    do {
+        more = (aim > GATHER(Real, edges, level) && level < 255) ? (Whole)1 : (Whole)0;
+        level += more;
+    } while (ANY(more != 0));
+    *shown = GATHER(Real, light, level);
+    const Whole up = (between != 0 && solid == 0 && run > 0 && *shown < wanted && level < 255) ? (Whole)1 : (Whole)0;
+    if (ANY(up != 0)) {
+        level += up;
+        *shown = GATHER(Real, light, level);
+    }
+    return level;
+}
+
 CURE_KERNEL correct_slices(__global const uint *restrict words, int block, __global const float *restrict light,
                            __global const float *restrict edges, __global const uchar *restrict first, float bins,
                            float decay, __global const float *restrict inner, __global const float *restrict back,
@@ -187,84 +264,77 @@ CURE_KERNEL correct_slices(__global const uint *restrict words, int block, __glo
                            int n_word, int n_y, int n_x, int n_bin, int n_below, int n_above, int n_void, int n_slice,
                            int n_strip) {
     STRIP
-    const float low = light[0], full = light[255];
     __global const uint *here = words + (block % n_word) * plane + row;
     Whole lost = (Whole)0;
-    for (int x = x_begin; x < x_end; x += PACK) {
-        Real dose = load_real(state + row, x, n_x), rest = load_real(state + plane + row, x, n_x);
-        const Word word = load_word(here, x, n_x);
-        const Ahead ahead = look_ahead(words, block, platform, row, plane, x, n_x, n_word);
-        __global uchar *out = levels + row;
-        if (ALL(word == 0) && ALL(ahead.to_void >= n_void - 1)) {
+    // Slices lie far apart in memory: what belongs to one cache line is gathered before it goes there.
+    Bytes own[BITS * PACKS];
+    for (int x_line = x_begin; x_line < x_end; x_line += PACKS * PACK) {
+        for (int v = 0; v < PACKS && x_line + v * PACK < x_end; v++) {
+            const int x = x_line + v * PACK;
+            Real dose = load_real(state + row, x, n_x), rest = load_real(state + plane + row, x, n_x);
+            const Word word = load_word(here, x, n_x);
+            const Ahead ahead = look_ahead(words, block, platform, row, plane, x, n_x, n_word);
             Real lowest = load_real(state + 2 * plane + row, x, n_x);
-            lowest = fmin(lowest, dose);
+            Whole done = TO_WHOLE(load_real(state + 3 * plane + row, x, n_x)), low_count = (Whole)0, closed = (Whole)0;
+            const Real lean = TO_REAL(NUMBERS + x) * START_X + y * START_Y;
+            const Real shift = spread * (lean - floor(lean) - 0.5f);
+            const int void_all = ALL(word == 0) && ALL(ahead.to_void >= n_void - 1);
+            const int solid_all = ALL(word == ~0u) && ALL(ahead.to_solid >= n_above - 1) && ALL(done >= max(n_below - 1, 1));
+            if (void_all || solid_all) {  // far from every edge
+                const Real target = (Real)(void_all ? back[n_void - 1] : inner[n_below * n_above - 1]);
+                for (int n = n_slice - 1; n >= 0; n--) {
+                    Real shown;
+                    const Whole level = choose(target - dose + decay * dose, light, edges, first, bins, n_bin, shift,
+                                               (Whole)solid_all, (Whole)BEYOND, &shown);
+                    own[n * PACKS + v] = TO_BYTES(level);
+                    const Real before = dose;
+                    add(&dose, &rest, shown - decay * dose);
+                    if (void_all) lowest = fmin(fmin(lowest, before), dose);
+                }
+                store_real(state + row, x, n_x, dose);
+                store_real(state + plane + row, x, n_x, rest);
+                if (void_all) store_real(state + 2 * plane + row, x, n_x, lowest);
+                store_real(state + 3 * plane + row, x, n_x, void_all ? (Real)0.0f : TO_REAL(done + n_slice));
+                continue;
+            }
             for (int n = n_slice - 1; n >= 0; n--) {
-                add(&dose, &rest, low - decay * dose);
-                lowest = fmin(lowest, dose);
-                store_bytes(out + n * plane, x, n_x, (Bytes)0);
+                const Whole bit = AS_WHOLE(word >> n) & 1;
+                const Whole solid = bit == 1 ? (Whole)~0 : (Whole)0;
+                const Whole other = (AS_WHOLE(word) ^ solid) & (int)((1u << n) - 1u);
+                const Whole carried = (ahead.to_solid & solid) | (ahead.to_void & ~solid);
+                const Whole run = other != 0 ? n - BITS + AS_WHOLE(clz(other)) : n + carried;
+                const Whole starts = (bit == 1 && done == 0) ? (Whole)1 : (Whole)0;
+                if (ANY(starts != 0)) {
+                    low_count += dose < reached ? starts : (Whole)0;
+                    closed += lowest > opened ? starts : (Whole)0;
+                }
+                Real target;
+                if (!ANY(bit == 1)) target = looked_up(back, min(run, n_void - 1));
+                else {
+                    const Whole place = min(done, n_below - 1) * n_above + min(run, n_above - 1);
+                    const Real want = looked_up(inner, solid & place);
+                    target = ALL(bit == 1) ? want : bit == 1 ? want : looked_up(back, ~solid & min(run, n_void - 1));
+                }
+                Real shown;
+                const Whole level = choose(target - dose + decay * dose, light, edges, first, bins, n_bin, shift, bit,
+                                           run, &shown);
+                own[n * PACKS + v] = TO_BYTES(level);
+                const Real before = dose;
+                add(&dose, &rest, shown - decay * dose);
+                lowest = bit == 1 ? (Real)NEVER : fmin(fmin(lowest, before), dose);
+                done = bit == 1 ? done + 1 : (Whole)0;
             }
             store_real(state + row, x, n_x, dose);
             store_real(state + plane + row, x, n_x, rest);
             store_real(state + 2 * plane + row, x, n_x, lowest);
-            store_real(state + 3 * plane + row, x, n_x, (Real)0.0f);
-            continue;
+            store_real(state + 3 * plane + row, x, n_x, TO_REAL(done));
+            if (ANY(low_count != 0)) store_whole(flaws + row, x, n_x, load_whole(flaws + row, x, n_x) + low_count);
+            if (ANY(closed != 0)) store_whole(flaws + plane + row, x, n_x, load_whole(flaws + plane + row, x, n_x) + closed);
+            lost += NUMBERS + x < n_x ? low_count : (Whole)0;
         }
-        Real lowest = load_real(state + 2 * plane + row, x, n_x);
-        Whole done = TO_WHOLE(load_real(state + 3 * plane + row, x, n_x)), low_count = (Whole)0, closed = (Whole)0;
-        const Real lean = TO_REAL(NUMBERS + x) * START_X + y * START_Y;
-        const Real shift = spread * (lean - floor(lean) - 0.5f);
-        for (int n = n_slice - 1; n >= 0; n--) {
-            const Whole bit = AS_WHOLE(word >> n) & 1;
-            const Whole solid = bit == 1 ? (Whole)~0 : (Whole)0;
-            const Whole other = (AS_WHOLE(word) ^ solid) & (int)((1u << n) - 1u);
-            const Whole carried = (ahead.to_solid & solid) | (ahead.to_void & ~solid);
-            const Whole run = other != 0 ? n - BITS + AS_WHOLE(clz(other)) : n + carried;
-            const Whole starts = (bit == 1 && done == 0) ? (Whole)1 : (Whole)0;
-            if (ANY(starts != 0)) {
-                low_count += dose < reached ? starts : (Whole)0;
-                closed += lowest > opened ? starts : (Whole)0;
-            }
-            Real target;
-            if (!ANY(bit == 1)) target = looked_up(back, min(run, n_void - 1));
-            else {
-                const Whole place = min(done, n_below - 1) * n_above + min(run, n_above - 1);
-                const Real want = looked_up(inner, solid & place);
-                target = ALL(bit == 1) ? want : bit == 1 ? want : looked_up(back, ~solid & min(run, n_void - 1));
-            }
-            const Real wanted = target - dose + decay * dose;
-            Whole level = wanted >= full ? (Whole)255 : (Whole)0;
-            Real shown = wanted >= full ? (Real)full : (Real)low;
-            const Whole between = (wanted > low && wanted < full) ? (Whole)~0 : (Whole)0;
-            if (ANY(between != 0)) {
-                const Real aim = between != 0 ? wanted + shift : wanted;
-                const Whole bin = clamp(TO_WHOLE((clamp(aim, low, full) - low) * bins), (Whole)0, (Whole)(n_bin - 1));
-                level = TO_WHOLE(GATHER(Bytes, first, bin));
-                Whole more;
-                do {
-                    more = (aim > GATHER(Real, edges, level) && level < 255) ? (Whole)1 : (Whole)0;
-                    level += more;
-                } while (ANY(more != 0));
-                shown = GATHER(Real, light, level);
-                const Whole up = (between != 0 && bit == 0 && run > 0 && shown < wanted && level < 255)
-                    ? (Whole)1 : (Whole)0;
-                if (ANY(up != 0)) {
-                    level += up;
-                    shown = GATHER(Real, light, level);
-                }
-            }
-            store_bytes(out + n * plane, x, n_x, TO_BYTES(level));
-            const Real before = dose;
-            add(&dose, &rest, shown - decay * dose);
-            lowest = bit == 1 ? (Real)NEVER : fmin(fmin(lowest, before), dose);
-            done = bit == 1 ? done + 1 : (Whole)0;
-        }
-        store_real(state + row, x, n_x, dose);
-        store_real(state + plane + row, x, n_x, rest);
-        store_real(state + 2 * plane + row, x, n_x, lowest);
-        store_real(state + 3 * plane + row, x, n_x, TO_REAL(done));
-        if (ANY(low_count != 0)) store_whole(flaws + row, x, n_x, load_whole(flaws + row, x, n_x) + low_count);
-        if (ANY(closed != 0)) store_whole(flaws + plane + row, x, n_x, load_whole(flaws + plane + row, x, n_x) + closed);
-        lost += NUMBERS + x < n_x ? low_count : (Whole)0;
+        for (int n = 0; n < n_slice; n++)
+            for (int v = 0; v < PACKS && x_line + v * PACK < x_end; v++)
+                store_bytes(levels + n * plane + row, x_line + v * PACK, n_x, own[n * PACKS + v]);
     }
     missed[(size_t)y * n_strip + strip] = summed(lost);
 }

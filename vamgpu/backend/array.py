@@ -29,9 +29,9 @@ class DeviceArray:
         """Bytes on the device, padding included."""
         return self.device.stored_bytes(self.shape, self.dtype, self.lanes)
 
-    def numpy(self) -> np.ndarray:
-        """A NumPy copy of the logical array."""
-        return self.device.download(self)
+    def numpy(self, out: np.ndarray | None = None) -> np.ndarray:
+        """A NumPy copy of the logical array; that of a table may go to ``out``."""
+        return self.device.download(self, out)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         array = self.numpy()

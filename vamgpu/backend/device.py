@@ -12,7 +12,7 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.ledger import Ledger
-from vamgpu.errors import BadInput, DeviceError, KernelError
+from vamgpu.errors import BadInput, DeviceError, KernelError, ShapeMismatch
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
 
 
@@ -118,10 +118,25 @@ class Device(ABC):
         self._write(array.handle, stored)
         return array
 
+    def borrow(self, values: np.ndarray) -> DeviceArray:
+        """A table to read that is the NumPy array itself where device and host share memory, and a copy elsewhere.
+
+        The array must neither change nor go before `synchronize` returns.
+        """
+        return self.upload(values, table=True)
+
     @final
-    def download(self, array: DeviceArray) -> np.ndarray:
-        """A NumPy copy of a device array in logical shape."""
+    def download(self, array: DeviceArray, out: np.ndarray | None = None) -> np.ndarray:
+        """A NumPy copy of a device array in logical shape; a table's may go to a like array, C contiguous."""
         self.check_mine(array)
+        if out is not None:
+            if array.lanes or out.shape != array.shape or out.dtype != array.dtype or not out.flags.c_contiguous:
+                raise ShapeMismatch(
+                    f"out has shape {out.shape} of {out.dtype}; wanted {array.shape} of {array.dtype}, C contiguous"
+                )
+            self.ledger.cross("download", array.nbytes)
+            self._read(array.handle, out)
+            return out
         stored = np.empty(self.stored_shape(array.shape, array.lanes), array.dtype)
         self.ledger.cross("download", array.nbytes)
         self._read(array.handle, stored)

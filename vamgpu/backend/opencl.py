@@ -39,6 +39,8 @@ class OpenclDevice(Device):
         self.queue = cl.CommandQueue(context)
         self._device = device
         self._small_groups = "Portable Computing Language" in device.platform.name
+        svm = getattr(device, "svm_capabilities", 0)
+        self._shares_memory = bool(svm & cl.device_svm_capabilities.FINE_GRAIN_SYSTEM)
         self._compiled = lru_cache(maxsize=None)(self.compile)
 
     @property
@@ -63,6 +65,15 @@ class OpenclDevice(Device):
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(nbytes, 4))
         except cl.Error as error:
             raise OutOfMemory(f"{self.name} has no {nbytes} bytes left for {shape} of {dtype}: {error}") from error
+
+    def borrow(self, values: np.ndarray) -> DeviceArray:
+        if self.is_gpu or not values.flags.c_contiguous or not values.nbytes:
+            return super().borrow(values)
+        handle: Any = cl.SVM(values) if self._shares_memory else None
+        if handle is None:  # some drivers copy what does not begin a page
+            flags = cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR
+            handle = cl.Buffer(self.context, flags, hostbuf=values)
+        return DeviceArray(self, handle, values.shape, values.dtype, 0)
 
     def _write(self, handle: cl.Buffer, stored: np.ndarray) -> None:
         if stored.nbytes:

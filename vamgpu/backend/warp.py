@@ -75,6 +75,13 @@ class WarpDevice(Device):
         except RuntimeError as error:
             raise OutOfMemory(f"{self.name} has no room for {shape} of {dtype}: {error}") from error
 
+    def borrow(self, values: np.ndarray) -> DeviceArray:
+        kind: Any = TYPES.get(values.dtype.name)
+        if self._device.is_cuda or kind is None or not values.flags.c_contiguous or not values.flags.writeable:
+            return super().borrow(values)
+        handle = wp.array(values, dtype=kind, device=self._device, copy=False)
+        return DeviceArray(self, handle, values.shape, values.dtype, 0)
+
     def _write(self, handle: wp.array, stored: np.ndarray) -> None:
         wp.copy(handle, self._host_view(handle, stored))
 

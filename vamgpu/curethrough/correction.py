@@ -14,7 +14,7 @@ import numpy as np
 
 from vamgpu.backend import DeviceArray, open_device
 from vamgpu.backend.device import Device
-from vamgpu.curethrough.dose import Stack, blocks, checked, strips
+from vamgpu.curethrough.dose import Stack, blocks, lent, strips
 from vamgpu.curethrough.machine import Machine
 from vamgpu.curethrough.profile import Flat, Profile
 from vamgpu.errors import BadInput, ShapeMismatch
@@ -98,8 +98,8 @@ class Corrector:
                         **_inverse(machine.doses, put)}  # fmt: skip
         plane = shape[1:]
         self._ring = self.device.table(np.zeros((1 + -(-targets.horizon // BITS), *plane)), "uint32")
-        self._state = put(np.zeros((4, *plane)))
-        self.flaws = put(np.zeros((2, *plane)), "int32")
+        self._state = put(np.zeros((4, *plane), np.float32))
+        self.flaws = put(np.zeros((2, *plane), np.int32), "int32")
         count = strips(self.device, plane[1])
         self._counts = put(np.zeros((plane[0], count)), "int32")
 
@@ -133,9 +133,10 @@ class Corrector:
         if len(levels) == 0:  # beyond the part
             levels = np.zeros((1, *plane), np.uint8)
         self.device.launch(
-            pack_slices, levels=self.device.table(checked(levels, plane), "uint8"),  # type: ignore[arg-type]
-            threshold=self.correction.threshold, block=block, words=self._ring, solid=self._counts,
+            pack_slices, levels=lent(self.device, levels, plane), threshold=self.correction.threshold,  # type: ignore
+            block=block, words=self._ring, solid=self._counts,
         )  # fmt: skip
+        self.device.synchronize()
 
     def _correct(self, block: int, levels: DeviceArray) -> Corrected:
         correction = self.correction
@@ -154,7 +155,7 @@ def correct(correction: Correction, levels: np.ndarray, device: str | Device | N
     corrector = Corrector(correction, levels.shape, device)
     out = np.empty((corrector.slices, *levels.shape[1:]), np.uint8)
     for block in corrector.run(levels):
-        out[block.start : block.start + block.table.shape[0]] = block.levels
+        block.table.numpy(out[block.start : block.start + block.table.shape[0]])
     return out
 
 

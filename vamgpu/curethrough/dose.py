@@ -50,6 +50,11 @@ def checked(levels: Any, shape: tuple[int, int]) -> np.ndarray:
     return block
 
 
+def lent(device: Device, levels: Any, shape: tuple[int, int]) -> DeviceArray:
+    """A block of slices on the device, copied where it must be; raises `BadInput` for what is none."""
+    return levels if isinstance(levels, DeviceArray) else device.borrow(np.ascontiguousarray(checked(levels, shape)))
+
+
 class Exposure:
     """The running dose of a stack that passes block by block, the last block first.
 
@@ -59,7 +64,7 @@ class Exposure:
     def __init__(self, machine: Machine, shape: tuple[int, int], device: str | Device | None = None) -> None:
         self.machine, self.shape, self.device = machine, shape, open_device(device)
         self.light = self.device.table(machine.doses)
-        self.state = self.device.table(np.zeros((2, *shape)))
+        self.state = self.device.table(np.zeros((2, *shape), np.float32))
         self._peaks = self.device.table(np.zeros((shape[0], strips(self.device, shape[1]))))
         self._doses: DeviceArray | None = None
         self.peak = 0.0
@@ -70,7 +75,7 @@ class Exposure:
         levels: uint8 [slice, y, x], at most 32 slices, or a table of them on the device.  fraction: doses that far
         within the slices, see `Machine.between`.  keep: doses of the first so many slices only. Raises `BadInput`.
         """
-        block = levels if isinstance(levels, DeviceArray) else self.device.table(checked(levels, self.shape), "uint8")
+        block = lent(self.device, levels, self.shape)
         part, fade = self.machine.between(fraction)
         kept = block.shape[0] if keep is None else max(1, min(keep, block.shape[0]))
         if self._doses is None or self._doses.shape[0] != kept:
@@ -79,6 +84,7 @@ class Exposure:
             expose_slices, levels=block, light=self.light, decay=self.machine.decay, part=part, fade=fade,
             state=self.state, doses=self._doses, peaks=self._peaks,
         )  # fmt: skip
+        self.device.synchronize()  # the caller may want the block's memory back
         return self._doses
 
     def note_peak(self) -> float:
@@ -108,7 +114,7 @@ class Judge:
     ) -> None:
         self.machine, self.shape, self.device, self.critical = machine, shape, open_device(device), critical
         self.light = self.device.table(machine.doses)
-        self.state, self.heights = (self.device.table(np.zeros((2, *shape))) for _ in range(2))
+        self.state, self.heights = (self.device.table(np.zeros((2, *shape), np.float32)) for _ in range(2))
         count = strips(self.device, shape[1])
         self._peaks = self.device.table(np.zeros((shape[0], count)))
         self._solid = self.device.table(np.zeros((shape[0], count)), "int32")
@@ -116,14 +122,12 @@ class Judge:
 
     def step(self, levels: Any, wanted: Any, threshold: int = 128) -> None:
         """Add a block: what is shown, and the slices of the part, solid from ``threshold`` on; uint8 [slice, y, x]."""
-        pictures = [
-            part if isinstance(part, DeviceArray) else self.device.table(checked(part, self.shape), "uint8")
-            for part in (levels, wanted)
-        ]
+        pictures = [lent(self.device, part, self.shape) for part in (levels, wanted)]
         self.device.launch(
             pack_slices, levels=pictures[1], threshold=threshold, block=0, words=self._words, solid=self._solid
         )
         self.add(pictures[0], self._words, 0)
+        self.device.synchronize()
 
     def add(self, levels: DeviceArray, words: DeviceArray, block: int) -> None:
         """Add a block whose part is packed already in a ring on the device."""
