@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
+import time
 
 import pytest
 
@@ -165,8 +167,6 @@ def test_a_lease_is_renewed_for_work_only() -> None:
 def test_a_keeper_tells_that_the_line_is_lost() -> None:
     class Wall:
         def now(self) -> int:
-            import time
-
             return time.monotonic_ns()
 
     calls: list[int] = []
@@ -176,12 +176,16 @@ def test_a_keeper_tells_that_the_line_is_lost() -> None:
         if len(calls) > 1:
             raise OSError("port gone")
 
-    import threading
+    told = threading.Event()
+    heard: list[str] = []
 
-    told, heard = threading.Event(), []
+    def lost(why: str) -> None:
+        heard.append(why)
+        told.set()
+
     lease = Lease(Wall(), renew, 20 * MS, stall=10_000 * MS)
     lease.begin()
-    with Keeper(lease, lambda why: (heard.append(why), told.set())):
+    with Keeper(lease, lost):
         assert told.wait(10)
     assert "port gone" in heard[0]
 
@@ -202,7 +206,7 @@ def test_a_budget_counts_light_that_was_on() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signals_are_dark_first(number: int) -> None:
+def test_signals_are_dark_first(number: signal.Signals) -> None:
     """The process says when the lamp went off and when the signal's own effect came."""
     script = """
         import os, signal, sys, time

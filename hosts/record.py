@@ -1,0 +1,200 @@
+"""The folder of a run: what was asked, what happened, and every picture that was shown, kept as it happens.
+
+``run.json`` says what was asked, ``rig.toml`` is the rig's file as it was read, ``state.json`` the last state,
+``events.jsonl`` what happened, ``shown.bin`` the pictures. Each picture is one write of one record with a check sum,
+handed to the system before the next is shown: a host that is killed loses none of them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import threading
+import time
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from vamgpu.errors import StorageError
+from vamgpu.hosts.state import Change, State
+from vamgpu.storage.atomic import explained
+
+MAGIC = b"VAMSHOWN\x01\x00\x00\x00"
+_RECORD = struct.Struct("<6q2HI")
+_FIELDS = ("slot", "frame", "position", "start", "on_time", "late", "engine", "dark")
+SHOWN = np.dtype([(name, "<i8") for name in _FIELDS[:6]] + [("engine", "<u2"), ("dark", "<u2"), ("check", "<u4")])
+"""A record: slot and frame numbers, position [microsteps or counts], start, on_time and lateness [ns], which projector,
+and 1 where black was shown instead."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A picture that was shown, or the black that stood for it."""
+
+    slot: int
+    frame: int
+    position: int
+    start: int
+    on_time: int
+    late: int = 0
+    engine: int = 0
+    dark: bool = False
+
+
+class RunFolder:
+    """Writes the folder of a run. Any thread may write; a full disk raises `StorageError`, and the print must stop."""
+
+    def __init__(self, path: Path, resume: bool = False) -> None:
+        self.path = path
+        self._lock = threading.RLock()
+        self._write: Callable[[int, bytes], int] = os.write
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+        try:
+            self._events = os.open(path / "events.jsonl", flags, 0o644)
+            self._shown = os.open(path / "shown.bin", flags, 0o644)
+        except OSError as error:
+            raise explained("write in", path, error) from error
+        if resume:
+            self._cut()
+        else:
+            self._put(self._shown, MAGIC, "shown.bin")
+
+    @classmethod
+    def begin(cls, path: str | Path, asked: Mapping[str, Any], rig: str) -> Self:
+        """A new folder. asked: what was asked for, as JSON takes it.  rig: text of the rig's file.
+
+        Raises `StorageError` for a folder that exists.
+        """
+        place = Path(path)
+        try:
+            place.mkdir(parents=True)
+            (place / "rig.toml").write_text(rig, encoding="utf-8")
+            (place / "run.json").write_text(json.dumps(dict(asked), indent=2) + "\n", encoding="utf-8")
+        except FileExistsError as error:
+            raise StorageError(f"{str(path)!r} exists; a run wants a folder of its own: choose another") from error
+        except OSError as error:
+            raise explained("write", place, error) from error
+        folder = cls(place)
+        folder.state(Change(State.STANDBY, State.STANDBY, ""))
+        return folder
+
+    @classmethod
+    def again(cls, path: str | Path) -> Self:
+        """The folder of a run that is resumed; a last record that was torn is cut off."""
+        read_run(path)
+        return cls(Path(path), resume=True)
+
+    def event(self, kind: str, at: int, **facts: Any) -> None:
+        """Keep what happened. at: the rig's clock [ns]."""
+        line = {"at": int(at), "wall": round(time.time(), 3), "event": kind} | facts
+        self._put(self._events, (json.dumps(line, default=str) + "\n").encode(), "events.jsonl")
+
+    def shown(self, shown: Shown) -> None:
+        """Keep a picture that was shown."""
+        numbers = (shown.slot, shown.frame, shown.position, shown.start, shown.on_time, shown.late)
+        body = struct.pack("<6q2H", *numbers, shown.engine, int(shown.dark))
+        self._put(self._shown, body + struct.pack("<I", zlib.crc32(body)), "shown.bin")
+
+    def state(self, change: Change) -> None:
+        """Keep the state, whole or not at all."""
+        text = json.dumps({"state": change.after.value, "message": change.message, "wall": round(time.time(), 3)})
+        draft = self.path / ".state.json"
+        try:
+            draft.write_text(text + "\n", encoding="utf-8")
+            os.replace(draft, self.path / "state.json")
+        except OSError as error:
+            raise explained("write", self.path / "state.json", error) from error
+
+    def close(self) -> None:
+        """Write the timing and let go of the files; more than once does no harm."""
+        with self._lock:
+            if self._events < 0:
+                return
+            for file in (self._events, self._shown):
+                os.close(file)
+            self._events = self._shown = -1
+        try:
+            text = json.dumps(timing(read_run(self.path).shown), indent=2)
+            (self.path / "timing.json").write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise explained("write", self.path / "timing.json", error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _put(self, file: int, data: bytes, name: str) -> None:
+        with self._lock:
+            try:
+                written = self._write(file, data)
+            except OSError as error:
+                raise explained("write", self.path / name, error) from error
+            if written != len(data):
+                raise StorageError(f"{str(self.path / name)!r} took {written} of {len(data)} bytes: the disk is full")
+
+    def _cut(self) -> None:
+        whole = len(MAGIC) + len(read_run(self.path).shown) * _RECORD.size
+        os.truncate(self.path / "shown.bin", whole)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run as its folder tells it. asked: what was asked for.  shown: records (`SHOWN`), one a picture, in order.
+    events: dicts.  torn: bytes after the last whole record, of one that a kill or a full disk cut short.
+    """
+
+    path: Path
+    asked: dict[str, Any]
+    state: State
+    message: str
+    shown: np.ndarray
+    events: tuple[dict[str, Any], ...]
+    torn: int
+
+
+def read_run(path: str | Path) -> Run:
+    """Read the folder of a run, also of one that was killed. Raises `StorageError` for what is none."""
+    place = Path(path)
+    try:
+        asked = json.loads((place / "run.json").read_text(encoding="utf-8"))
+        told = json.loads((place / "state.json").read_text(encoding="utf-8"))
+        data = (place / "shown.bin").read_bytes()
+        lines = (place / "events.jsonl").read_bytes().split(b"\n")[:-1]
+        state = State(told["state"])
+    except OSError as error:
+        raise explained("read", place, error) from error
+    except (ValueError, KeyError) as error:
+        raise StorageError(f"{str(path)!r} is no folder of a run: {error}; check the path") from error
+    if not data.startswith(MAGIC):
+        raise StorageError(f"{str(place / 'shown.bin')!r} is no record of pictures; check the path")
+    body = data[len(MAGIC) :]
+    count = next((n for n in range(len(body) // _RECORD.size) if not _whole(body, n)), len(body) // _RECORD.size)
+    shown = np.frombuffer(body, SHOWN, count)
+    torn = len(body) - count * _RECORD.size
+    return Run(place, asked, state, told["message"], shown, tuple(json.loads(line) for line in lines), torn)
+
+
+def _whole(body: bytes, number: int) -> bool:
+    record = body[number * _RECORD.size : (number + 1) * _RECORD.size]
+    return zlib.crc32(record[:-4]) == int.from_bytes(record[-4:], "little")
+
+
+def timing(shown: np.ndarray) -> dict[str, Any]:
+    """Lateness of the pictures: p50, p99 and greatest [ns], and a histogram in doubling bins from 1 µs."""
+    late = shown["late"].astype(np.float64)
+    edges = [0, *(1000 * 2**power for power in range(16))]
+    p50, p99, most = np.percentile(late, [50, 99, 100]) if len(late) else (0.0, 0.0, 0.0)
+    counts = np.histogram(np.clip(late, 0, edges[-1]), edges)[0]
+    return {
+        "pictures": len(shown),
+        "dark": int(np.count_nonzero(shown["dark"])),
+        "late_ns": {"p50": float(p50), "p99": float(p99), "max": float(most)},
+        "histogram": {"edges_ns": edges, "counts": counts.tolist()},
+    }
