@@ -245,6 +245,15 @@ def _bits(n: int) -> Example:
     return Example({**light, "byte": -(-light["r"] // 8)})
 
 
+def _planes(n: int, bits: int = 8) -> Example:
+    rng = np.random.default_rng(5)
+    chosen = np.stack([np.arange(6) % 4, np.arange(6) % 3], axis=1)
+    given = {"masks": 255 * rng.integers(0, 2, (3, n + 5)), "chosen": chosen,
+             "images": rng.integers(0, 256, (4, n, n + 5))}  # fmt: skip
+    width = 8 * -(-(n + 5) // 64) if bits == 8 else n + 9
+    return Example({"angle": 4, "row": n, "byte": n + 5, "bin": 3, "picture": 6, "width": width, "strip": n}, given)
+
+
 def _rebinned(n: int) -> Example:
     column = np.linspace(-1.0, n + 1.0, _light(n)["r"])
     rays = np.stack([0.02 * (column - 0.5 * n), column, 1.0 - 0.3 * np.abs(column / n - 0.5)], axis=1)
@@ -471,6 +480,8 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "count_light": lambda n: _frames(n, drop=20, prefix=0),
     "quantize": lambda n: _frames(n, gain=0.8, carry=0.0),
     "fold_bits": _bits,
+    "split_planes": _planes,
+    "pick_pictures": lambda n: _planes(n, 1),
     "unpack": lambda n: _frames(n, bits=8, scale=1.5),
     "mask_bytes": lambda n: Example({**_light(n), "byte": _light(n)["r"]}),
     "mask_rays": lambda n: Example(_light(n)),
