@@ -69,7 +69,7 @@ def test_a_function_without_a_length_is_refused() -> None:
 
 def test_a_stream_that_ends_early_keeps_what_was_written(tmp_path: Path) -> None:
     target, place = part(LONG), tmp_path / "web.vam"
-    with pytest.raises(TileError, match=r"ended after 150 columns \(15 mm\); wanted 240 \(24 mm\)"):
+    with pytest.raises(TileError, match=r"end after 150 columns \(15 mm\); wanted 240 \(24 mm\)"):
         stream(tiled(target[:150]), length=LONG * EDGE, core=2.0).write(place)
     kept = WebFolder.open(place)
     kept.verify()
@@ -77,6 +77,12 @@ def test_a_stream_that_ends_early_keeps_what_was_written(tmp_path: Path) -> None
     whole = stream(tiled(target), length=LONG * EDGE, core=2.0).write(place)
     assert whole.complete
     assert np.array_equal(whole.read("frames", 0, whole.frames), images(stream(target, core=2.0)))
+
+
+def test_an_array_that_is_too_short_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(TileError, match="an array longer along l"):
+        stream(part(150), length=LONG * EDGE, core=2.0).write(tmp_path / "web.vam")
+    assert not (tmp_path / "web.vam").exists()
 
 
 @dataclass
@@ -221,7 +227,7 @@ def test_a_folder_of_another_web_is_not_resumed(tmp_path: Path) -> None:
 
 def test_other_tiles_are_not_mixed_into_a_web(tmp_path: Path) -> None:
     place = tmp_path / "web.vam"
-    with pytest.raises(TileError, match="ended after"):
+    with pytest.raises(TileError, match="end after"):
         stream(tiled(part(150)), length=LONG * EDGE, core=2.0).write(place)
     with pytest.raises(TileError, match="columns 48 to 95 of the tiles differ"):
         stream(tiled(part(LONG, seed=1)), length=LONG * EDGE, core=2.0).write(place)

@@ -35,9 +35,11 @@ class Columns:
         self.grid = grid
         self.limit = None if length is None else ceil(positive("length [mm]", length) / grid.edges[0] - 1e-6)
         self._tiles = iter(_tiles(source, grid, length))
+        self._read = 0
+        if isinstance(source, np.ndarray) and self.limit is not None and len(source) < self.limit:
+            raise self._short(len(source), "an array longer along l")  # known before anything is written
         self._held = np.zeros((0, *grid.shape[1:]), np.float32)
         self._first = 0
-        self._read = 0
         self._ended = False
 
     @property
@@ -77,13 +79,15 @@ class Columns:
 
     def _end_early(self) -> None:
         if self.limit is not None or self._read == 0:
-            wanted = "at least one" if self.limit is None else str(self.limit)
-            raise TileError(
-                f"the stream of tiles ended after {self._read} columns ({self._mm(self._read)}); wanted {wanted}"
-                f"{'' if self.limit is None else f' ({self._mm(self.limit)})'}: give the missing tiles and resume, or "
-                "a shorter length"
-            )
+            raise self._short(self._read, "the missing tiles to go on with")
         self._ended = True
+
+    def _short(self, columns: int, remedy: str) -> TileError:
+        wanted = "at least one" if self.limit is None else f"{self.limit} ({self._mm(self.limit)})"
+        return TileError(
+            f"the tiles end after {columns} columns ({self._mm(columns)}); wanted {wanted}: give {remedy}, or begin a "
+            "shorter web"
+        )
 
     def _checked(self, item: Any) -> np.ndarray:
         where = f"the tile at column {self._read} ({self._mm(self._read)})"
