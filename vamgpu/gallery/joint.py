@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import ceil, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,10 +13,12 @@ from vamgpu.chemistry.species import Rates
 from vamgpu.gallery import style
 from vamgpu.gallery.dualcolor import verdict, words
 from vamgpu.gallery.picture import Fact, Picture, Table
-from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.geometry import Beam, Turntable
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat
 from vamgpu.optimize.joint import Aims, ColorPlan, KineticModel, LinearModel, TwoColorResin, optimize_colors
+from vamgpu.targets.designs import DIAMETER
+from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,13 +35,13 @@ def joint(
     device: Device, quick: bool = False, pixels: int = 80, angles: int = 120, iterations: int = 60, turns: int = 3,
     period: float = 10.0, supply: float = 5.0, firm: float = 1.25,
 ) -> Picture:  # fmt: skip
-    """Words in a slice of Ø30 mm.
+    """Words in a round slice of Ø30 mm.
 
     period: of a turn [s].  supply: [C]₀/[A]₀.  firm: T_mec/T_opt.
     """
     n, poses, count = (40, 24, 6) if quick else (int(pixels), int(angles), int(iterations))
-    target = words(n)
-    pair = _colors(n, target.grid, poses, device)
+    target = round_slice(n)
+    pair = round_colors(target, poses, (0.5, 0.5), device)
     rates = Rates(1.0 / 30.0, ALPHA / 30.0, 1.0 / 30.0, PAIRING, supply=supply)
     resin = TwoColorResin.of(rates, *pair)
     runs = 6 if quick else 12
@@ -95,11 +96,22 @@ def joint(
     return Picture(figure, caption, facts, Table(header, formats, rows), plans["joint"].papers)
 
 
-def _colors(n: int, grid: Grid, poses: int, device: Device) -> tuple[Projection, Projection]:
-    radius = 0.5 * n * grid.pitch * sqrt(2.0)
-    beam = Beam((ceil(n * sqrt(2.0)), 1), grid.pitch)
-    vat = Vat(2.1 * radius, radius=radius, absorption=0.5 / radius)
-    visible, ultraviolet = (Projection(grid, beam, Turntable(poses), vat, device) for _ in range(2))
+def round_slice(n: int) -> Target:
+    """The words on n × n voxels, all within the circle that these hold, of Ø30 mm."""
+    inner = words(round(n / 1.3)).numpy()
+    before = (n - inner.shape[0]) // 2
+    after = n - inner.shape[0] - before
+    return Target.from_array(np.pad(inner, ((before, after), (before, after), (0, 0))), DIAMETER / n, name="words")
+
+
+def round_colors(
+    target: Target, poses: int, extinctions: tuple[float, float], device: Device
+) -> tuple[Projection, Projection]:  # fmt: skip
+    """Operators of both colors in resin of the slice's radius R, μR given, a pixel a voxel."""
+    grid, radius = target.grid, 0.5 * DIAMETER
+    beam = Beam((grid.shape[0], 1), grid.pitch)
+    vats = (Vat(2.0 * radius, radius=radius, absorption=mu / radius) for mu in extinctions)
+    visible, ultraviolet = (Projection(grid, beam, Turntable(poses), vat, device) for vat in vats)
     return visible, ultraviolet
 
 

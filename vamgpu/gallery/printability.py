@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,11 +18,8 @@ from vamgpu.chemistry.printability import (
     static_turns,
 )
 from vamgpu.gallery import style
-from vamgpu.gallery.dualcolor import words
+from vamgpu.gallery.joint import round_colors, round_slice
 from vamgpu.gallery.picture import Fact, Picture, Table
-from vamgpu.geometry import Beam, Turntable
-from vamgpu.operators.projection import Projection
-from vamgpu.optics.vat import Vat
 from vamgpu.optimize import optimize
 from vamgpu.optimize.joint import Aims, LinearModel, TwoColorResin, optimize_colors
 from vamgpu.optimize.joint.run import BINARY_PHOTOINHIBITION
@@ -52,13 +48,13 @@ def printability(
     firm: float = 1.25, visible: float = 0.5, uv: float = 0.5, off: float = 0.02, axis: float = 0.01,
     limit: float = 50.0,
 ) -> Picture:  # fmt: skip
-    """Words in a slice of Ø30 mm.
+    """Words in a round slice of Ø30 mm.
 
     critical: T_opt [mJ/mm³].  firm: T_mec over it.  visible, uv: μR.  off: share of dose, and axis [mm], that may be
     off.  limit: a full-on pixel [mW/cm²].
     """
     n, poses, count = (40, 36, 30) if quick else (int(pixels), int(angles), 120)
-    target, resin = words(n), Thresholds(critical, firm * critical)
+    target, resin = round_slice(n), Thresholds(critical, firm * critical)
     one, two = _lights(target, poses, count, device, (visible, uv))
     fractions = target.on(device)
     single, dual = (turn.doses(fractions)[0] for turn in (one, two))
@@ -114,11 +110,7 @@ def _lights(
     target: Target, poses: int, count: int, device: Device, extinctions: tuple[float, float]
 ) -> tuple[TurnLight, TurnLight]:  # fmt: skip
     """Light of one color, and of two."""
-    n, pitch = target.grid.shape[0], target.grid.pitch
-    radius = 0.5 * n * pitch * sqrt(2.0)
-    beam = Beam((ceil(n * sqrt(2.0)), 1), pitch)
-    vats = (Vat(2.1 * radius, radius=radius, absorption=mu / radius) for mu in extinctions)
-    A, B = (Projection(target.grid, beam, Turntable(poses), vat, device) for vat in vats)
+    A, B = round_colors(target, poses, extinctions, device)
     aims = Aims(outside=0.45, inside=1.0 + 1e-3, most=1.06)
     found = optimize_colors(LinearModel(A, B, PLAIN, 1), target, aims, count)
     single = optimize(A, target, iterations=max(count // 2, 20))
