@@ -416,7 +416,7 @@ def _resin(n: int) -> Example:
     return _elementwise(n, **given, floor=0.05)
 
 
-def _poses(n: int) -> Example:
+def _run_of_poses(n: int) -> Example:
     sizes = _light(n)
     return Example({**sizes, "pose": sizes["angle"] // 3}, {"first": sizes["angle"] // 2})
 
@@ -499,8 +499,8 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "inhibit": _inhibited,
     "inhibition_step": _resin,
     "inhibition_adjoint": _resin,
-    "take_poses": _poses,
-    "put_poses": _poses,
+    "take_poses": _run_of_poses,
+    "put_poses": _run_of_poses,
     "shift_window": _banded,
     "mix_poses": _mixed,
 }
