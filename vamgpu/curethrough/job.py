@@ -12,6 +12,7 @@ import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
+from vamgpu.curethrough.buffers import Buffers
 from vamgpu.curethrough.correction import Correction, Corrector
 from vamgpu.curethrough.dose import Exposure, Judge, Stack, blocks
 from vamgpu.curethrough.machine import Machine
@@ -132,12 +133,12 @@ def correct_stack(
         check_place(out, stack, overwrite=overwrite)
     follow = _Follow(machine, stack, correction.threshold, place)
     corrector = Corrector(correction, follow.shape, place)
-    after, levels = Judge(machine, follow.shape[1:], place), []
+    after, levels, buffers = Judge(machine, follow.shape[1:], place), [], Buffers()
 
     def run(write: Callable[[int, np.ndarray], None]) -> None:
         for block in corrector.run(follow):
             after.add(block.table, block.words, block.start // 32)
-            pictures = block.levels
+            pictures = place.download(block.table, buffers.take(block.table.shape))
             levels.append(follow.sample.of(pictures))
             write(block.start, pictures)
             told("correct", 1.0 - block.start / corrector.slices)

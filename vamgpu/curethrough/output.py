@@ -38,8 +38,11 @@ class Writer(ABC):
         self.written = 0
 
     def write(self, start: int, levels: np.ndarray) -> None:
-        """Slices from number ``start`` on, uint8 [slice, y, x], in any order of blocks. They are copied."""
-        for k, picture in enumerate(np.array(levels)):
+        """Slices from number ``start`` on, uint8 [slice, y, x], in any order of blocks.
+
+        They are read later: who calls must not change them.
+        """
+        for k, picture in enumerate(levels):
             name = self.names[start + k]
             self._coding.append((name, self._pool.submit(encode, picture, PurePosixPath(name).suffix)))
             while len(self._coding) > WAITING:

@@ -55,7 +55,7 @@ def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
         found.append(("median error ratio", f"{single[1]:.3g}", "of single features, corrected over uncorrected"))
     if outcome.missed is not None and outcome.closed is not None:
         found.append(("features out of reach", f"{int(outcome.missed.sum()):,}", "lack dose at their back side"))
-        found.append(("voids out of reach", f"{int(outcome.closed.sum()):,}", "cannot fall below the critical dose"))
+        found.append(("voids out of reach", f"{int(outcome.closed.sum()):,}", "too short to fall below the critical dose"))
     return tuple(found)
 
 
@@ -101,13 +101,16 @@ def _verdict(outcome: Outcome) -> tuple[bool, str]:
         wrong = int((outcome.before.heights.over + outcome.before.heights.under > 0).sum())
         text = f"{wrong:,} columns of pixels print wrong, by {micro(error / max(1, wrong))} of height on average."
         return error == 0, text
-    missed, ratio = int(outcome.missed.sum()) if outcome.missed is not None else 0, outcome.ratio
+    ratio = outcome.ratio
+    missed, closed = (0 if found is None else int(found.sum()) for found in (outcome.missed, outcome.closed))
     if ratio is None:
         return True, "The slices print right as they are."
     text = f"The correction leaves {100 * ratio:.2g} % of the height errors."
     if missed:
         text += f" {missed:,} features lack room behind them for the light they need."
-    return missed == 0 and ratio < 1, text
+    if closed:
+        text += f" {closed:,} voids are too short: they stay cured at this speed and power."
+    return missed + closed == 0 and ratio < 1, text
 
 
 def _header(corrected: bool) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from vamgpu.curethrough.buffers import Buffers
 from vamgpu.curethrough.images import HEAD, Header, decode, header
 from vamgpu.curethrough.names import is_slice, ordered
 from vamgpu.errors import SliceError
@@ -40,6 +41,7 @@ class FileStack(ABC):
         plane = self._plane()
         self.shape = (len(names), *plane)
         self._pool = ThreadPoolExecutor(threads(), "slices")
+        self._buffers = Buffers()
         self._begun: dict[tuple[int, int], tuple[np.ndarray, list[Future[None]]]] = {}
 
     @abstractmethod
@@ -70,7 +72,7 @@ class FileStack(ABC):
         return out
 
     def _begin(self, start: int, stop: int) -> tuple[np.ndarray, list[Future[None]]]:
-        out = np.empty((stop - start, *self.shape[1:]), np.uint8)
+        out = self._buffers.take((stop - start, *self.shape[1:]))
         return out, [self._pool.submit(self._decode, self.names[start + k], out[k]) for k in range(stop - start)]
 
     def _decode(self, name: str, out: np.ndarray) -> None:

@@ -1,0 +1,29 @@
+"""Memory for blocks of slices that is used again: touching fresh memory takes longer than what is done with it."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+HELD = 3
+"""References to an array that only its list knows: the list's, the loop's, and that of the call that counts them."""
+
+
+class Buffers:
+    """Arrays of bytes that are handed out again once nobody holds them, or a view of them, any more."""
+
+    def __init__(self, most: int = 6) -> None:
+        self._most = most
+        self._held: list[np.ndarray] = []
+
+    def take(self, shape: tuple[int, ...]) -> np.ndarray:
+        """A uint8 array, C contiguous, with anything in it."""
+        size = int(np.prod(shape))
+        for held in self._held:
+            if held.size >= size and sys.getrefcount(held) <= HELD:
+                return held[:size].reshape(shape)
+        fresh = np.empty(size, np.uint8)
+        if len(self._held) < self._most:
+            self._held.append(fresh)
+        return fresh.reshape(shape)
