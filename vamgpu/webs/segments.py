@@ -111,9 +111,10 @@ class Solver:
 
     def _filtered(self, work: Work, gain: float) -> DeviceArray:
         """``light`` = the target's filtered projection times a gain, never negative."""
+        taps = self._ramp  # before the fields: measuring it takes two of its own for a while
         shadow, light = self._field("gradient"), self._field("light")
         work.project(work.target, shadow)
-        work.filter(shadow, self._ramp, light, floor=0.0)
+        work.filter(shadow, taps, light, floor=0.0)
         work.scale(gain, light, light)
         return light
 

@@ -165,16 +165,16 @@ class Stream:
 
     def _first_scale(self, light: DeviceArray, here: slice) -> float:
         """Light that all but a few lit pixels of the first segment's own frames stay below."""
-        lit = light.numpy()[here]
-        lit = lit[lit > 0]
-        if not lit.size:
+        shown = light.numpy()[here].reshape(-1)
+        count = int(np.count_nonzero(shown > 0))
+        if not count:
             raise TileError(
                 f"the first {self.layout.core} frames have nothing to print, so that nothing tells how bright a "
                 "full-on pixel must be; begin with the part, or give scale="
             )
-        rank = min(lit.size - 1, int(QUANTILE * lit.size))
-        lit.partition(rank)
-        return float(lit[rank])
+        rank = shown.size - count + min(count - 1, int(QUANTILE * count))
+        shown.partition(rank)  # in place: the lit pixels alone would be one more copy of what fills the memory
+        return float(shown[rank])
 
     def _pack(self, light: DeviceArray, scale: float) -> np.ndarray:
         return pack(_Packable(light, self.solver.operator), 8, self.gray, scale=scale).images.numpy()
