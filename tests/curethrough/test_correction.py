@@ -1,0 +1,186 @@
+"""Corrected doses keep to the constraint curves wherever the map says so; columns of every kind, on every device."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vamgpu.backend.device import Device
+from vamgpu.curethrough.constraints import build_up, die_down, highest_dose
+from vamgpu.curethrough.correction import Correction, Corrector, correct
+from vamgpu.curethrough.dose import column_dose, column_doses
+from vamgpu.curethrough.feasibility import fastest, feasibility, least_void
+from vamgpu.curethrough.features import column_features, survey
+from vamgpu.curethrough.leastsquares import least_squares, refine
+from vamgpu.curethrough.printer import Printer, levels_of
+from vamgpu.curethrough.profile import Flat, Parallel
+from vamgpu.errors import BadInput
+from vamgpu.units import mJ_cm3, mW_cm2
+
+PRINTER = Printer(2.0, 576 * mJ_cm3, 0.05, 1000 / 3600, levels_of(100 * mW_cm2, 1 * mW_cm2))
+GAMMA = Printer(0.8, 400 * mJ_cm3, 0.02, 0.1, levels_of(0.7, 0.0, lambda level: 0.01 + 0.99 * (level / 255.0) ** 2.2))
+
+runs = st.lists(st.tuples(st.integers(1, 60), st.integers(1, 12)), min_size=1, max_size=20)
+
+
+def column(features: list[tuple[int, int]], lead: int) -> np.ndarray:
+    """``lead`` void slices, then features and the voids between them; the last feature ends the column."""
+    parts = [np.zeros(lead, np.uint8)]
+    for solid, void in features:
+        parts += [np.full(solid, 255, np.uint8), np.zeros(void, np.uint8)]
+    return np.concatenate(parts[:-1])
+
+
+def within(printer: Printer, shown: np.ndarray, part: np.ndarray, tolerance: float, platform: bool = True) -> None:
+    """Assert curves i to iii inside features and the critical dose outside, at borders and between them."""
+    places = np.arange(len(shown) * 4) / 4 + 1e-6
+    dose = column_dose(printer, shown, places)
+    solid = np.zeros(len(places), bool)
+    for feature in column_features(part):
+        own = (places >= feature.upper) & (places < feature.lower)
+        solid |= own
+        assert dose[own].min() >= 1.0 - tolerance
+        above = build_up(places[own], feature.lower, printer.phi_max, printer.eta) + tolerance
+        if feature.upper or not platform:
+            above = np.minimum(above, die_down(places[own], feature.upper, printer.phi_min, printer.eta) + tolerance)
+        assert (dose[own] <= above + 2e-3 * above).all()
+    if (~solid).any():
+        assert dose[~solid].max() <= 1.0 + tolerance
+
+
+@settings(max_examples=150, deadline=None)
+@given(features=runs, lead=st.integers(0, 30), tail=st.integers(0, 8), gamma=st.booleans(), dither=st.booleans(),
+       finite=st.booleans())  # fmt: skip
+def test_feasible_columns_keep_to_the_curves(
+    features: list[tuple[int, int]], lead: int, tail: int, gamma: bool, dither: bool, finite: bool
+) -> None:
+    printer, part = GAMMA if gamma else PRINTER, column(features, lead)
+    correction = Correction(printer, Flat(1.6) if finite else Flat(), tail=tail, dither=dither)
+    corrector = Corrector(correction, (len(part), 1, 1), "numpy")
+    shown = np.empty(corrector.slices, np.uint8)
+    for block in corrector.run(part[:, None, None]):
+        shown[block.start : block.start + block.table.shape[0]] = block.levels[:, 0, 0]
+    full_tail = tail >= printer.build_up_height() / printer.slice_height
+    if full_tail:
+        assert not corrector.missed.any()
+    if all(void >= 2 for _, void in features[:-1]) and full_tail:
+        assert not corrector.closed.any()
+    if feasibility(corrector, part[:, None, None]).feasible.all():
+        within(printer, shown, part, 2.0 * correction.tolerance)
+
+
+def test_light_begins_where_the_paper_says() -> None:
+    part = column([(40, 1)], 20)
+    shown = correct(Correction(PRINTER), part[:, None, None], "numpy")[:, 0, 0]
+    assert len(shown) == 60 + 4 and (shown[60:63] >= 253).all() and 0 < shown[63] < 20  # 151 µm are 3.03 slices
+    dose = column_doses(PRINTER, shown)
+    assert dose[60] == pytest.approx(1.0, abs=PRINTER.tolerance) and dose[20] == pytest.approx(1.0, abs=2e-3)
+    assert dose.max() == pytest.approx(float(highest_dose(40, PRINTER.phi_min, 6.25, 0.025)), rel=0.05)
+    assert (shown[:20] == 0).all()
+
+
+@pytest.mark.parametrize("profile", [Flat(1.5), Parallel(0.5, 2.0, 0.0625, 6.25), lambda back, front: 1.2 + 0.1 * front])
+def test_inner_profiles(profile: object) -> None:
+    part = column([(60, 9), (50, 3)], 20)
+    correction = Correction(PRINTER, profile, platform=False)  # type: ignore[arg-type]
+    shown = correct(correction, part[:, None, None], "numpy")[:, 0, 0]
+    within(PRINTER, shown, part, 2 * correction.tolerance, platform=False)
+    dose = column_doses(PRINTER, shown)
+    if isinstance(profile, Flat):
+        assert np.abs(dose[50:70] - 1.5).max() <= 2 * correction.tolerance
+    elif isinstance(profile, Parallel):
+        middle = 45
+        curves = build_up(middle, 80, 6.25, 0.025), die_down(middle, 20, 0.0625, 0.025)
+        assert dose[middle] == pytest.approx(1.0 + 0.5 * (float(min(curves)) - 1.0), rel=5e-3)
+    else:
+        assert dose[40] == pytest.approx(1.3, abs=0.01)
+
+
+def test_devices_write_the_same_slices(fast_device: Device) -> None:
+    rng = np.random.default_rng(2)
+    stack = np.repeat(rng.random((30, 6, 71)) < 0.5, 7, axis=0).astype(np.uint8) * 255
+    correction = Correction(GAMMA)
+    wanted, found = correct(correction, stack, "numpy"), correct(correction, stack, fast_device)
+    assert (wanted != found).mean() < 1e-3
+
+
+def test_speeds_of_the_map_are_the_limit() -> None:
+    part = np.zeros((100, 1, 3), np.uint8)
+    part[20:60, 0, 0], part[20:99, 0, 1] = 255, 255
+    for speed_up, missing in ((0.999, 0), (1.01, 1)):
+        start = Corrector(Correction(PRINTER, tail=0), part.shape, "numpy")
+        for _ in start.run(part):
+            pass
+        limits = feasibility(start, part)
+        assert np.isinf(limits.speed[0, 2]) and limits.missed[0, 1] == 1
+        printer = PRINTER.at_speed(limits.speed[0, 1] * speed_up)
+        again = Corrector(Correction(printer, tail=0), part.shape, "numpy")
+        for _ in again.run(part):
+            pass
+        assert again.missed[0, 1] == missing
+        feature = column_features(part[:, 0, 1])[0]
+        assert fastest(PRINTER, feature, 100) == pytest.approx(limits.speed[0, 1])
+
+
+def test_shortest_void_that_opens() -> None:
+    void = least_void(PRINTER, 0.5)
+    for slices, closed in ((int(void) - 1, 1), (int(void) + 2, 0)):
+        part = column([(60, slices), (60, 1)], 5)
+        corrector = Corrector(Correction(PRINTER, open_dose=0.5), (len(part), 1, 1), "numpy")
+        for _ in corrector.run(part[:, None, None]):
+            pass
+        assert corrector.closed[0, 0] == closed
+
+
+def test_least_squares_is_equal_where_feasible_and_better_elsewhere() -> None:
+    rng = np.random.default_rng(3)
+    columns = []
+    for n in range(40):
+        lowest = 1 if n % 2 else 3
+        features = [(int(rng.integers(3, 30)), int(rng.integers(lowest, 4))) for _ in range(4)]
+        columns.append(np.resize(np.append(column(features, 3), np.zeros(200, np.uint8)), 150))
+    result = least_squares(Correction(PRINTER), np.stack(columns, axis=1))
+    fine = result.feasible
+    assert fine.any() and (~fine).any()
+    assert (result.levels[:, fine] == result.sequential[:, fine]).all()
+    before, after = result.sequential_over + result.sequential_under, result.over + result.under
+    assert (after <= before).all()
+    assert after[~fine].sum() < 0.95 * before[~fine].sum()
+
+
+def test_refine_replaces_columns_in_place() -> None:
+    part = np.stack([column([(20, 1), (20, 1), (20, 1)], 5)] * 2, axis=1)[:, None]
+    part[25:46, 0, 1] = 255
+    correction = Correction(PRINTER)
+    corrector = Corrector(correction, part.shape, "numpy")
+    shown = np.empty((corrector.slices, 1, 2), np.uint8)
+    for block in corrector.run(part):
+        shown[block.start : block.start + block.table.shape[0]] = block.levels
+    before = shown.copy()
+    assert refine(correction, corrector, part, shown) <= 2
+    assert (corrector.closed[0, 0] > 0) and (shown.shape == before.shape)
+
+
+def test_survey_counts_features() -> None:
+    rng = np.random.default_rng(5)
+    stack = np.repeat(rng.random((12, 4, 5)) < 0.5, 6, axis=0).astype(np.uint8) * 255
+    found = {(f.upper, f.lower, f.void, f.last): f.pixels for f in survey(stack)}
+    wanted: dict[tuple[int, int, int, bool], int] = {}
+    for y in range(4):
+        for x in range(5):
+            for f in column_features(stack[:, y, x]):
+                key = (f.upper, f.lower, f.void, f.last)
+                wanted[key] = wanted.get(key, 0) + 1
+    assert found == wanted
+
+
+def test_hopeless_printers_are_refused() -> None:
+    bright = Printer(2.0, 0.03, 0.05, 1000 / 3600, levels_of(1.0, 0.01))
+    with pytest.raises(BadInput, match="nothing can stay uncured"):
+        Correction(bright)
+    with pytest.raises(BadInput, match="print slower"):
+        Correction(PRINTER.at_speed(10.0))
+    with pytest.raises(BadInput, match="never|rise"):
+        Printer(2.0, 0.5, 0.05, 1.0, tuple(reversed(PRINTER.light)))

@@ -1,0 +1,74 @@
+"""Fits of working curves and gray levels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vamgpu.curethrough.resin import WorkingCurve, fit_gray, read_columns, read_gray
+from vamgpu.errors import BadInput, StorageError
+
+H, GEL = 2.0, 0.115
+
+
+def heights(exposure: np.ndarray) -> np.ndarray:
+    return H * np.log10(exposure * np.log(10) / (GEL * H))
+
+
+def test_exact_plugs_give_the_resin_back() -> None:
+    exposure = np.array([0.2, 0.5, 1.0, 2.0])
+    curve = WorkingCurve.fit(exposure, heights(exposure))
+    assert curve.absorption_height.value == pytest.approx(H, rel=1e-9)
+    assert curve.gel_dose.value == pytest.approx(GEL, rel=1e-9)
+    np.testing.assert_allclose(curve.height(exposure), heights(exposure), rtol=1e-9)
+
+
+@pytest.mark.parametrize("confidence", [0.8, 0.95])
+def test_intervals_hold_as_often_as_they_say(confidence: float) -> None:
+    rng, held = np.random.default_rng(1), np.zeros(2)
+    exposure = np.repeat(np.geomspace(0.2, 3.0, 6), 2)
+    for _ in range(600):
+        curve = WorkingCurve.fit(exposure, heights(exposure) + rng.normal(0, 0.05, exposure.size), confidence)
+        held += [curve.absorption_height.low <= H <= curve.absorption_height.high,
+                 curve.gel_dose.low <= GEL <= curve.gel_dose.high]  # fmt: skip
+    assert np.abs(held / 600 - confidence).max() < 0.04
+
+
+def test_csv(tmp_path: Path) -> None:
+    seconds = np.array([1.0, 3.0, 9.0, 20.0])
+    file = tmp_path / "plugs.csv"
+    rows = [f"{t},{z}" for t, z in zip(seconds, heights(seconds * 0.3), strict=True)]
+    file.write_text("\n".join(["time_s,height_mm", *rows]))
+    assert WorkingCurve.read(file, irradiance=0.3).gel_dose.value == pytest.approx(GEL, rel=1e-9)
+    with pytest.raises(BadInput, match="irradiance"):
+        WorkingCurve.read(file)
+    file.write_text("time_s,height_mm\n1,2\n3,much\n")
+    with pytest.raises(BadInput, match="line 3"):
+        read_columns(file)
+    with pytest.raises(StorageError):
+        read_columns(tmp_path / "none.csv")
+
+
+def test_too_few_or_falling_plugs_are_refused() -> None:
+    with pytest.raises(BadInput, match="3"):
+        WorkingCurve.fit([1.0, 2.0], [1.0, 2.0])
+    with pytest.raises(BadInput, match="grow"):
+        WorkingCurve.fit([1.0, 2.0, 4.0], [3.0, 2.0, 1.0])
+
+
+def test_gray_fit_rises_and_ends_at_the_readings(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    levels = np.linspace(0, 255, 18).astype(int)
+    truth = np.where(levels < 100, 0.01 + 0.001 * levels, 0.11 + 0.9 * ((levels - 100) / 155.0) ** 2)
+    noisy = np.repeat(truth, 5) + rng.normal(0, 0.004, 90)
+    fit = fit_gray(np.repeat(levels, 5), np.maximum(noisy, 0))
+    table = np.array(fit.table())
+    assert table.shape == (256,) and (np.diff(table) >= 0).all()
+    assert np.abs(fit(levels) - truth).max() < 0.01 and fit.spread == pytest.approx(0.004, rel=0.3)
+    file = tmp_path / "gray.csv"
+    file.write_text("level,intensity_mW_cm2\n" + "\n".join(f"{a},{100 * b}" for a, b in zip(levels, truth, strict=True)))
+    np.testing.assert_allclose(read_gray(file)(levels), truth, atol=1e-9)
+    with pytest.raises(BadInput, match="0 to 255"):
+        fit_gray([0, 100], [0.0, 1.0])

@@ -1,0 +1,94 @@
+"""Which features can get their dose at this speed and power, and what would let the others.
+
+At best a back side at ζ_L sees full light from there to the last slice shown: nothing that comes after it can add more.
+So it can reach the critical dose if, and only if, that height is at least h_a·log10[Φ_max / (Φ_max − 1)]. A void
+between features is open where the dose falls low enough between two back sides that both want the critical one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import log10
+
+import numpy as np
+
+from vamgpu.curethrough.correction import Correction, Corrector
+from vamgpu.curethrough.dose import Stack
+from vamgpu.curethrough.features import Feature
+from vamgpu.curethrough.printer import Printer
+from vamgpu.errors import BadInput
+
+
+@dataclass(frozen=True, eq=False)
+class Feasibility:
+    """Maps [y, x] of a corrected stack.
+
+    missed: features whose back side does not get its dose.  closed: voids that stay near the critical dose.  speed: the
+    fastest [mm/s] at which every feature of the pixel gets its dose with the same light; infinite where there is none.
+    power: light of level 255 [mW/mm²] with which they do at the present speed.
+    """
+
+    missed: np.ndarray
+    closed: np.ndarray
+    speed: np.ndarray
+    power: np.ndarray
+
+    @property
+    def feasible(self) -> np.ndarray:
+        """Pixels where the doses of what is written keep to the constraint curves; bool [y, x]."""
+        return (self.missed == 0) & (self.closed == 0)
+
+
+def last_back_sides(stack: Stack, threshold: int = 128, block: int = 32) -> np.ndarray:
+    """ζ_L of the last feature of every pixel, 0 where there is none; int32 [y, x]."""
+    out = np.zeros(stack.shape[1:], np.int32)
+    for start in range((stack.shape[0] - 1) // block * block, -1, -block):
+        solid = stack[start : start + block] >= threshold
+        here = np.where(solid.any(axis=0), start + len(solid) - np.argmax(solid[::-1], axis=0), 0)
+        out = np.maximum(out, here)
+        if (out > 0).all():
+            break
+    return out
+
+
+def feasibility(corrector: Corrector, stack: Stack) -> Feasibility:
+    """The maps of a corrector that has run through ``stack``; raises `BadInput` for a printer that stops."""
+    printer = corrector.correction.machine
+    if not isinstance(printer, Printer):
+        raise BadInput("speeds follow for continuous printers; layer by layer, see `LayerPrinter.least_cure_through`")
+    last = last_back_sides(stack, corrector.correction.threshold)
+    behind = (corrector.slices - last) * printer.slice_height
+    with np.errstate(divide="ignore"):
+        share = np.where(last > 0, 1.0 - 10.0 ** (-behind / printer.absorption_height), np.inf)
+        speed = np.where(last > 0, printer.phi_max * printer.speed * share, np.inf)
+        power = np.where(last > 0, printer.light[-1] / (printer.phi_max * share), 0.0)
+    return Feasibility(corrector.missed, corrector.closed, speed, power)
+
+
+def least_void(printer: Printer, open_dose: float) -> float:
+    """Slices of the shortest void between features in which Ω falls to ``open_dose`` < 1 and rises to 1 again."""
+    if not printer.phi_min < open_dose < 1.0 < printer.phi_max:
+        return float("inf")
+    fall = log10((1.0 - printer.phi_min) / (open_dose - printer.phi_min))
+    return (fall + log10((printer.phi_max - open_dose) / (printer.phi_max - 1.0))) / printer.eta
+
+
+def fastest(printer: Printer, feature: Feature, shown: int, open_dose: float | None = None) -> float:
+    """Fastest speed [mm/s] for a feature in a stack of ``shown`` slices, tail included; 0 where none will do.
+
+    open_dose: Ω to which the void between it and the next feature must fall as well.
+    """
+    speed = printer.fastest((shown - feature.lower) * printer.slice_height)
+    if open_dose is None or feature.last or least_void(printer.at_speed(speed), open_dose) <= feature.void:
+        return speed
+    # slower: quicker build-up, but level 0 weighs more; the shortest void has one least between the two
+    choices = [printer.at_speed(s) for s in np.geomspace(1e-3 * speed, speed, 400)]
+    able = [one.speed for one in choices if least_void(one, open_dose) <= feature.void]
+    return max(able, default=0.0)
+
+
+def slower(correction: Correction, speed: float) -> Correction:
+    """The same correction at another speed [mm/s]; raises `BadInput` for a printer that stops."""
+    if not isinstance(correction.machine, Printer):
+        raise BadInput("only continuous printers have a speed")
+    return replace(correction, machine=correction.machine.at_speed(speed))

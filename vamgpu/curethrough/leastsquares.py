@@ -1,0 +1,147 @@
+"""Correction of whole columns at once, by least squares.
+
+The sequential correction is exact wherever every feature can get its dose and every void can open. Elsewhere something
+must give, and this weighs it: with Ω at the borders as unknowns, light and the doses in the middle of slices are
+two-banded in them. Doses beyond the critical one on the wrong side cost their square, light stays between its bounds;
+solved by the alternating direction method of multipliers, whose linear system has three bands and is one for all
+columns. What is written is kept only where its own cured heights are better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.curethrough.correction import Correction, Corrector
+from vamgpu.curethrough.dose import Judge, blocks
+from vamgpu.curethrough.machine import Machine
+from vamgpu.errors import BadInput
+
+WEIGHT = 20.0
+"""Of a dose on the wrong side against the multipliers' pull."""
+PULL = 0.3
+"""Of light on the wrong side of its bounds, likewise."""
+MARGINS = (2.0, 8.0, 30.0, 100.0)
+"""Doses asked for beyond the critical one, in steps of half a level; the best column of all is kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Corrected columns: levels uint8 [slice + tail, column]; over- and under-cured heights [mm] before and after."""
+
+    levels: np.ndarray
+    sequential: np.ndarray
+    over: np.ndarray
+    under: np.ndarray
+    sequential_over: np.ndarray
+    sequential_under: np.ndarray
+    feasible: np.ndarray
+
+
+def least_squares(correction: Correction, columns: np.ndarray, iterations: int = 150) -> Columns:
+    """Correct columns of gray levels [slice, column]; like the sequential correction where that is feasible.
+
+    Raises `BadInput` for what are no columns, or a printer that stops.
+    """
+    if columns.ndim != 2 or columns.dtype != np.uint8:
+        raise BadInput(f"columns have shape {columns.shape} of {columns.dtype}; wanted uint8 [slice, column]")
+    if correction.machine.layered:
+        raise BadInput("layer by layer there is nothing to weigh: every layer has its own light; use the correction")
+    stack = np.ascontiguousarray(columns[:, None, :])
+    corrector = Corrector(correction, stack.shape, "numpy")
+    plain = np.empty((corrector.slices, columns.shape[1]), np.uint8)
+    for block in corrector.run(stack):
+        plain[block.start : block.start + block.table.shape[0]] = block.levels[:, 0]
+    feasible = (corrector.missed + corrector.closed)[0] == 0
+    wanted = np.zeros_like(plain)
+    wanted[: len(columns)] = np.where(columns >= correction.threshold, 255, 0)
+    over, under = heights(correction.machine, plain, wanted)
+    levels, new_over, new_under = plain.copy(), over.copy(), under.copy()
+    at = np.flatnonzero(~feasible)
+    if at.size:
+        for margin in MARGINS:
+            found = _follow(correction.machine, _solve(correction, wanted[:, at] > 0, margin, iterations))
+            o, u = heights(correction.machine, found, wanted[:, at])
+            better = o + u < new_over[at] + new_under[at]
+            chosen = at[better]
+            levels[:, chosen], new_over[chosen], new_under[chosen] = found[:, better], o[better], u[better]
+    return Columns(levels, plain, new_over, new_under, over, under, feasible)
+
+
+def refine(
+    correction: Correction, corrector: Corrector, wanted: np.ndarray, shown: np.ndarray, most: int = 65536
+) -> int:
+    """Put better columns into ``shown`` (in memory, from ``corrector``) where it found no way; returns their number.
+
+    most: columns solved at a time.
+    """
+    rows, places = np.nonzero((corrector.missed + corrector.closed) > 0)
+    changed = 0
+    for start in range(0, len(rows), most):
+        y, x = rows[start : start + most], places[start : start + most]
+        result = least_squares(correction, np.ascontiguousarray(wanted[:, y, x]))
+        better = result.over + result.under < result.sequential_over + result.sequential_under
+        shown[:, y[better], x[better]] = result.levels[:, better]
+        changed += int(better.sum())
+    return changed
+
+
+def heights(machine: Machine, levels: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cured height of the void and uncured height of the part [mm] of columns [slice, column], by the reference."""
+    judge = Judge(machine, (1, levels.shape[1]), "numpy")
+    for start, stop in blocks(len(levels)):
+        judge.step(levels[start:stop, None], wanted[start:stop, None])
+    return judge.over()[0], judge.under()[0]
+
+
+def _solve(correction: Correction, solid: np.ndarray, margin: float, iterations: int) -> np.ndarray:
+    """Ω at the borders that costs least; [slice, column]."""
+    from scipy.linalg import cho_solve_banded, cholesky_banded
+
+    machine = correction.machine
+    decay, half = machine.decay, 10.0 ** (-0.5 * machine.eta)
+    fade, scale = 1.0 - decay, PULL
+    mid = (1.0 - half) / decay, half - (1.0 - half) * fade / decay  # of this border and of the next
+    bound = scale, -scale * fade
+    low, high = scale * machine.doses[0], scale * machine.doses[-1]
+    bands = np.zeros((2, len(solid)))
+    bands[1] = mid[0] ** 2 + bound[0] ** 2
+    bands[1, 1:] += mid[1] ** 2 + bound[1] ** 2
+    bands[0, 1:] = mid[0] * mid[1] + bound[0] * bound[1]
+    factor = cholesky_banded(bands)
+    edge = np.where(solid, 1.0, -1.0) * margin * machine.tolerance + 1.0
+    middle, light = np.zeros(solid.shape), np.full(solid.shape, low)
+    pull_m, pull_l, dose = np.zeros(solid.shape), np.zeros(solid.shape), np.zeros(solid.shape)
+    for _ in range(iterations):
+        dose = cho_solve_banded((factor, False), _back(mid, middle - pull_m) + _back(bound, light - pull_l))
+        at_m, at_l = _forth(mid, dose), _forth(bound, dose)
+        asked = at_m + pull_m
+        wrong = np.where(solid, asked < edge, asked > edge)
+        middle = np.where(wrong, (asked + WEIGHT * edge) / (1.0 + WEIGHT), asked)
+        light = np.clip(at_l + pull_l, low, high)
+        pull_m, pull_l = asked - middle, pull_l + at_l - light
+    return dose
+
+
+def _forth(pair: tuple[float, float], dose: np.ndarray) -> np.ndarray:
+    out = pair[0] * dose
+    out[:-1] += pair[1] * dose[1:]
+    return out
+
+
+def _back(pair: tuple[float, float], values: np.ndarray) -> np.ndarray:
+    out = pair[0] * values
+    out[1:] += pair[1] * values[:-1]
+    return out
+
+
+def _follow(machine: Machine, doses: np.ndarray) -> np.ndarray:
+    """Levels whose own doses stay nearest to those wanted, in closed loop."""
+    added = machine.doses
+    edges, out = 0.5 * (added[1:] + added[:-1]), np.empty(doses.shape, np.uint8)
+    dose = np.zeros(doses.shape[1])
+    for n in range(len(doses) - 1, -1, -1):
+        out[n] = np.searchsorted(edges, doses[n] - (1.0 - machine.decay) * dose)
+        dose = added[out[n]] + (1.0 - machine.decay) * dose
+    return out
