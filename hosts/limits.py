@@ -1,0 +1,159 @@
+"""What machines can do and how fast: lenses on a serial line, mirrors behind a trigger or a video cable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from math import ceil
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import counts
+from vamgpu.hosts.timing import SECOND, Number, exact, nanoseconds
+
+PATTERNS = {1: 24, 2: 12, 3: 8, 4: 6, 6: 4, 7: 3, 8: 2}
+"""Bits → pictures that the 24 bits of one video frame hold."""
+
+
+@dataclass(frozen=True)
+class LensTiming:
+    """A tunable lens and the line that tells it its power.
+
+    settle: seconds from one focus plane to another, one number for all or a table [from, to], whose diagonal does not
+    count.  frame_bytes, baud: of one command, ten bits a byte.  latency: seconds that the driver thinks.
+    Raises `BadInput`.
+    """
+
+    settle: Number | Sequence[Sequence[Number]] = 5e-3
+    frame_bytes: int = 10
+    baud: int = 38400
+    latency: Number = 0
+
+    def __post_init__(self) -> None:
+        counts("frame_bytes and baud", (self.frame_bytes, self.baud), 2)
+        nanoseconds("latency [s]", self.latency)
+        if self.table.ndim == 2 and self.table.shape[0] != self.table.shape[1]:
+            raise BadInput(f"the table of settling has shape {self.table.shape}; wanted as many rows as columns")
+
+    @cached_property
+    def table(self) -> np.ndarray:
+        """Settling [ns], int64 (from, to), or a single number."""
+        if isinstance(self.settle, (int, float, Fraction)):
+            return np.array(nanoseconds("settle [s]", self.settle))
+        rows = [[nanoseconds("settle [s]", value) for value in row] for row in self.settle]
+        if len({len(row) for row in rows}) != 1:
+            raise BadInput("the rows of the table of settling differ in length; wanted one row and column a plane")
+        return np.array(rows)
+
+    @property
+    def wire(self) -> int:
+        """From the first bit of a command to when the driver has acted on the last [ns]."""
+        return ceil(Fraction(10 * self.frame_bytes * SECOND, self.baud)) + nanoseconds("latency [s]", self.latency)
+
+    def settling(self, start: int, end: int) -> int:
+        """From one plane to another [ns]; 0 where that is the same. Raises `BadInput`."""
+        if start == end:
+            return 0
+        if self.table.ndim == 0:
+            return int(self.table)
+        if max(start, end) >= len(self.table):
+            raise BadInput(f"there are {max(start, end) + 1} planes; the table of settling has {len(self.table)}")
+        return int(self.table[start, end])
+
+    @property
+    def slowest(self) -> int:
+        """The longest settling [ns]."""
+        return int(self.table.max())
+
+
+@dataclass(frozen=True)
+class MirrorTiming:
+    """Mirrors that show a picture at each trigger.
+
+    picture: bits → least seconds from picture to picture.  pixels: columns, rows.  row_bytes: of a packed row in the
+    mirrors' memory; None for what the columns need.  trigger_delay: seconds from trigger to light, set in the device.
+    greatest_delay: that the device allows [s].  dark: least seconds without light after a picture.  memory: bit planes
+    that fit.  link: bytes a second from the host; None where it was not measured. Raises `BadInput`.
+
+    The defaults are 1080p mirrors at 266 Hz and 8 bits; inquire those of a device rather than trusting them.
+    """
+
+    picture: Mapping[int, Number] = field(default_factory=lambda: {8: 1 / 266, 1: 1 / 17900})
+    pixels: tuple[int, int] = (1920, 1080)
+    row_bytes: int | None = 256
+    trigger_delay: Number = 0
+    greatest_delay: Number = Fraction(130, 1000)
+    dark: Number = 0
+    memory: int = 31069
+    link: Number | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pixels", counts("pixels", self.pixels, 2))
+        for bits, value in self.picture.items():
+            exact(f"picture time of {bits} bits [s]", value)
+        if self.delay > nanoseconds("greatest_delay [s]", self.greatest_delay):
+            raise BadInput(f"trigger_delay is {self.trigger_delay} s; the device has at most {self.greatest_delay} s")
+        if self.link is not None:
+            exact("link [bytes/s]", self.link)
+
+    def least(self, bits: int) -> int:
+        """Least time of a picture [ns]. Raises `BadInput` for a bit depth the device does not show."""
+        if bits not in self.picture:
+            raise BadInput(f"pictures have {bits} bits; the device shows {', '.join(map(str, self.picture))}")
+        return nanoseconds("picture [s]", self.picture[bits])
+
+    @property
+    def delay(self) -> int:
+        """From trigger to light [ns]."""
+        return nanoseconds("trigger_delay [s]", self.trigger_delay)
+
+    @property
+    def pause(self) -> int:
+        """Least darkness after a picture [ns]."""
+        return nanoseconds("dark [s]", self.dark)
+
+    def nbytes(self, bits: int) -> int:
+        """Bytes of a picture as it is uploaded: packed planes."""
+        columns, rows = self.pixels
+        return bits * rows * (self.row_bytes or -(-columns // 8))
+
+
+@dataclass(frozen=True)
+class HdmiTiming:
+    """Mirrors that take their pictures from a video cable, several in the 24 bits of each video frame.
+
+    refresh: video frames a second.  bits: of a picture; 8 gives two a video frame, 7 three, 1 twenty-four.  exposures:
+    least seconds a picture for 1 to 8 bits.  dark: seconds without light in every slot, for instance to fill with
+    black.  latency: video frames from cable to mirrors. Raises `BadInput`.
+    """
+
+    refresh: Number = 60
+    bits: int = 8
+    exposures: tuple[Number, ...] = (250e-6, 700e-6, 1.6e-3, 1.7e-3, 2e-3, 2.5e-3, 4.5e-3, Fraction(1, 120))
+    dark: Number = 0
+    latency: int = 1
+    pixels: tuple[int, int] = (912, 1140)
+
+    def __post_init__(self) -> None:
+        exact("refresh [1/s]", self.refresh)
+        if self.bits not in PATTERNS:
+            raise BadInput(f"bits is {self.bits!r}; a video frame of 24 bits holds pictures of {list(PATTERNS)} bits")
+        least = exact("exposure [s]", self.exposures[self.bits - 1]) + exact("dark [s]", self.dark, zero=True)
+        if least * self.slot_rate > 1:
+            raise BadInput(
+                f"{self.patterns} pictures of {self.bits} bits a video frame at {float(self.refresh):g} Hz last "
+                f"{1e3 / float(self.slot_rate):.4g} ms; they need {1e3 * float(least):.4g} ms: take fewer bits"
+            )
+
+    @property
+    def patterns(self) -> int:
+        """Pictures in a video frame."""
+        return PATTERNS[self.bits]
+
+    @property
+    def slot_rate(self) -> Fraction:
+        """Pictures a second."""
+        return exact("refresh [1/s]", self.refresh) * self.patterns

@@ -1,0 +1,183 @@
+"""Schedules of what moves past triggered mirrors: webs with a focus that follows, vials, slices of continuous SLA."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from math import nan
+
+import numpy as np
+
+from vamgpu.errors import BadInput, TimingInfeasible
+from vamgpu.geometry import counts
+from vamgpu.hosts.limits import LensTiming, MirrorTiming
+from vamgpu.hosts.schedule import NONE, Schedule
+from vamgpu.hosts.timing import SECOND, Cadence, Number, below, exact, nanoseconds
+from vamgpu.printing.focus import slots
+
+Engines = MirrorTiming | Sequence[MirrorTiming]
+
+
+def web(
+    poses: int, *, advance: Number, speed: Number, engines: Engines, lens: LensTiming | None = None,
+    focus: Sequence[float] = (), bits: int = 8, turning: bool = True, on: Number | None = None,
+    power: float | Sequence[float] = 1.0, first: int = 0,
+) -> Schedule:  # fmt: skip
+    """Slots of a web: at every pose one picture for each focus plane, frame pose · planes + plane.
+
+    advance: of the web from pose to pose [mm].  speed: [mm/s].  engines: mirrors, or several in step: one trigger, the
+    light of all at once, and the slowest rules.  lens, focus: with the power [dpt] of each plane; none for one plane.
+    turning: the order of planes turns at every pose, so the lens moves one time less.  on: seconds of light a picture;
+    None for all there is, the same in every slot.  power: of each engine's light, 0 to 1.  first: pose to begin with.
+
+    The lens is told after the picture before is dark; light comes when the command is through, the driver has thought
+    and the lens has settled, and no sooner than the trigger's delay allows. Raises `BadInput`, `TimingInfeasible`.
+    """
+    count, way = counts("poses", (poses,), 1)[0], exact("advance [mm]", advance)
+    start = exact("first pose", first, zero=True)
+    shown = _Shown.of(engines, bits, power)
+    planes = max(len(focus), 1)
+    if planes > 1 and lens is None:
+        raise BadInput(f"{planes} focus planes want a lens; give its LensTiming")
+    order = slots(2, planes, turning=turning)
+    pose = _Pose.of(order, lens if planes > 1 else None, shown, on)
+    period = pose.period(way, exact("speed [mm/s]", speed), "mm")
+    wait = lens.wire + max(lens.slowest, shown.delay) if lens is not None and focus else shown.delay
+    return _table(Cadence(period, wait), way, count, int(start), order, pose, focus, shown, lens)
+
+
+def sla(
+    layers: int, *, pitch: Number, speed: Number, engines: Engines, bits: int = 8, on: Number | None = None,
+    power: float | Sequence[float] = 1.0,
+) -> Schedule:  # fmt: skip
+    """Slots of a platform that rises without a stop: one slice every ``pitch`` [mm] at ``speed`` [mm/s].
+
+    Several engines, for instance of the color that cures and the one that inhibits, show their slices in step. Raises
+    `BadInput`, `TimingInfeasible`.
+    """
+    return web(layers, advance=pitch, speed=speed, engines=engines, bits=bits, on=on, power=power)
+
+
+def turned(
+    images: int, *, speed: Number, engines: Engines, turns: int = 1, bits: int = 8, on: Number | None = None,
+    power: float | Sequence[float] = 1.0,
+) -> Schedule:  # fmt: skip
+    """Slots of a turning vial before triggered mirrors: ``images`` a turn at ``speed`` [deg/s], turn after turn.
+
+    Raises `BadInput`, `TimingInfeasible`.
+    """
+    number, times = counts("images and turns", (images, turns), 2)
+    shown, order = _Shown.of(engines, bits, power), np.zeros((2, 1), np.int64)
+    pose, way = _Pose.of(order, None, shown, on), Fraction(360, number)
+    period = pose.period(way, exact("speed [deg/s]", speed), "deg")
+    return _table(Cadence(period, shown.delay), way, number * times, 0, order, pose, (), shown, None, number)
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """Mirrors in step: the longest of their times [ns]."""
+
+    least: int
+    delay: int
+    pause: int
+    transfer: int
+    power: tuple[float, ...]
+
+    @classmethod
+    def of(cls, engines: Engines, bits: int, power: float | Sequence[float]) -> _Shown:
+        every = (engines,) if isinstance(engines, MirrorTiming) else tuple(engines)
+        powers = (float(power),) * len(every) if isinstance(power, (int, float)) else tuple(map(float, power))
+        if not every or len(powers) != len(every):
+            raise BadInput(f"got {len(every)} engines and {len(powers)} powers; wanted one or more, and as many")
+        if not all(0 <= value <= 1 for value in powers):
+            raise BadInput(f"power is {power!r}; wanted 0 to 1 of each engine")
+        linked = (nanoseconds("upload", each.nbytes(bits) / exact("link", each.link)) for each in every if each.link)
+        return cls(
+            max(each.least(bits) for each in every), max(each.delay for each in every),
+            max(each.pause for each in every), max(linked, default=0), powers,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """The times of a pose [ns]: what passes before the light of each slot at even and odd poses, and the light's."""
+
+    gaps: np.ndarray
+    moved: np.ndarray
+    picture: int
+    on: int | None
+    shown: _Shown
+    wire: int
+
+    @classmethod
+    def of(cls, order: np.ndarray, lens: LensTiming | None, shown: _Shown, on: Number | None) -> _Pose:
+        before = np.roll(order.ravel(), 1).reshape(order.shape)
+        gaps, moved = np.full(order.shape, shown.delay, np.int64), before != order
+        for place in np.argwhere(moved):
+            assert lens is not None
+            settling = lens.settling(int(before[*place]), int(order[*place]))
+            gaps[*place] = lens.wire + max(settling, shown.delay)
+        wanted = None if on is None else nanoseconds("on [s]", exact("on [s]", on))
+        picture = max(shown.least, (wanted or 0) + shown.pause, shown.pause + 1)
+        return cls(gaps, moved, picture, wanted, shown, lens.wire if lens else 0)
+
+    @property
+    def parts(self) -> dict[str, int]:
+        """What the longer pose spends its time with [ns]."""
+        gaps, moved = max(zip(self.gaps, self.moved, strict=True), key=lambda each: int(each[0].sum()))
+        wire = int(moved.sum()) * self.wire
+        held = len(gaps) * self.picture
+        name = "light" if self.picture > self.shown.least else "mirrors"
+        settling = int(gaps[moved].sum()) - wire
+        return {"lens": settling, "serial line": wire, "trigger": int(gaps[~moved].sum()), name: held}
+
+    def period(self, way: Fraction, speed: Fraction, unit: str) -> Fraction:
+        """Nanoseconds a pose at a speed. Raises `TimingInfeasible` where that is too short."""
+        period = way / speed * SECOND
+        parts = self.parts
+        limit, need = max(parts, key=lambda name: parts[name]), sum(parts.values())
+        linked = self.gaps.shape[1] * self.shown.transfer
+        if linked > need:
+            limit, need, parts = "data link", linked, {"data link": linked}
+        if period < need:
+            most = below(way * SECOND / need)
+            spent = ", ".join(f"{1e-6 * time:.4g} ms {name}" for name, time in parts.items() if time)
+            raise TimingInfeasible(
+                f"{float(speed):.6g} {unit}/s leaves {1e-6 * float(period):.4g} ms a pose; {1e-6 * need:.4g} ms are "
+                f"needed ({spent}): at most {most:.6g} {unit}/s; what takes most is the {limit}",
+                limit, most, f"{unit}/s",
+            )  # fmt: skip
+        return period
+
+    def times(self, period: Fraction) -> tuple[np.ndarray, int]:
+        """When each slot's light begins after its pose does, int64 (2, slots), and how long it is on [ns]."""
+        room = int(period) - int(self.gaps.sum(axis=1).max())
+        each = room // self.gaps.shape[1]
+        starts = np.cumsum(self.gaps, axis=1) + each * np.arange(self.gaps.shape[1])
+        return starts, each - self.shown.pause if self.on is None else self.on
+
+
+def _table(
+    cadence: Cadence, way: Fraction, poses: int, first: int, order: np.ndarray, pose: _Pose, focus: Sequence[float],
+    shown: _Shown, lens: LensTiming | None, repeat: int | None = None,
+) -> Schedule:  # fmt: skip
+    planes, (starts, on) = order.shape[1], pose.times(cadence.period)
+    number = first + np.arange(poses, dtype=np.int64)
+    parity = number % 2
+    cadence = Cadence(cadence.period, cadence.start - Cadence(cadence.period).at(first))  # of pose 0, wherever it lies
+    light = (cadence.times(first, poses)[:, None] + starts[parity]).ravel()
+    plane, moved, gap = (table[parity].ravel() for table in (order, pose.moved, pose.gaps))
+    command = np.where(moved, light - gap, NONE)
+    if lens is not None and focus:  # wherever the lens may rest, it is on its plane before the first light
+        command[0] = light[0] - lens.wire - max(lens.slowest, shown.delay)
+    pose_number = np.repeat(number, planes)
+    return Schedule(
+        command=command, trigger=light - shown.delay, light=light, dark=light + on,
+        on=np.full(light.size, on, np.int64),
+        frame=(pose_number if repeat is None else pose_number % repeat) * planes + plane, pose=pose_number, plane=plane,
+        position=pose_number * float(way), focus=np.array(focus)[plane] if focus else np.full(light.size, nan),
+        power=np.tile(np.array(shown.power), (light.size, 1)),
+        cadence=cadence, advance=way, unit="mm" if repeat is None else "deg",
+        delay=shown.delay, frames=(poses if repeat is None else repeat) * planes,
+    )  # fmt: skip

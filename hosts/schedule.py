@@ -1,0 +1,131 @@
+"""The table of a print: when each picture is shown, where, through which focus, how bright and for how long. No I/O.
+
+Times are whole nanoseconds since the schedule begins, computed from a slot's number alone, so errors never add up. A
+slot is told to the lens at ``command``; the mirrors are triggered at ``trigger``, there is light from ``light`` to
+``dark``, and ``on`` of that time it is really on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.hosts.timing import SECOND, Cadence
+
+NONE = -1
+"""In place of a time or frame: there is none."""
+
+COLUMNS = ("command", "trigger", "light", "dark", "on", "frame", "pose", "plane", "position", "focus")
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One row of the table; see `Schedule`."""
+
+    number: int
+    command: int
+    trigger: int
+    light: int
+    dark: int
+    on: int
+    frame: int
+    pose: int
+    plane: int
+    position: float
+    focus: float
+    power: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """Slots in the order of time, one array each (slots,).
+
+    command, trigger, light, dark: times [ns], int64; ``command`` is `NONE` where the lens stays.  on: duration of light
+    in the slot [ns], what dose follows.  frame: number of the picture to show.  pose: of the motion, running on over
+    turns.  plane: focus plane.  position: that the picture is meant for, in ``unit``.  focus: lens power [dpt], NaN
+    without a lens.  power: of the light, 0 to 1, float (slots, engines).
+
+    cadence: of the poses, and so of the motion.  advance: from pose to pose, exact.  unit: "mm" or "deg".  delay: from
+    trigger to light [ns], the same in every engine; one that is quicker is set to wait.  frames: how many there are.
+    """
+
+    command: np.ndarray
+    trigger: np.ndarray
+    light: np.ndarray
+    dark: np.ndarray
+    on: np.ndarray
+    frame: np.ndarray
+    pose: np.ndarray
+    plane: np.ndarray
+    position: np.ndarray
+    focus: np.ndarray
+    power: np.ndarray
+    cadence: Cadence
+    advance: Fraction
+    unit: str
+    delay: int
+    frames: int
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            column = getattr(self, entry.name)
+            if isinstance(column, np.ndarray):
+                if len(column) != len(self.light):
+                    raise ShapeMismatch(f"{entry.name} has {len(column)} slots; light has {len(self.light)}")
+                column.flags.writeable = False
+        if self.unit not in ("mm", "deg"):
+            raise BadInput(f"unit is {self.unit!r}; wanted 'mm' or 'deg'")
+
+    def __len__(self) -> int:
+        return len(self.light)
+
+    def __getitem__(self, number: int) -> Slot:
+        number = range(len(self))[number]
+        row: dict[str, Any] = {name: getattr(self, name)[number].item() for name in COLUMNS}
+        return Slot(number, **row, power=tuple(self.power[number].tolist()))
+
+    def __iter__(self) -> Iterator[Slot]:
+        return (self[number] for number in range(len(self)))
+
+    def window(self, first: int, last: int) -> Schedule:
+        """Slots first to last − 1 alone, at the times they have."""
+        return replace(self, **{name: getattr(self, name)[first:last].copy() for name in (*COLUMNS, "power")})
+
+    @property
+    def engines(self) -> int:
+        """Projectors in step."""
+        return self.power.shape[1]
+
+    @property
+    def duration(self) -> int:
+        """From the beginning to the last darkness [ns]."""
+        return int(self.dark[-1]) if len(self) else 0
+
+    @property
+    def speed(self) -> Fraction:
+        """Of the motion [unit/s], exact: command this one, not the one that was asked for."""
+        return self.advance * SECOND / self.cadence.period
+
+    @property
+    def duty(self) -> float:
+        """Share of the time from the first light on in which there is light."""
+        return float(self.on.sum() / max(self.duration - int(self.light[0]), 1)) if len(self) else 0.0
+
+    @property
+    def rate(self) -> float:
+        """Slots a second, on average."""
+        poses = int(self.pose[-1] - self.pose[0]) + 1 if len(self) else 1
+        return float(len(self) * SECOND / (poses * self.cadence.period))
+
+    def position_at(self, time: int) -> Fraction:
+        """Where the motion is at a time [ns], in ``unit``, if it runs at ``speed`` and pose 0 is at position 0."""
+        return (time - self.cadence.start) * self.advance / self.cadence.period
+
+    def pose_at(self, counts: int, counts_per_pose: Fraction) -> int:
+        """The pose that a motion has reached, from what its encoder or stepper counted since pose 0."""
+        return counts * counts_per_pose.denominator // counts_per_pose.numerator

@@ -1,0 +1,72 @@
+"""Schedules of a turning vial before mirrors on a video cable: every image takes a whole number of slots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from math import ceil, nan
+
+import numpy as np
+
+from vamgpu.errors import BadInput, TimingInfeasible
+from vamgpu.geometry import counts
+from vamgpu.hosts.limits import HdmiTiming
+from vamgpu.hosts.schedule import NONE, Schedule
+from vamgpu.hosts.timing import SECOND, Cadence, Number, below, exact
+
+SAME = Fraction(1, 10**9)
+"""Speeds this close are the same: what a user writes is rounded."""
+
+
+def vial(
+    images: int, *, speed: Number, display: HdmiTiming, turns: int = 1, power: float | Sequence[float] = 1.0
+) -> Schedule:
+    """Slots of a vial: ``images`` a turn at ``speed`` [deg/s], each in a whole number of the cable's slots.
+
+    At 40 images a second and 120 slots a second every image takes exactly three. ``trigger`` is when the video frame
+    with an image's first slot must be on the cable. Several powers are those of engines that share the cable's clock.
+    Raises `BadInput`, and `TimingInfeasible` with the greatest speed, not above the wanted one, that fits exactly.
+    """
+    number, times = counts("images and turns", (images, turns), 2)
+    powers = (float(power),) if isinstance(power, (int, float)) else tuple(map(float, power))
+    if not powers or not all(0 <= value <= 1 for value in powers):
+        raise BadInput(f"power is {power!r}; wanted 0 to 1 of each engine")
+    repeats = slots_per_image(number, speed, display)
+    slot = SECOND / display.slot_rate
+    begin = Cadence(slot * display.patterns).at(display.latency)
+    beats, count = Cadence(slot, begin), number * times
+    pose, pause = np.arange(count, dtype=np.int64), ceil(exact("dark [s]", display.dark, zero=True) * SECOND)
+    light, end = beats.times(0, count, repeats), beats.times(repeats, count, repeats)
+    cable = Cadence(slot * display.patterns)
+    received = np.array([cable.at(beat) for beat in (pose * repeats // display.patterns).tolist()], np.int64)
+    return Schedule(
+        command=np.full(count, NONE, np.int64), trigger=received, light=light, dark=end - pause,
+        on=end - light - repeats * pause, frame=pose % number, pose=pose, plane=np.zeros(count, np.int64),
+        position=pose * (360.0 / number), focus=np.full(count, nan), power=np.tile(np.array(powers), (count, 1)),
+        cadence=Cadence(slot * repeats, begin), advance=Fraction(360, number), unit="deg", delay=begin, frames=number,
+    )  # fmt: skip
+
+
+def slots_per_image(images: int, speed: Number, display: HdmiTiming) -> int:
+    """How many slots of the cable every image takes. Raises `TimingInfeasible` where that is no whole number."""
+    wanted = exact("speed [deg/s]", speed)
+    turn = 360 * display.slot_rate / images
+    ratio = turn / wanted
+    whole = max(round(ratio), 1)
+    if abs(ratio - whole) <= SAME * ratio:
+        return whole
+    most = below(turn / max(ceil(ratio), 1))
+    limit = "mirrors" if ratio < 1 else "cadence"
+    raise TimingInfeasible(
+        f"{images} images a turn at {float(wanted):.6g} deg/s take {float(ratio):.6g} slots each of "
+        f"{float(display.slot_rate):.6g} slots a second; wanted a whole number, or images jump to and fro: turn at "
+        f"{most:.6g} deg/s, or take another number of images", limit, most, "deg/s",
+    )  # fmt: skip
+
+
+def video_frames(schedule: Schedule, display: HdmiTiming) -> np.ndarray:
+    """Which frame each slot of every video frame shows, int64 (video frames, slots); `NONE` is black, after the end."""
+    repeats = int(schedule.cadence.period * display.slot_rate / SECOND)
+    shown = np.repeat(schedule.frame, repeats)
+    whole = -(-shown.size // display.patterns) * display.patterns
+    return np.pad(shown, (0, whole - shown.size), constant_values=NONE).reshape(-1, display.patterns)
