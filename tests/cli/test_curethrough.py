@@ -122,3 +122,36 @@ def test_bad_jobs_and_bad_slices_are_one_clear_text(job: Path, capsys: pytest.Ca
     both = [word for setting in ("printer.exposure=2 s",) for word in ("--set", setting)]
     assert main(["curethrough", "model", str(job), *both]) == 1
     assert "exactly one of speed" in capsys.readouterr().err
+
+
+def test_fit_finds_the_curves_that_measurements_were_made_with(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(4)
+    exposures = np.repeat([40.0, 80.0, 160.0, 320.0, 640.0], 4)  # mJ/cm²; h_a 0.2 cm, D_gel 115.2 mJ/cm³
+    heights = 2.0 * np.log10(exposures * np.log(10) / (115.2 * 0.2)) + rng.normal(0, 0.01, 20)
+    rows = [f"{z:.4f},{x / 20:.5f}" for z, x in zip(heights, exposures, strict=True)]
+    (tmp_path / "plugs.csv").write_text("\n".join(["height_mm,time_s", *rows]) + "\n")
+    levels = np.arange(0, 256, 15)
+    light = 1.0 + 99.0 * (levels / 255) ** 2
+    readings = [f"{a},{b:.4f}" for a, b in zip(levels, light, strict=True)]
+    (tmp_path / "gray.csv").write_text("\n".join(["level,intensity_mW_cm2", *readings]) + "\n")
+    command = ["curethrough", "fit", str(tmp_path / "plugs.csv"), "--irradiance", "20 mW/cm2"]
+    command += ["--gray", str(tmp_path / "gray.csv"), "--out", str(tmp_path / "fit.toml")]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert "with 95 %" in said and "contrast 100 : 1" in said and "5 gel doses" in said
+    import tomllib
+
+    fitted = tomllib.loads((tmp_path / "fit.toml").read_text())
+    assert float(fitted["printer"]["absorption_height"].split()[0]) == pytest.approx(2000, rel=0.02)
+    assert float(fitted["printer"]["critical_dose"].split()[0]) == pytest.approx(576, rel=0.03)
+    text = EXAMPLE.replace('dark = "1 mW/cm2"', 'gray = "fit.toml"')
+    machine = parse_curethrough(text, folder=tmp_path).machine
+    np.testing.assert_allclose(np.array(machine.light)[levels] * 100, light, rtol=1e-3)
+    assert main(command) == 1
+    assert "exists" in capsys.readouterr().err
+    assert main(["curethrough", "fit"]) == 1
+    assert "nothing to fit" in capsys.readouterr().err
+    assert main([*command[:3], "--irradiance", "20"]) == 1
+    assert "wanted an irradiance" in capsys.readouterr().err

@@ -78,6 +78,32 @@ def correct(
     screen.print(f"report  [bold]{escape(str(page.resolve()))}[/]")
 
 
+@group.command
+def fit(
+    plugs: Path | None = None, *, irradiance: str | None = None, gray: Path | None = None, pieces: int | None = None,
+    confidence: float = 0.95, gels: float = 5.0, out: Path | None = None, overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Fit a resin's working curve to cured plugs, and a projector's light to readings of its gray levels.
+
+    Parameters
+    ----------
+    plugs: CSV file with columns height_mm and exposure_mJ_cm2, or time_s and irradiance_mW_cm2
+    irradiance: light of all plugs, such as "20 mW/cm2", where the file gives times alone
+    gray: CSV file with columns level and intensity_mW_cm2
+    pieces: straight pieces of the gray curve; by default one between every two levels read, 32 at the most
+    confidence: of the intervals
+    gels: critical dose over the dose that just gels
+    out: TOML file for the tables [printer] and [gray] of what was fitted
+    """
+    from vamgpu.jobs.fit import fit_files
+
+    fitted, screen = fit_files(plugs, irradiance, gray, pieces, confidence, gels), console()
+    for name, value, meaning in fitted.lines():
+        screen.print(f"  {name:<27} [bold]{value:<16}[/] [dim]{escape(meaning)}[/]")
+    if out is not None:
+        screen.print(f"wrote [bold]{escape(str(fitted.write(out, overwrite=overwrite)))}[/]")
+
+
 def _draw(found: Outcome, path: Path, title: str) -> Path:
     from vamgpu.curethrough.report import write_report
 

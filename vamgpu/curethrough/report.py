@@ -8,9 +8,13 @@ from typing import Any
 
 import vamgpu
 from vamgpu.curethrough import pictures
+from vamgpu.curethrough.feasibility import fastest
+from vamgpu.curethrough.features import Feature
 from vamgpu.curethrough.job import Outcome
+from vamgpu.curethrough.printer import Printer
 from vamgpu.curethrough.score import Group, grouped, widest
 from vamgpu.storage.atomic import replacing
+from vamgpu.units import hour
 
 PAPER = (
     "Z. D. Pritchard, M. P. de Beer, R. J. Whelan, T. F. Scott, M. A. Burns, Modeling and correcting cure-through in "
@@ -55,7 +59,7 @@ def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
         found.append(("median error ratio", f"{single[1]:.3g}", "of single features, corrected over uncorrected"))
     if outcome.missed is not None and outcome.closed is not None:
         found.append(("features out of reach", f"{int(outcome.missed.sum()):,}", "lack dose at their back side"))
-        found.append(("voids out of reach", f"{int(outcome.closed.sum()):,}", "too short to fall below the critical dose"))
+        found.append(("voids out of reach", f"{int(outcome.closed.sum()):,}", "too short to fall to the critical dose"))
     return tuple(found)
 
 
@@ -88,7 +92,7 @@ def _content(outcome: Outcome, facts: dict[str, str]) -> dict[str, Any]:
         "maps": drawn,
         "maps_note": f"From none to {micro(most)}, the same scale for all.",
         "header": _header(corrected),
-        "rows": [_row(group, outcome.machine.slice_height) for group in widest(groups, ROWS)],
+        "rows": [_row(group, outcome) for group in widest(groups, ROWS)],
         "table_note": _table_note(outcome, groups),
         "setup": _setup(outcome, facts),
         "papers": (PAPER,),
@@ -114,17 +118,30 @@ def _verdict(outcome: Outcome) -> tuple[bool, str]:
 
 
 def _header(corrected: bool) -> tuple[str, ...]:
-    after = ("error corrected", "ratio", "lacking") if corrected else ("lacking",)
+    after = ("error corrected", "ratio", "lacking", "fastest") if corrected else ("lacking",)
     return ("from", "to", "height", "void behind", "columns", "error uncorrected", *after)
 
 
-def _row(group: Group, height: float) -> tuple[str, ...]:
+def _row(group: Group, outcome: Outcome) -> tuple[str, ...]:
+    height = outcome.machine.slice_height
     place = (f"{group.front * height:.4g} mm", f"{group.back * height:.4g} mm")
     size = (micro((group.back - group.front) * height), micro(group.behind * height), f"{group.columns:,}")
     if group.after is None:
         return (*place, *size, micro(group.before), f"{group.missed:,}")
     share = "–" if group.ratio is None else f"{group.ratio:.2g}"
-    return (*place, *size, micro(group.before), micro(group.after), share, f"{group.missed:,}")
+    after = (micro(group.before), micro(group.after), share, f"{group.missed:,}", _fastest(group, outcome))
+    return (*place, *size, *after)
+
+
+def _fastest(group: Group, outcome: Outcome) -> str:
+    """The speed up to which a feature gets its dose and the void behind it opens, with the same light."""
+    machine, correction = outcome.machine, outcome.correction
+    if correction is None or not isinstance(machine, Printer):
+        return "–"
+    opened = machine.opened if correction.open_dose is None else correction.open_dose
+    feature = Feature(group.front, group.back, group.behind, group.last)
+    speed = fastest(machine, feature, outcome.shape[0] + correction.added, opened)
+    return f"{speed * hour:.4g} mm/h" if speed > 0 else "none"
 
 
 def _table_note(outcome: Outcome, groups: tuple[Group, ...]) -> str:
@@ -133,6 +150,8 @@ def _table_note(outcome: Outcome, groups: tuple[Group, ...]) -> str:
         f"Runs of solid slices in {len(outcome.sample.rows):,} columns of pixels{more}. The error is the cured height "
         "of the void before a feature and the uncured height within it, a mean over its columns; lacking are columns "
         f"where more than {LACKING:g} of a slice height within the feature stay uncured."
+        + (" Fastest is the speed up to which a feature can get its dose, and the void behind it open, with the same "
+           "light." if outcome.after is not None else "")
     )
 
 

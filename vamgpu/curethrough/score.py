@@ -21,14 +21,15 @@ class Features:
     """Runs of solid slices, one entry each.
 
     column: number of the column.  front, back: first slice, and the one after the last.  behind: slices of void between
-    it and the next feature, to the end of the print for the last.  over: cured height [mm] of the void before it,
-    which is its cure-through.  under: uncured height [mm] within it.
+    it and the next feature, to the end of the print for the ``last`` of a column.  over: cured height [mm] of the void
+    before it, which is its cure-through.  under: uncured height [mm] within it.
     """
 
     column: np.ndarray
     front: np.ndarray
     back: np.ndarray
     behind: np.ndarray
+    last: np.ndarray
     over: np.ndarray
     under: np.ndarray
 
@@ -134,18 +135,24 @@ def _features(
     over = np.where(void, done[np.maximum(which - 1, 0)], 0.0)
     under = (ends - starts - done)[which]
     nxt = np.minimum(which + 1, len(starts) - 1)
-    last = ends[which] % slices == 0
-    behind = np.where(last, 0, (ends - starts)[nxt])
-    return column + first, front, front + (ends - starts)[which], behind, over * height, np.maximum(under, 0) * height
+    at_end = ends[which] % slices == 0
+    behind = np.where(at_end, 0, (ends - starts)[nxt])
+    last = at_end | (ends[nxt] % slices == 0)
+    back = front + (ends - starts)[which]
+    return column + first, front, back, behind, last, over * height, np.maximum(under, 0) * height
 
 
 @dataclass(frozen=True)
 class Group:
-    """Features that lie at the same slices: how many columns have one, and mean height errors [mm]."""
+    """Features that lie at the same slices: how many columns have one, and mean height errors [mm].
+
+    behind: shortest void behind one in slices.  last: nothing follows any of them.
+    """
 
     front: int
     back: int
     behind: int
+    last: bool
     columns: int
     before: float
     after: float | None
@@ -168,11 +175,14 @@ def grouped(before: Features, after: Features | None = None, tolerance: float = 
     places, which, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     which = which.ravel()
     shown = before if after is None else after
-    mean = [np.bincount(which, weights) / count for weights in (before.error, shown.error, shown.behind)]
+    mean = [np.bincount(which, weights) / count for weights in (before.error, shown.error)]
+    last = np.bincount(which, shown.last) == count
+    behind = np.full(len(count), np.iinfo(np.int64).max)
+    np.minimum.at(behind, which, np.where(shown.last & ~last[which], behind[which], shown.behind))
     missed = np.bincount(which, shown.under > tolerance)
     order = np.argsort(-count, kind="stable")
     return tuple(
-        Group(int(places[k, 0]), int(places[k, 1]), round(float(mean[2][k])), int(count[k]), float(mean[0][k]),
+        Group(int(places[k, 0]), int(places[k, 1]), int(behind[k]), bool(last[k]), int(count[k]), float(mean[0][k]),
               None if after is None else float(mean[1][k]), int(missed[k]))
         for k in order
     )  # fmt: skip
