@@ -1,7 +1,7 @@
 """Time and memory of an endless web: 600 mm × 3 mm at half a degree a pose, and a tenth of it.
 
 Run: ``python profiling/stream.py [--lengths 60 600] [--iterations 100] [--record FILE]``; each length is a process of
-its own, so that peaks do not mix.
+its own, so that peaks do not mix, and the system holds its address space to --limit GiB.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from math import radians
 from pathlib import Path
 
 import numpy as np
+from common import machine
 
 from vamgpu.geometry import Beam
 from vamgpu.optics.film import Film
@@ -67,20 +68,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--lengths", type=float, nargs="+", default=[60.0, 600.0])
     parser.add_argument("--iterations", type=int, default=100)
-    parser.add_argument("--core", type=float, default=4.0)
+    parser.add_argument("--core", type=float, default=2.0)
+    parser.add_argument("--limit", type=float, default=2.0, help="GiB of address space the system allows")
     parser.add_argument("--device")
     parser.add_argument("--record", type=Path)
     parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.one:
+        resource.setrlimit(resource.RLIMIT_AS, (int(given.limit * 2**30),) * 2)
         print(json.dumps(measure(given.lengths[0], given.iterations, given.core, given.device)))
         return
     found = []
     for length in given.lengths:
         command = [sys.executable, __file__, "--one", "--lengths", str(length), "--core", str(given.core)]
-        command += ["--iterations", str(given.iterations)] + (["--device", given.device] if given.device else [])
-        found.append(json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout))
-        print(json.dumps(found[-1], indent=1))
+        command += ["--limit", str(given.limit), "--iterations", str(given.iterations)] + (["--device", given.device] if given.device else [])
+        done = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
+        found.append(done | {"limit_gib": given.limit, "machine": machine()})
+        print(json.dumps(done, indent=1))
     if given.record is not None:
         given.record.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 

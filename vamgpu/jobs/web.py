@@ -70,7 +70,7 @@ class WebSolve(Section):
     """How light is found: core and overlap of a segment are in windows of light."""
 
     iterations: Count = 100
-    core: Windows = 4.0
+    core: Windows = 2.0
     overlap: Annotated[float, Field(ge=0)] = 1.0
     device: str | None = None
 

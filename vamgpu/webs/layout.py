@@ -28,7 +28,7 @@ class Layout:
     overlap: int
 
     @classmethod
-    def of(cls, window: int, step: float, core: float = 4.0, overlap: float = 1.0) -> Layout:
+    def of(cls, window: int, step: float, core: float = 2.0, overlap: float = 1.0) -> Layout:
         """From lengths in windows of light. Raises `BadInput` for steps that never meet whole columns again."""
         exact = Fraction(step).limit_denominator(DENOMINATOR)
         if exact <= 0 or abs(float(exact) / step - 1.0) > 1e-9:

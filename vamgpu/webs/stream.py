@@ -28,7 +28,7 @@ from vamgpu.webs.describe import described, described_focus, described_target
 from vamgpu.webs.layout import Layout
 from vamgpu.webs.section import focus_masks, one_column
 from vamgpu.webs.segment import Segment
-from vamgpu.webs.segments import Outcome, Solver
+from vamgpu.webs.solver import Outcome, Solver
 from vamgpu.webs.store import RECORD, WebFolder
 from vamgpu.webs.tiles import Columns
 
@@ -74,7 +74,7 @@ class Stream:
     pitch: tuple[float, float, float] | None = None
     length: float | None = None
     iterations: int | None = None
-    core: float = 4.0
+    core: float = 2.0
     overlap: float = 1.0
     gray: GrayCurve | None = None
     scale: float | None = None
