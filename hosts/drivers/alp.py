@@ -1,0 +1,138 @@
+"""Vialux's ALP-4 library as it is called: numbers, structures, and calls that raise.
+
+The library's ``long`` is 32 bits on every system it is built for, so ``c_int32`` and ``c_uint32`` are used throughout;
+ctypes' ``c_long`` would be 64 bits on Linux.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from ctypes import POINTER, Structure, byref, c_int32, c_uint32, c_void_p
+from pathlib import Path
+from typing import Any
+
+from vamgpu.errors import DeviceBusy, DeviceLost, DeviceNotFound, DeviceRefused, OutOfMemory
+
+DEFAULT = 0
+DEVICE_NUMBER, AVAILABLE_MEMORY, TRIGGER_EDGE, TRIGGER_TIME_OUT = 2000, 2003, 2005, 2014
+EDGE_FALLING, EDGE_RISING, TIME_OUT_DISABLE = 2008, 2009, 1
+DMD_TYPE, DISPLAY_HEIGHT, DISPLAY_WIDTH, DMD_MODE, DMD_RESUME, DMD_FLOAT = 2021, 2057, 2058, 2064, 0, 1
+SEQUENCE_REPEAT, FIRST_FRAME, LAST_FRAME, BIT_NUMBER = 2100, 2101, 2102, 2103
+BINARY_MODE, BINARY_NORMAL, BINARY_UNINTERRUPTED = 2104, 2105, 2106
+DATA_FORMAT, DATA_MSB_ALIGN, DATA_BINARY_TOPDOWN = 2110, 0, 2
+PICTURE_TIME, ILLUMINATE_TIME, TRIGGER_IN_DELAY = 2203, 2204, 2207
+MAX_TRIGGER_IN_DELAY, MIN_PICTURE_TIME, MIN_ILLUMINATE_TIME, MAX_PICTURE_TIME = 2210, 2211, 2212, 2213
+ON_TIME, OFF_TIME = 2214, 2215
+PROJECTION_MODE, MASTER, SLAVE, PROJECTION_STATE, PROJECTION_ACTIVE, PROJECTION_IDLE = 2300, 2301, 2302, 2400, 1200, 1201
+QUEUE_MODE, QUEUE_SEQUENCES, QUEUE_ID, QUEUE_AVAILABLE, PROGRESS, RESET_QUEUE = 2314, 1, 2315, 2317, 2318, 2319
+FLAG_QUEUE_IDLE, FLAG_ABORTING, FLAG_INDEFINITE, FLAG_FRAME_FINISHED = 1, 2, 4, 8
+
+NOT_ONLINE, NOT_IDLE, NOT_AVAILABLE, NOT_READY, INVALID, BAD_ADDRESS, MEMORY_FULL = range(1001, 1008)
+IN_USE, HALTED, INIT_FAILED, COMMUNICATION, REMOVED, NOT_CONFIGURED = range(1008, 1014)
+REASONS = {
+    NOT_ONLINE: "no such device, or it is not ready: check power, plug and driver",
+    NOT_IDLE: "the device is showing pictures: halt it first",
+    NOT_AVAILABLE: "the number of the device is not valid",
+    NOT_READY: "another program has the device: close it",
+    INVALID: "a value is outside what the device can do",
+    BAD_ADDRESS: "the library could not read the data",
+    MEMORY_FULL: "the device's memory is full",
+    IN_USE: "the sequence is being shown or waits to be",
+    HALTED: "the device was halted during the transfer",
+    INIT_FAILED: "the device did not start: switch it off and on",
+    COMMUNICATION: "the transfer failed: check the cable",
+    REMOVED: "the device was unplugged",
+    NOT_CONFIGURED: "the device has no configuration loaded: switch it off and on",
+    1014: "the installed driver is too old for this",
+    1018: "the mirrors did not wake: check the power supply",
+    1019: "the installed driver is too old for this device: update it",
+    1020: "the device's memory did not start: switch it off and on",
+}
+
+
+class Progress(Structure):
+    """Where the queue is: nine numbers of 32 bits."""
+
+    _fields_ = [
+        ("queue_id", c_uint32),
+        ("sequence", c_uint32),
+        ("waiting", c_uint32),
+        ("iterations_left", c_uint32),
+        ("iterations_underflow", c_uint32),
+        ("frames_left", c_uint32),
+        ("picture_us", c_uint32),
+        ("frames_per_iteration", c_uint32),
+        ("flags", c_uint32),
+    ]
+
+
+_LONG, _ID = c_int32, c_uint32
+SIGNATURES: dict[str, tuple[Any, ...]] = {
+    "AlpDevAlloc": (_LONG, _LONG, POINTER(_ID)),
+    "AlpDevInquire": (_ID, _LONG, POINTER(_LONG)),
+    "AlpDevControl": (_ID, _LONG, _LONG),
+    "AlpDevHalt": (_ID,),
+    "AlpDevFree": (_ID,),
+    "AlpSeqAlloc": (_ID, _LONG, _LONG, POINTER(_ID)),
+    "AlpSeqFree": (_ID, _ID),
+    "AlpSeqControl": (_ID, _ID, _LONG, _LONG),
+    "AlpSeqTiming": (_ID, _ID, _LONG, _LONG, _LONG, _LONG, _LONG),
+    "AlpSeqInquire": (_ID, _ID, _LONG, POINTER(_LONG)),
+    "AlpSeqPut": (_ID, _ID, _LONG, _LONG, c_void_p),
+    "AlpProjStart": (_ID, _ID),
+    "AlpProjStartCont": (_ID, _ID),
+    "AlpProjHalt": (_ID,),
+    "AlpProjControl": (_ID, _LONG, _LONG),
+    "AlpProjInquire": (_ID, _LONG, POINTER(_LONG)),
+    "AlpProjInquireEx": (_ID, _LONG, c_void_p),
+}
+
+
+def load(path: str | Path) -> Any:
+    """The maker's library at a path, or by its name where the system finds it; DeviceNotFound if there is none."""
+    try:
+        if sys.platform == "win32":
+            return ctypes.WinDLL(str(path))
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        raise DeviceNotFound(
+            f"the ALP library is not at {path} ({error}); install the maker's package and give the library's path"
+        ) from error
+
+
+class Alp:
+    """The library's functions, by name, with their types; each raises when it does not return 0."""
+
+    def __init__(self, library: Any) -> None:
+        self._functions = {}
+        for name, types in SIGNATURES.items():
+            try:
+                function = getattr(library, name)
+            except AttributeError as error:
+                raise DeviceNotFound(f"the ALP library has no {name}; it is too old or another library") from error
+            function.argtypes, function.restype = types, c_int32
+            self._functions[name] = function
+
+    def call(self, name: str, *arguments: Any) -> None:
+        """Call a function; DeviceRefused (``code`` is the library's number) and its relatives on failure."""
+        result = int(self._functions[name](*arguments))
+        if result == 0:
+            return
+        text = f"{name} failed ({result}): {REASONS.get(result, 'an unknown reason; see the maker’s manual')}"
+        if result in (NOT_ONLINE, NOT_AVAILABLE):
+            raise DeviceNotFound(text)
+        if result == NOT_READY:
+            raise DeviceBusy(text)
+        if result in (REMOVED, COMMUNICATION):
+            raise DeviceLost(text)
+        if result == MEMORY_FULL:
+            raise OutOfMemory(text)
+        raise DeviceRefused(text, str(result))
+
+    def number(self, name: str, *arguments: Any) -> int:
+        """Call a function whose last argument takes its answer, and return that."""
+        kind = c_uint32 if name.endswith("Alloc") else c_int32
+        answer = kind(0)
+        self.call(name, *arguments, byref(answer))
+        return answer.value

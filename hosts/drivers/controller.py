@@ -1,0 +1,210 @@
+"""The controller of web, trigger, lens and light."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Iterable
+from typing import Self
+
+from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
+from vamgpu.hosts.drivers.wire import Wire, open_wire
+from vamgpu.hosts.protocols import controller as protocol
+from vamgpu.hosts.protocols.controller import Reply, Row, Status
+
+log = logging.getLogger(__name__)
+TRIES = 3
+REASONS = {
+    "lease": "its lease has run out: renew it before arming",
+    "interlock": "its interlock is open: close the enclosure",
+    "armed": "it is not armed",
+    "full": "its queue of rows is full",
+    "order": "rows must come one after the other",
+    "range": "a value is outside what it can do",
+    "state": "it is not in a state to do so",
+    "verb": "it does not know the command: check its firmware",
+}
+
+
+class Controller:
+    """The controller; every command is answered, and repeated if the answer does not come or is garbled.
+
+    ``microsteps_per_mm`` turns the web's distances into microsteps. What the controller says by itself is collected
+    in ``events`` as words.
+    """
+
+    def __init__(self, wire: Wire, microsteps_per_mm: float = 1.0) -> None:
+        if not microsteps_per_mm > 0:
+            raise BadInput(f"{microsteps_per_mm} microsteps per mm drive no web; give what motor and roller make")
+        self._wire = wire
+        self._number = 0
+        self.microsteps_per_mm = microsteps_per_mm
+        self.events: deque[tuple[str, ...]] = deque(maxlen=1000)
+        self.repeated = 0
+        try:
+            self._start()
+        except BaseException:
+            wire.close()
+            raise
+
+    @classmethod
+    def open(cls, url: str, microsteps_per_mm: float = 1.0, baud: int = 115200, timeout_s: float = 0.1) -> Self:
+        """Open the controller at an address."""
+        return cls(open_wire(url, "the controller", baud, timeout_s), microsteps_per_mm)
+
+    def _start(self) -> None:
+        self._wire.drain()
+        self._wire.send(b"\n")
+        self._wire.drain()
+        try:
+            words = self.ask("hello")
+            name, version, capacity, longest, channels = words[0], int(words[1]), *(int(word) for word in words[2:5])
+        except (DeviceLost, ProtocolError, ValueError, IndexError) as error:
+            raise WrongDevice(f"{self._wire.name} does not answer as one: {error}") from error
+        if name != protocol.NAME or version != protocol.VERSION:
+            raise WrongDevice(
+                f"{name} version {version} answers, {protocol.NAME} version {protocol.VERSION} is wanted; "
+                "load the sketch that comes with this library"
+            )
+        self.capacity, self.longest_lease_ms, self.channels = capacity, longest, channels
+
+    def ask(self, verb: str, *arguments: object) -> tuple[str, ...]:
+        """Send a command and return the words of its answer.
+
+        Raises DeviceRefused (``code`` is the controller's reason), DeviceLost when nothing comes back.
+        """
+        with self._wire.lock:
+            self._number = (self._number + 1) % protocol.NUMBERS
+            line = protocol.encode(self._number, verb, *arguments)
+            for attempt in range(TRIES):
+                if attempt:
+                    self.repeated += 1
+                    log.warning("controller: %s again", verb)
+                self._wire.send(line)
+                reply = self._answer()
+                if reply is not None:
+                    return self._accept(verb, reply)
+        raise DeviceLost(
+            f"{self._wire.name} did not answer {verb!r} in {TRIES} tries; check plug and power (it closes the light itself)"
+        )
+
+    def _answer(self) -> Reply | None:
+        """The reply to the last number; None when it does not come or must be asked for again."""
+        while line := self._wire.line(protocol.LONGEST_LINE):
+            try:
+                reply = protocol.parse(line)
+            except ProtocolError as error:
+                log.warning("controller: %s", error)
+                continue
+            if reply.kind == "!":
+                self._note(reply.words)
+            elif reply.kind == "?":
+                return None
+            elif reply.number == self._number:
+                return reply
+        return None
+
+    def _note(self, words: tuple[str, ...]) -> None:
+        log.info("controller says %s", " ".join(words))
+        self.events.append(words)
+
+    @staticmethod
+    def _accept(verb: str, reply: Reply) -> tuple[str, ...]:
+        if reply.kind == "ok":
+            return reply.words
+        reason = reply.words[0] if reply.words else "?"
+        raise DeviceRefused(f"the controller refused {verb!r}: {REASONS.get(reason, reason)}", reason)
+
+    def poll(self) -> tuple[tuple[str, ...], ...]:
+        """Take what the controller has said by itself since the last call."""
+        with self._wire.lock:
+            while self._wire.waiting():
+                try:
+                    reply = protocol.parse(self._wire.line(protocol.LONGEST_LINE))
+                except ProtocolError as error:
+                    log.warning("controller: %s", error)
+                    continue
+                if reply.kind == "!":
+                    self._note(reply.words)
+        taken = tuple(self.events)
+        self.events.clear()
+        return taken
+
+    def lease(self, milliseconds: int) -> None:
+        """Allow the light for so long from now; renew it well before."""
+        self.ask("lease", int(milliseconds))
+
+    def arm(self) -> None:
+        """Allow light."""
+        self.ask("arm")
+
+    def disarm(self) -> None:
+        """Light off, and not allowed."""
+        self.ask("disarm")
+
+    def light(self, on: bool) -> None:
+        """Steady light on or off, while armed."""
+        self.ask("light", int(on))
+
+    def power(self, channel: int, fraction: float) -> None:
+        """The drive of a channel of light, of full."""
+        if not 0 <= fraction <= 1:
+            raise BadInput(f"a light cannot be driven at {fraction} of full; give 0..1")
+        self.ask("power", channel, round(fraction * 65535))
+
+    def mode(self, mode: str) -> None:
+        """What rows count: ``time`` (microseconds since ``go``) or ``steps`` (microsteps of the web)."""
+        self.ask("mode", mode)
+
+    def row(self, row: Row) -> int:
+        """Queue one slot; how many more fit."""
+        return int(self.ask("row", *row.words())[0])
+
+    def load(self, rows: Iterable[Row]) -> int:
+        """Queue slots one after the other while they fit; how many more fit after the last."""
+        free = self.capacity
+        for row in rows:
+            free = self.row(row)
+        return free
+
+    def end(self, count: int) -> None:
+        """Tell how many rows the print has."""
+        self.ask("end", count)
+
+    def go(self) -> None:
+        """Begin to play the rows."""
+        self.ask("go")
+
+    def stop(self) -> None:
+        """Light off first, then rows dropped, then the web at rest."""
+        self.ask("stop")
+
+    def move(self, speed_mm_s: float) -> None:
+        """Run the web at a speed [mm/s]; 0 brings it to rest."""
+        self.ask("move", round(speed_mm_s * self.microsteps_per_mm * 1000))
+
+    def ramp(self, acceleration_mm_s2: float) -> None:
+        """How fast the web changes its speed [mm/s2]."""
+        self.ask("ramp", max(round(acceleration_mm_s2 * self.microsteps_per_mm), 1))
+
+    def zero(self) -> None:
+        """Call this position of the web 0."""
+        self.ask("zero")
+
+    def status(self) -> Status:
+        """What the controller does now."""
+        return protocol.parse_status(self.ask("stat"))
+
+    def position_mm(self) -> float:
+        """The web's position [mm]."""
+        return self.status().position / self.microsteps_per_mm
+
+    def close(self) -> None:
+        """Let go of the port; the lease runs out and closes the light if it was on."""
+        self._wire.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

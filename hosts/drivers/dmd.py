@@ -1,0 +1,268 @@
+"""Mirror arrays on Vialux's ALP controllers: sequences of packed bit planes, shown one a trigger."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from ctypes import byref
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from vamgpu.errors import BadInput, DeviceError, DeviceRefused, OutOfMemory, WrongDevice
+from vamgpu.hosts.drivers import alp
+from vamgpu.hosts.drivers.alp import Alp, Progress
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SlotTiming:
+    """The times of a picture [us]: from picture to picture, lit (0: as long as possible), and from trigger to light."""
+
+    picture_us: int = 0
+    illuminate_us: int = 0
+    trigger_delay_us: int = 0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the device allows at a sequence's bit depth [us]."""
+
+    least_picture_us: int
+    greatest_picture_us: int
+    least_illuminate_us: int
+    greatest_trigger_delay_us: int
+    on_us: int
+
+
+class Dmd:
+    """An array of ``height`` rows and ``width`` columns of mirrors; ``memory_planes`` bit planes fit at first."""
+
+    def __init__(self, library: Any, serial: int = 0, size: tuple[int, int] | None = None) -> None:
+        self._alp = Alp(library)
+        self.device = self._alp.number("AlpDevAlloc", serial, alp.DEFAULT)
+        self._open = True
+        try:
+            self.width = self.inquire(alp.DISPLAY_WIDTH)
+            self.height = self.inquire(alp.DISPLAY_HEIGHT)
+            self.serial = self.inquire(alp.DEVICE_NUMBER)
+            self.memory_planes = self.inquire(alp.AVAILABLE_MEMORY)
+            if size is not None and size != (self.height, self.width):
+                raise WrongDevice(
+                    f"the array has {self.height} x {self.width} mirrors, the configuration wants {size[0]} x {size[1]}"
+                )
+        except BaseException:
+            self.close()
+            raise
+        log.info("DMD %d: %d x %d, %d planes free", self.serial, self.height, self.width, self.memory_planes)
+
+    @classmethod
+    def open(cls, path: str | Path, serial: int = 0, size: tuple[int, int] | None = None) -> Self:
+        """Open the device with a serial number (0: the first) through the maker's library at ``path``."""
+        return cls(alp.load(path), serial, size)
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row of a packed plane: 1920 columns are padded to 2048."""
+        return 256 if self.width == 1920 else self.width // 8
+
+    @property
+    def plane_shape(self) -> tuple[int, int]:
+        """Rows, and bytes a row, of a packed plane; bit 7 of a byte is the leftmost of its eight mirrors."""
+        return self.height, self.row_bytes
+
+    def call(self, name: str, *arguments: Any) -> None:
+        """Call the library for this device."""
+        self._alp.call(name, self.device, *arguments)
+
+    def inquire(self, kind: int) -> int:
+        """A number of the device."""
+        return self._alp.number("AlpDevInquire", self.device, kind)
+
+    def free_planes(self) -> int:
+        """How many bit planes fit now."""
+        return self.inquire(alp.AVAILABLE_MEMORY)
+
+    def slave(self, rising: bool = True) -> None:
+        """Show the next picture at each edge of the trigger, however long that takes to come, in a queue."""
+        self.call("AlpDevControl", alp.TRIGGER_EDGE, alp.EDGE_RISING if rising else alp.EDGE_FALLING)
+        self.call("AlpDevControl", alp.TRIGGER_TIME_OUT, alp.TIME_OUT_DISABLE)
+        self.call("AlpProjControl", alp.PROJECTION_MODE, alp.SLAVE)
+        self.call("AlpProjControl", alp.QUEUE_MODE, alp.QUEUE_SEQUENCES)
+
+    def master(self) -> None:
+        """Show pictures by the device's own clock, in a queue."""
+        self.call("AlpProjControl", alp.PROJECTION_MODE, alp.MASTER)
+        self.call("AlpProjControl", alp.QUEUE_MODE, alp.QUEUE_SEQUENCES)
+
+    def progress(self) -> Progress:
+        """Where the queue is."""
+        answer = Progress()
+        self.call("AlpProjInquireEx", alp.PROGRESS, byref(answer))
+        return answer
+
+    def sequence(self, count: int, bits: int, timing: SlotTiming = SlotTiming()) -> Sequence:
+        """Room for ``count`` pictures of ``bits`` planes; OutOfMemory with the numbers if there is none."""
+        free = self.free_planes()
+        if count * bits > free:
+            raise OutOfMemory(
+                f"{count} pictures of {bits} bits are {count * bits} planes, and {free} are free; "
+                "stream them through two shorter sequences, or show fewer bits"
+            )
+        return Sequence(self, count, bits, timing)
+
+    def number(self, name: str, *arguments: Any) -> int:
+        """Call the library for this device and return the number it answers."""
+        return self._alp.number(name, self.device, *arguments)
+
+    def halt(self) -> None:
+        """Stop showing, at once; the mirrors go dark."""
+        self.call("AlpProjHalt")
+        self.call("AlpDevHalt")
+
+    def float_mirrors(self) -> None:
+        """Let the mirrors go to rest, which they should be in while nothing is printed."""
+        self.halt()
+        self.call("AlpDevControl", alp.DMD_MODE, alp.DMD_FLOAT)
+
+    def wake_mirrors(self) -> None:
+        """Bring the mirrors back from rest."""
+        self.call("AlpDevControl", alp.DMD_MODE, alp.DMD_RESUME)
+
+    def close(self) -> None:
+        """Halt, rest the mirrors and let go of the device; more than once does no harm."""
+        if not self._open:
+            return
+        self._open = False
+        for name, arguments in (
+            ("AlpProjHalt", ()),
+            ("AlpDevHalt", ()),
+            ("AlpDevControl", (alp.DMD_MODE, alp.DMD_FLOAT)),
+            ("AlpDevFree", ()),
+        ):
+            try:
+                self.call(name, *arguments)
+            except DeviceError as error:
+                log.warning("closing the DMD: %s", error)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Sequence:
+    """Pictures in the device's memory, as packed planes, the most significant first."""
+
+    def __init__(self, dmd: Dmd, count: int, bits: int, timing: SlotTiming) -> None:
+        if not 1 <= bits <= 8 or count < 1:
+            raise BadInput(f"a sequence of {count} pictures of {bits} bits is none; give 1..8 bits and a picture or more")
+        self.dmd, self.count, self.bits = dmd, count, bits
+        self.id = dmd.number("AlpSeqAlloc", bits, count)
+        self._control(alp.DATA_FORMAT, alp.DATA_BINARY_TOPDOWN)
+        if bits == 1 and not timing.illuminate_us:
+            self._control(alp.BINARY_MODE, alp.BINARY_UNINTERRUPTED)
+        self.retime(timing)
+
+    def _control(self, kind: int, value: int) -> None:
+        self.dmd.call("AlpSeqControl", self.id, kind, value)
+
+    def inquire(self, kind: int) -> int:
+        """A number of the sequence."""
+        return self.dmd.number("AlpSeqInquire", self.id, kind)
+
+    def limits(self) -> Limits:
+        """What the device allows for these pictures, and how long each is lit now."""
+        kinds = (
+            alp.MIN_PICTURE_TIME,
+            alp.MAX_PICTURE_TIME,
+            alp.MIN_ILLUMINATE_TIME,
+            alp.MAX_TRIGGER_IN_DELAY,
+            alp.ON_TIME,
+        )
+        return Limits(*(self.inquire(kind) for kind in kinds))
+
+    def retime(self, timing: SlotTiming) -> None:
+        """Set the times; DeviceRefused with the device's limits where they do not fit."""
+        try:
+            self.dmd.call(
+                "AlpSeqTiming", self.id, timing.illuminate_us, timing.picture_us, 0, 0, timing.trigger_delay_us
+            )
+        except DeviceRefused as error:
+            raise DeviceRefused(f"{timing} does not fit the device's {self.limits()}: {error}", error.code) from error
+
+    def put(self, planes: np.ndarray, first: int = 0) -> None:
+        """Upload packed pictures ``[picture, plane, row, byte]`` (uint8) from picture ``first`` on, without a copy."""
+        wanted = (self.bits, *self.dmd.plane_shape)
+        if planes.dtype != np.uint8 or planes.shape[1:] != wanted or not planes.flags.c_contiguous:
+            raise BadInput(
+                f"packed pictures are a contiguous uint8 array [picture, {wanted[0]}, {wanted[1]}, {wanted[2]}], "
+                f"not {planes.dtype}{list(planes.shape)}"
+            )
+        if first < 0 or first + len(planes) > self.count:
+            raise BadInput(f"pictures {first}..{first + len(planes) - 1} do not fit a sequence of {self.count}")
+        self.dmd.call("AlpSeqPut", self.id, first, len(planes), planes.ctypes.data)
+
+    def start(self, shown: int | None = None, forever: bool = False) -> None:
+        """Put the first ``shown`` pictures (None: all) at the end of the queue."""
+        self._control(alp.LAST_FRAME, (self.count if shown is None else shown) - 1)
+        self.dmd.call("AlpProjStartCont" if forever else "AlpProjStart", self.id)
+
+    def free(self) -> None:
+        """Give the memory back."""
+        self.dmd.call("AlpSeqFree", self.id)
+
+
+class PlaneStream:
+    """More pictures than fit: two sequences in turn, one shown while the other is filled.
+
+    ``put`` fills and queues the sequence that is not in the queue; ``shown`` counts pictures by the device's own
+    progress, so it is right whatever the host's time does.
+    """
+
+    def __init__(self, dmd: Dmd, length: int, bits: int, timing: SlotTiming = SlotTiming()) -> None:
+        self.dmd, self.length, self.bits = dmd, length, bits
+        self._sequences = deque(dmd.sequence(length, bits, timing) for _ in range(2))
+        self._queued: deque[int] = deque()
+        self.queued = 0
+
+    def limits(self) -> Limits:
+        """What the device allows for these pictures."""
+        return self._sequences[0].limits()
+
+    def room(self) -> bool:
+        """Whether a sequence can be filled now."""
+        self.shown()
+        return len(self._queued) < 2
+
+    def put(self, planes: np.ndarray) -> None:
+        """Upload up to ``length`` pictures ``[picture, plane, row, byte]`` and queue them."""
+        if not self.room():
+            raise DeviceError("both sequences are in the queue; wait for room() before the next pictures")
+        sequence = self._sequences[0]
+        sequence.put(planes)
+        sequence.start(len(planes))
+        self._sequences.rotate(-1)
+        self._queued.append(len(planes))
+        self.queued += len(planes)
+
+    def shown(self) -> int:
+        """How many pictures have been shown since the start."""
+        progress = self.dmd.progress()
+        if progress.flags & alp.FLAG_QUEUE_IDLE:
+            self._queued.clear()
+            return self.queued
+        while len(self._queued) > 1 + progress.waiting:
+            self._queued.popleft()
+        waiting = sum(list(self._queued)[1:])
+        return self.queued - waiting - progress.frames_left
+
+    def close(self) -> None:
+        """Halt and give the memory back."""
+        self.dmd.halt()
+        while self._sequences:
+            self._sequences.pop().free()

@@ -1,0 +1,160 @@
+"""Tunable lenses on an Optotune Lens Driver 4 or 4i."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Self
+
+from vamgpu.errors import BadInput, DeviceError, DeviceRefused, ProtocolError, WrongDevice
+from vamgpu.hosts.drivers.wire import Wire, open_wire
+from vamgpu.hosts.protocols import optotune as ld4
+
+log = logging.getLogger(__name__)
+
+
+class TunableLens:
+    """A lens driver: handshake once, then settings that are not answered.
+
+    Nothing here waits for a reply to a setting, and inside ``streaming()`` nothing is asked at all: a handshake would
+    reset the current, and an answer costs time that the schedule does not have.
+    """
+
+    def __init__(self, wire: Wire, firmware: str | None = None) -> None:
+        self._wire = wire
+        self._streaming = False
+        self._power_mode = False
+        self.firmware = ""
+        self.version = ""
+        self.full_current_ma = 0.0
+        try:
+            self._start(firmware)
+        except BaseException:
+            wire.close()
+            raise
+
+    @classmethod
+    def open(cls, url: str, firmware: str | None = None, baud: int = 115200, timeout_s: float = 0.25) -> Self:
+        """Open the driver at an address; ``firmware`` is the type letter it must have (None: any)."""
+        return cls(open_wire(url, "the lens driver", baud, timeout_s), firmware)
+
+    def _start(self, expected: str | None) -> None:
+        """Shake hands, drop what some units send after it, and read who answers."""
+        self._wire.drain()
+        self._wire.send(ld4.HANDSHAKE.frame)
+        answer = self._wire.receive(ld4.HANDSHAKE.reply_length)
+        if answer != b"Ready\r\n":
+            raise WrongDevice(
+                f"{answer!r} came from {self._wire.name} instead of Ready; check that the port is the lens driver's"
+            )
+        self._wire.receive(1)
+        self._wire.drain()
+        self.firmware = self.ask(ld4.FIRMWARE_TYPE).decode("ascii", "replace")
+        if expected is not None and self.firmware != expected:
+            raise WrongDevice(f"the lens driver has firmware type {self.firmware}, the configuration wants {expected}")
+        numbers = self.ask(ld4.VERSION)
+        self.version = f"{numbers[0]}.{numbers[1]}.{int.from_bytes(numbers[2:4])}.{int.from_bytes(numbers[4:6])}"
+        self.full_current_ma = ld4.unsigned(self.ask(ld4.GET_FULL_CURRENT)) / 100
+        log.info("lens driver: firmware %s %s, %.2f mA", self.firmware, self.version, self.full_current_ma)
+
+    def ask(self, request: ld4.Request, wear_memory: bool = False) -> bytes:
+        """Send a request that is answered, and return what the answer carries.
+
+        Requests that wear the driver's memory are refused unless ``wear_memory``; all are while streaming.
+        """
+        if self._streaming:
+            raise DeviceError("the lens driver cannot be asked while it streams; ask before or after the print")
+        if request.writes_memory and not wear_memory:
+            raise BadInput(f"{request.payload!r} wears the driver's memory; pass wear_memory=True if that is meant")
+        with self._wire.lock:
+            self._wire.send(request.frame)
+            received = b""
+            while (more := ld4.missing(request, received)) > 0:
+                chunk = self._wire.receive(more)
+                if not chunk:
+                    break
+                received += chunk
+            try:
+                return ld4.parse(request, received)
+            except ProtocolError:
+                self._wire.drain()
+                raise
+
+    def focal_power_mode(self, low_celsius: float = 20.0, high_celsius: float = 45.0) -> ld4.PowerRange:
+        """Set the temperature window, then the focal power mode; the range [1/m] the driver guarantees."""
+        self.ask(ld4.set_window(low_celsius, high_celsius))
+        found = ld4.power_range(self.ask(ld4.set_mode(ld4.Mode.FOCAL_POWER)), self.firmware)
+        blocking = found.status & 0b111
+        if blocking:
+            raise DeviceRefused(
+                f"the lens driver cannot hold a focal power: {', '.join(ld4.status_texts(blocking))}", f"S{found.status}"
+            )
+        self._power_mode = True
+        return found
+
+    def current_mode(self) -> None:
+        """Set the mode of plain current."""
+        self.ask(ld4.set_mode(ld4.Mode.CURRENT))
+        self._power_mode = False
+
+    def set_power(self, diopters: float) -> None:
+        """Set the focal power [1/m]; returns when the bytes are with the port, not when the lens has settled."""
+        if not self._power_mode:
+            raise DeviceError("the lens driver obeys focal powers in focal power mode only; call focal_power_mode()")
+        self._wire.send(ld4.set_power(diopters, self.firmware).frame)
+
+    def set_current(self, current_ma: float) -> None:
+        """Set the current [mA]."""
+        self._wire.send(ld4.set_current(ld4.current_code(current_ma, self.full_current_ma)).frame)
+
+    def code(self, diopters: float) -> int:
+        """The code of a focal power [1/m], for a controller that sends it by itself."""
+        return ld4.power_code(diopters, self.firmware)
+
+    @contextmanager
+    def streaming(self) -> Iterator[None]:
+        """Within, the lens only takes settings; after, a setting it refused is raised as DeviceRefused."""
+        self.refusals()
+        self._streaming = True
+        try:
+            yield
+        finally:
+            self._streaming = False
+        self.refusals()
+
+    def refusals(self) -> None:
+        """Raise DeviceRefused if the driver complained about a setting since it was last asked."""
+        waiting = self._wire.waiting()
+        if waiting:
+            complaint = self._wire.receive(waiting)
+            ld4.parse(ld4.Request(b"a setting", b"E", 6), complaint[-6:])
+            code = complaint[-5] if len(complaint) >= 6 else 0
+            raise DeviceRefused(f"a setting was refused: {ld4.REFUSALS.get(code, f'reason {code}')}", f"E{code}")
+
+    def power(self) -> float:
+        """The focal power set [1/m]."""
+        return ld4.power_of(ld4.signed(self.ask(ld4.GET_POWER)), self.firmware)
+
+    def temperature(self) -> float:
+        """The lens's temperature [degC]; DeviceRefused where it has no sensor."""
+        raw = ld4.signed(self.ask(ld4.GET_TEMPERATURE))
+        if raw == ld4.NO_SENSOR:
+            raise DeviceRefused("the lens has no temperature sensor; check that a lens is plugged in", "sensor")
+        return raw / 16
+
+    def status(self) -> tuple[str, ...]:
+        """What is not as it should be; empty when all is well."""
+        answer = self.ask(ld4.GET_STATUS)
+        texts = ld4.status_texts(answer[3])
+        return (*texts, "lens not compatible") if answer[2] & 1 else texts
+
+    def close(self) -> None:
+        """Let go of the port; the lens keeps its last setting."""
+        self._wire.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

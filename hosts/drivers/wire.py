@@ -1,0 +1,177 @@
+"""A line to a machine: bytes out, bytes in, and errors that say what to check.
+
+Every serial machine is opened through pyserial's ``serial_for_url``, so ``/dev/ttyUSB0``, ``COM3``,
+``socket://host:port``, ``rfc2217://`` and ``spy://`` work alike. ``usbtmc:/dev/usbtmc0`` opens a measuring instrument.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from typing import Any, Protocol, Self
+
+from vamgpu.errors import BadInput, DeviceBusy, DeviceLost, DeviceNotFound
+
+log = logging.getLogger(__name__)
+
+
+class Port(Protocol):
+    """What a wire needs of an open port; pyserial's ports have it."""
+
+    def write(self, data: bytes, /) -> Any:
+        """Send."""
+        ...
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Receive ``size`` bytes, or fewer if they do not come in the port's own time."""
+        ...
+
+    def reset_input_buffer(self) -> None:
+        """Forget what has come in."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the port."""
+        ...
+
+    @property
+    def in_waiting(self) -> int:
+        """How many bytes have come in."""
+        ...
+
+
+class UsbtmcPort:
+    """The kernel's character device of an instrument on USB: one message a read."""
+
+    def __init__(self, path: str) -> None:
+        self._file = os.open(path, os.O_RDWR)
+        self._pending = b""
+
+    def write(self, data: bytes, /) -> int:
+        """Send one message."""
+        return os.write(self._file, data)
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Receive from the message that is there, or the next."""
+        if not self._pending:
+            self._pending = os.read(self._file, 4096)
+        taken, self._pending = self._pending[:size], self._pending[size:]
+        return taken
+
+    def reset_input_buffer(self) -> None:
+        """Forget what has come in."""
+        self._pending = b""
+
+    def close(self) -> None:
+        """Let go of the instrument."""
+        os.close(self._file)
+
+    @property
+    def in_waiting(self) -> int:
+        """How many bytes of the message are left."""
+        return len(self._pending)
+
+
+class Wire:
+    """An open port with a name, safe to use from several threads one exchange at a time."""
+
+    def __init__(self, port: Port, name: str) -> None:
+        self.port = port
+        self.name = name
+        self.lock = threading.RLock()
+
+    def send(self, data: bytes) -> None:
+        """Send all bytes."""
+        try:
+            self.port.write(data)
+        except OSError as error:
+            raise self._lost(error) from error
+
+    def receive(self, size: int) -> bytes:
+        """Receive ``size`` bytes, or fewer if they do not come in time."""
+        received = b""
+        try:
+            while len(received) < size:
+                more = self.port.read(size - len(received))
+                if not more:
+                    break
+                received += more
+        except OSError as error:
+            raise self._lost(error) from error
+        return received
+
+    def line(self, longest: int = 256) -> bytes:
+        """Receive up to and with a line feed; fewer bytes, or none, if it does not come in time."""
+        received = b""
+        while len(received) < longest and not received.endswith(b"\n"):
+            more = self.receive(1)
+            if not more:
+                break
+            received += more
+        return received
+
+    def waiting(self) -> int:
+        """How many bytes have come in and are not read."""
+        try:
+            return self.port.in_waiting
+        except OSError as error:
+            raise self._lost(error) from error
+
+    def drain(self) -> None:
+        """Forget what has come in."""
+        try:
+            self.port.reset_input_buffer()
+        except OSError as error:
+            raise self._lost(error) from error
+
+    def close(self) -> None:
+        """Let go of the port; more than once does no harm."""
+        try:
+            self.port.close()
+        except OSError as error:
+            log.warning("closing %s: %s", self.name, error)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _lost(self, error: Exception) -> DeviceLost:
+        return DeviceLost(f"{self.name} is gone ({error}); check its plug and its power, then start again")
+
+
+def open_wire(url: str, name: str, baud: int = 115200, timeout_s: float = 0.25) -> Wire:
+    """Open the port of a machine.
+
+    ``timeout_s`` is how long a read waits. Raises DeviceNotFound where nothing is at the address, DeviceBusy where
+    another program holds it.
+    """
+    if url.startswith("usbtmc:"):
+        try:
+            return Wire(UsbtmcPort(url.removeprefix("usbtmc:")), name)
+        except OSError as error:
+            raise _unopened(url, name, error) from error
+    serial = _pyserial()
+    try:
+        return Wire(serial.serial_for_url(url, baudrate=baud, timeout=timeout_s, write_timeout=2.0, exclusive=True), name)
+    except ValueError as error:
+        raise BadInput(f"{url!r} is no address of a port for {name}: {error}") from error
+    except OSError as error:
+        raise _unopened(url, name, error) from error
+
+
+def _pyserial() -> Any:
+    try:
+        import serial
+    except ImportError as error:
+        raise DeviceNotFound('ports need pyserial: pip install "vamgpu[hardware]"') from error
+    return serial
+
+
+def _unopened(url: str, name: str, error: OSError) -> DeviceNotFound | DeviceBusy:
+    text = str(error)
+    if "lock" in text or "busy" in text.lower() or "Access is denied" in text:
+        return DeviceBusy(f"{name} at {url} is used by another program ({text}); close that program")
+    return DeviceNotFound(f"{name} is not at {url} ({text}); check the address, the plug, the power and permissions")

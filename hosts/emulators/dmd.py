@@ -1,0 +1,462 @@
+"""A mirror array behind the ALP library's own functions: memory of bit planes, limits, a queue, triggers and light.
+
+``FakeAlp.library`` has real C functions, made with declarations of their own, so the driver crosses a true C border:
+wrong widths of integers or bad pointers fail here as they would there. What the mirrors did is handed to ``on_shown``
+when each picture is over.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from vamgpu.hosts.emulators.clock import VirtualClock
+
+MICRO = 1000
+I, U, P = ctypes.c_int32, ctypes.c_uint32, ctypes.c_void_p
+LONGS, IDS = ctypes.POINTER(I), ctypes.POINTER(U)
+ENTRIES = {
+    "AlpDevAlloc": (I, I, IDS),
+    "AlpDevInquire": (U, I, LONGS),
+    "AlpDevControl": (U, I, I),
+    "AlpDevHalt": (U,),
+    "AlpDevFree": (U,),
+    "AlpSeqAlloc": (U, I, I, IDS),
+    "AlpSeqFree": (U, U),
+    "AlpSeqControl": (U, U, I, I),
+    "AlpSeqTiming": (U, U, I, I, I, I, I),
+    "AlpSeqInquire": (U, U, I, LONGS),
+    "AlpSeqPut": (U, U, I, I, P),
+    "AlpProjStart": (U, U),
+    "AlpProjStartCont": (U, U),
+    "AlpProjHalt": (U,),
+    "AlpProjControl": (U, I, I),
+    "AlpProjInquire": (U, I, LONGS),
+    "AlpProjInquireEx": (U, I, P),
+}
+NOT_ONLINE, NOT_IDLE, _, NOT_READY, INVALID, _, FULL, IN_USE = range(1001, 1009)
+REMOVED = 1012
+
+
+@dataclass(frozen=True)
+class ArrayModel:
+    """The device: its size, its memory, and its least times [us] at 1 and 8 bits.
+
+    The time of a picture of b bits is one load of all rows, or the 8-bit time over 255 for each step of gray, whichever
+    is longer. ``bytes_per_s`` is how fast uploads go (0: at once); ``dark_us`` is lost of every lit time.
+    """
+
+    height: int = 1080
+    width: int = 1920
+    planes: int = 31069
+    load_us: int = 44
+    gray_us: int = 3760
+    dark_us: int = 0
+    bytes_per_s: float = 0.0
+    serial: int = 1001
+    time_out_ns: int = 1_000_000_000
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of a packed row."""
+        return 2048 // 8 if self.width == 1920 else self.width // 8
+
+    def least_picture_us(self, bits: int) -> int:
+        """The least time from picture to picture [us]."""
+        return max(self.load_us, -(-self.gray_us * (2**bits - 1) // 255))
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One picture as the mirrors made it: planes ``[plane, row, byte]``, and when each began and ended [ns].
+
+    ``number`` counts pictures since the device was opened; ``sequence`` and ``picture`` are where it was stored.
+    """
+
+    number: int
+    sequence: int
+    picture: int
+    planes: np.ndarray
+    starts: tuple[int, ...]
+    ends: tuple[int, ...]
+
+    def mirrors(self, plane: int, width: int) -> np.ndarray:
+        """Which mirrors ``[row, column]`` a plane turned on, as 0 and 1."""
+        return np.unpackbits(self.planes[plane], axis=-1)[:, :width]
+
+
+@dataclass
+class _Stored:
+    bits: int
+    count: int
+    shown_bits: int
+    last: int
+    repeat: int = 1
+    format: int = 0
+    uninterrupted: bool = False
+    picture_us: int = 33334
+    illuminate_us: int = 33333
+    delay_us: int = 0
+    pictures: dict[int, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass
+class _Queued:
+    queue_id: int
+    sequence: int
+    stored: _Stored
+    iterations: int | None
+    frames: int
+    next: int = 0
+
+
+class FakeAlp:
+    """The device; ``trigger`` is its input, ``on_shown`` its light, ``library`` what a driver is given.
+
+    ``counts`` tells triggers that came while a picture still showed (``missed``) or with nothing to show (``empty``).
+    """
+
+    def __init__(self, clock: VirtualClock, model: ArrayModel = ArrayModel()) -> None:
+        self.clock, self.model = clock, model
+        self.on_shown: Callable[[Shown], None] | None = None
+        self.counts = {"shown": 0, "missed": 0, "empty": 0, "uploaded": 0, "upload_bytes": 0}
+        self.removed = self.allocated = self.floating = False
+        self.slave = self.queueing = False
+        self.rising = True
+        self.time_out = True
+        self._stored: dict[int, _Stored] = {}
+        self._queue: deque[_Queued] = deque()
+        self._next_id = self._next_queue = 1
+        self._current: tuple[Shown, int] | None = None
+        self._next_start: int | None = None
+        self._last_trigger = 0
+        self.library = SimpleNamespace(**{name: self._entry(name, types) for name, types in ENTRIES.items()})
+        clock.attach(self)
+
+    def _entry(self, name: str, types: tuple[Any, ...]) -> Any:
+        """A C function that calls the method of its name."""
+        method = getattr(self, "_" + name)
+
+        def called(*arguments: Any) -> int:
+            if self.removed:
+                return REMOVED
+            if name != "AlpDevAlloc" and not self.allocated:
+                return NOT_ONLINE
+            self.advance(self.clock.now())
+            return method(*arguments) or 0
+
+        return ctypes.CFUNCTYPE(I, *types)(called)
+
+    # light and time
+
+    def trigger(self, now: int) -> None:
+        """An edge at the trigger input."""
+        self.advance(now)
+        self._last_trigger = now
+        if not self.slave or self.removed:
+            return
+        if self._current is not None and now < self._next_ready():
+            self.counts["missed"] += 1
+        elif not self._queue:
+            self.counts["empty"] += 1
+        else:
+            self._finish()
+            self._show(now + self._queue[0].stored.delay_us * MICRO)
+
+    def _next_ready(self) -> int:
+        """When the next picture may begin."""
+        assert self._current is not None
+        return self._current[1]
+
+    def _show(self, start: int) -> None:
+        """Begin the next picture of the queue at a time [ns]."""
+        head = self._queue[0]
+        stored, picture = head.stored, head.next
+        planes = stored.pictures.get(picture)
+        if planes is None:
+            planes = np.zeros((stored.bits, self.model.height, self.model.row_bytes), np.uint8)
+        planes = planes[: stored.shown_bits]
+        lit = self._lit_ns(stored)
+        total = 2**stored.shown_bits - 1
+        edges = [start]
+        for plane in range(stored.shown_bits):
+            done = sum(1 << (stored.shown_bits - 1 - i) for i in range(plane + 1))
+            edges.append(start + lit * done // total)
+        self.counts["shown"] += 1
+        shown = Shown(
+            self.counts["shown"] - 1, head.sequence, picture, planes, tuple(edges[:-1]), tuple(edges[1:])
+        )
+        period = max(stored.picture_us * MICRO, edges[-1] - start)
+        self._current = (shown, start + period)
+        head.next += 1
+        self._next_start = None
+        if head.next > stored.last or head.next >= head.frames:
+            self._iterate(head)
+
+    def _lit_ns(self, stored: _Stored) -> int:
+        if stored.uninterrupted and stored.shown_bits == 1:
+            return stored.picture_us * MICRO
+        return max(stored.illuminate_us - self.model.dark_us, 0) * MICRO
+
+    def _iterate(self, head: _Queued) -> None:
+        """Begin a sequence again, or take it off the queue when its last picture is over."""
+        if head.iterations is not None:
+            head.iterations -= 1
+        if head.iterations is None or head.iterations > 0:
+            head.next = 0
+
+    def _finish(self) -> None:
+        """End the picture that shows, and drop its sequence if it was its last."""
+        if self._current is None:
+            return
+        shown, _ = self._current
+        self._current = None
+        if self._queue and self._queue[0].iterations == 0:
+            self._queue.popleft()
+        if self.on_shown is not None:
+            self.on_shown(shown)
+
+    def due(self) -> int | None:
+        """When a picture ends."""
+        if self._current is not None:
+            return self._current[1]
+        if self.slave and self.time_out and self._queue:
+            return self._last_trigger + self.model.time_out_ns
+        return None
+
+    def advance(self, now: int) -> None:
+        """End pictures that are over, and in master mode begin those that follow."""
+        while self._current is not None and self._current[1] <= now:
+            end = self._current[1]
+            self._finish()
+            if not self.slave and self._queue:
+                self._show(end)
+        if self._current is None and self.slave and self.time_out and self._queue:
+            if now >= self._last_trigger + self.model.time_out_ns:
+                self._queue.clear()
+
+    def _cut(self) -> None:
+        """Stop the picture that shows, as a halt does: what was to come of it is not shown."""
+        if self._current is None:
+            self._queue.clear()
+            return
+        now = self.clock.now()
+        shown, _ = self._current
+        starts = tuple(min(start, now) for start in shown.starts)
+        ends = tuple(max(min(end, now), start) for start, end in zip(starts, shown.ends, strict=True))
+        self._queue.clear()
+        self._current = (replace(shown, starts=starts, ends=ends), now)
+        self._finish()
+
+    # the library: devices
+
+    def _AlpDevAlloc(self, number: int, _: int, answer: Any) -> int:  # noqa: N802
+        if number not in (0, self.model.serial):
+            return NOT_ONLINE
+        if self.allocated:
+            return NOT_READY
+        self.allocated = True
+        answer[0] = 77
+        return 0
+
+    def _AlpDevInquire(self, _: int, kind: int, answer: Any) -> int:  # noqa: N802
+        used = sum(stored.bits * stored.count for stored in self._stored.values())
+        known = {2000: self.model.serial, 2003: self.model.planes - used, 2057: self.model.height, 2021: 3}
+        known |= {2058: self.model.width, 2005: 2009 if self.rising else 2008, 2064: int(self.floating)}
+        if kind not in known:
+            return INVALID
+        answer[0] = known[kind]
+        return 0
+
+    def _AlpDevControl(self, _: int, kind: int, value: int) -> int:  # noqa: N802
+        if kind == 2005 and value in (2008, 2009):
+            self.rising = value == 2009
+        elif kind == 2014 and value in (0, 1):
+            self.time_out = value == 0
+        elif kind == 2064 and value in (0, 1):
+            if self._queue:
+                return NOT_IDLE
+            self.floating = value == 1
+        else:
+            return INVALID
+        return 0
+
+    def _AlpDevHalt(self, _: int) -> None:  # noqa: N802
+        self._cut()
+
+    def _AlpDevFree(self, _: int) -> int:  # noqa: N802
+        if self._queue:
+            return NOT_IDLE
+        self.allocated = False
+        self._stored.clear()
+        return 0
+
+    # sequences
+
+    def _AlpSeqAlloc(self, _: int, bits: int, count: int, answer: Any) -> int:  # noqa: N802
+        if not 1 <= bits <= 8 or count < 1:
+            return INVALID
+        used = sum(stored.bits * stored.count for stored in self._stored.values())
+        if used + bits * count > self.model.planes:
+            return FULL
+        self._stored[self._next_id] = _Stored(bits, count, bits, count - 1)
+        answer[0] = self._next_id
+        self._next_id += 1
+        return 0
+
+    def _in_use(self, sequence: int) -> bool:
+        return any(entry.sequence == sequence for entry in self._queue)
+
+    def _AlpSeqFree(self, _: int, sequence: int) -> int:  # noqa: N802
+        if sequence not in self._stored:
+            return INVALID
+        if self._in_use(sequence):
+            return IN_USE
+        del self._stored[sequence]
+        return 0
+
+    def _AlpSeqControl(self, _: int, sequence: int, kind: int, value: int) -> int:  # noqa: N802
+        stored = self._stored.get(sequence)
+        if stored is None:
+            return INVALID
+        if self._in_use(sequence):
+            return IN_USE
+        if kind == 2100 and value >= 1:
+            stored.repeat = value
+        elif kind == 2102 and 0 <= value < stored.count:
+            stored.last = value
+        elif kind == 2103 and 1 <= value <= stored.bits:
+            stored.shown_bits = value
+        elif kind == 2104 and value in (2105, 2106) and stored.shown_bits == 1:
+            stored.uninterrupted = value == 2106
+        elif kind == 2110 and value in (0, 2):
+            stored.format = value
+        else:
+            return INVALID
+        return 0
+
+    def _AlpSeqTiming(self, _: int, sequence: int, lit: int, picture: int, *rest: int) -> int:  # noqa: N802
+        stored = self._stored.get(sequence)
+        if stored is None or min(lit, picture, *rest) < 0:
+            return INVALID
+        if self._in_use(sequence):
+            return IN_USE
+        least = self.model.least_picture_us(stored.shown_bits)
+        if picture == 0:
+            picture = max(lit + 1, least) if lit else max(33334, least)
+        if lit == 0:
+            lit = picture
+        if picture < least or lit > picture or lit < least - 1 or picture > 10_000_000 or rest[2] > 130_000:
+            return INVALID
+        stored.picture_us, stored.illuminate_us, stored.delay_us = picture, lit, rest[2]
+        return 0
+
+    def _AlpSeqInquire(self, _: int, sequence: int, kind: int, answer: Any) -> int:  # noqa: N802
+        stored = self._stored.get(sequence)
+        if stored is None:
+            return INVALID
+        least = self.model.least_picture_us(stored.shown_bits)
+        lit_us = self._lit_ns(stored) // MICRO
+        known = {2200: stored.bits, 2201: stored.count, 2203: stored.picture_us, 2204: stored.illuminate_us}
+        known |= {2207: stored.delay_us, 2210: 130_000, 2211: least, 2212: max(least - 1, 1), 2213: 10_000_000}
+        known |= {2214: lit_us, 2215: stored.picture_us - lit_us, 2103: stored.shown_bits}
+        if kind not in known:
+            return INVALID
+        answer[0] = known[kind]
+        return 0
+
+    def _AlpSeqPut(self, _: int, sequence: int, first: int, count: int, address: int) -> int:  # noqa: N802
+        stored = self._stored.get(sequence)
+        if stored is None or first < 0 or first + count > stored.count or not address:
+            return INVALID
+        if self._in_use(sequence):
+            return IN_USE
+        rows, row_bytes = self.model.height, self.model.row_bytes
+        size = rows * (row_bytes * stored.bits if stored.format == 2 else self.model.width)
+        raw = np.frombuffer(ctypes.string_at(address, size * count), np.uint8)
+        for i, data in enumerate(raw.reshape(count, size)):
+            stored.pictures[first + i] = self._planes(data, stored)
+        self.counts["uploaded"] += count
+        self.counts["upload_bytes"] += size * count
+        if self.model.bytes_per_s:
+            self.clock.sleep(round(size * count / self.model.bytes_per_s * 1e9))
+        return 0
+
+    def _planes(self, data: np.ndarray, stored: _Stored) -> np.ndarray:
+        """Bit planes, the most significant first, of one picture as it was sent."""
+        rows, row_bytes = self.model.height, self.model.row_bytes
+        if stored.format == 2:
+            return data.reshape(stored.bits, rows, row_bytes)
+        planes = np.zeros((stored.bits, rows, row_bytes), np.uint8)
+        for plane in range(stored.bits):
+            lit = np.packbits(data.reshape(rows, -1) >> (7 - plane) & 1, axis=-1)
+            planes[plane, :, : lit.shape[1]] = lit
+        return planes
+
+    # projection
+
+    def _start(self, sequence: int, forever: bool) -> int:
+        stored = self._stored.get(sequence)
+        if stored is None or self.floating:
+            return INVALID
+        if not self.queueing and self._queue:
+            return NOT_IDLE
+        if len(self._queue) >= 256:
+            return NOT_READY
+        iterations = None if forever else stored.repeat
+        self._queue.append(_Queued(self._next_queue, sequence, stored, iterations, stored.last + 1))
+        self._next_queue += 1
+        now = self.clock.now()
+        if len(self._queue) == 1:
+            self._last_trigger = now
+            if not self.slave and self._current is None:
+                self._show(now)
+        return 0
+
+    def _AlpProjStart(self, _: int, sequence: int) -> int:  # noqa: N802
+        return self._start(sequence, forever=False)
+
+    def _AlpProjStartCont(self, _: int, sequence: int) -> int:  # noqa: N802
+        return self._start(sequence, forever=True)
+
+    def _AlpProjHalt(self, _: int) -> None:  # noqa: N802
+        self._cut()
+
+    def _AlpProjControl(self, _: int, kind: int, value: int) -> int:  # noqa: N802
+        if self._queue:
+            return NOT_IDLE
+        if kind == 2300 and value in (2301, 2302):
+            self.slave = value == 2302
+        elif kind == 2314 and value in (0, 1):
+            self.queueing = value == 1
+        elif kind != 2319:
+            return INVALID
+        return 0
+
+    def _AlpProjInquire(self, _: int, kind: int, answer: Any) -> int:  # noqa: N802
+        known = {2300: 2302 if self.slave else 2301, 2400: 1200 if self._queue else 1201, 2314: int(self.queueing)}
+        known |= {2317: 256 - len(self._queue), 2315: self._next_queue - 1}
+        if kind not in known:
+            return INVALID
+        answer[0] = known[kind]
+        return 0
+
+    def _AlpProjInquireEx(self, _: int, kind: int, address: int) -> int:  # noqa: N802
+        if kind != 2318 or not address:
+            return INVALID
+        words = np.zeros(9, np.uint32)
+        if not self._queue:
+            words[8] = 1
+        else:
+            head = self._queue[0]
+            left = 0 if head.iterations == 0 else head.frames - head.next
+            words[:6] = head.queue_id, head.sequence, len(self._queue) - 1, head.iterations or 0, 0, left
+            words[6:] = head.stored.picture_us, head.frames, 4 if head.iterations is None else 0
+        ctypes.memmove(address, words.tobytes(), 36)
+        return 0

@@ -1,0 +1,292 @@
+"""An emulated Lens Driver 4 with its lens: real bytes in and out, and a focal power that takes time to settle.
+
+It reads frames by a table of their own lengths and with a check sum of its own, so that a mistake in the driver's
+coding cannot hide in both.
+"""
+
+from __future__ import annotations
+
+import struct
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass
+from math import cos, exp, pi, sin, sqrt
+
+from vamgpu.hosts.emulators.line import SECOND, Outbox
+
+LENGTHS = {
+    b"H": 3, b"F": 3, b"J": 3, b"V": 3, b"X": 3, b"IR": 12, b"Aw": 6, b"Ar": 6,
+    b"CrMA": 8, b"CwMA": 8, b"CrUA": 8, b"CwUA": 8, b"CrLA": 8, b"CwLA": 8,
+    b"MwDA": 6, b"MwSA": 6, b"MwTA": 6, b"MwQA": 6, b"MwCA": 6, b"MwAA": 6, b"MMA": 5,
+    b"PwUA": 10, b"PwLA": 10, b"PwFA": 10, b"PwTA": 10, b"PwDA": 10, b"PrDA": 10,
+    b"TCA": 5, b"TA": 4, b"Sr": 4, b"GAA": 5, b"Ow": 6, b"Or": 6, b"Y": 7, b"Start": 5,
+}  # fmt: skip
+"""Bytes of each command with its check sum, by what it starts with."""
+MODES = {b"MwDA": 1, b"MwSA": 2, b"MwTA": 3, b"MwQA": 4, b"MwCA": 5, b"MwAA": 6}
+CRC_TABLE = [0, 0xCC01, 0xD801, 0x1400, 0xF001, 0x3C00, 0x2800, 0xE401]
+CRC_TABLE += [0xA001, 0x6C00, 0x7800, 0xB401, 0x5000, 0x9C01, 0x8801, 0x4400]
+PATIENCE = 20_000_000
+"""How long the driver waits for the rest of a command [ns]."""
+
+
+def check_sum(data: bytes) -> int:
+    """The frames' check sum, four bits at a time."""
+    value = 0
+    for byte in data:
+        value = (value >> 4) ^ CRC_TABLE[(value ^ byte) & 15]
+        value = (value >> 4) ^ CRC_TABLE[(value ^ (byte >> 4)) & 15]
+    return value
+
+
+@dataclass(frozen=True)
+class LensModel:
+    """What the lens does: a damped oscillator, a power a milliampere, and a drift with temperature."""
+
+    natural_hz: float = 300.0
+    damping: float = 0.9
+    diopters_per_ma: float = 0.05
+    offset: float = 0.0
+    drift_per_celsius: float = 0.067
+    reference_celsius: float = 25.0
+    least: float = -1.5
+    greatest: float = 3.5
+
+
+class _Glass:
+    """Focal power over time after steps of what is asked of it, in closed form."""
+
+    def __init__(self, model: LensModel) -> None:
+        self.model = model
+        self._steps: deque[tuple[int, float, float, float]] = deque([(0, 0.0, 0.0, 0.0)], maxlen=4096)
+
+    def step(self, now: int, wanted: float) -> None:
+        """Ask for another power [1/m]."""
+        power, rate = self.state(now)
+        while len(self._steps) > 1 and self._steps[-1][0] >= now:
+            self._steps.pop()
+        self._steps.append((now, power, rate, wanted))
+
+    def state(self, now: int) -> tuple[float, float]:
+        """Power [1/m] and its rate [1/m/s] at a time, past or future."""
+        index = bisect_right(self._steps, now, key=lambda step: step[0])
+        start, power, rate, wanted = self._steps[max(index - 1, 0)]
+        t = max(now - start, 0) / SECOND
+        omega = 2 * pi * self.model.natural_hz
+        decay = omega * self.model.damping
+        ringing = omega * sqrt(max(1 - self.model.damping**2, 1e-12))
+        offset = power - wanted
+        b = (rate + decay * offset) / ringing
+        fade, c, s = exp(-decay * t), cos(ringing * t), sin(ringing * t)
+        moved = fade * (offset * c + b * s)
+        speed = fade * ((b * ringing - decay * offset) * c - (offset * ringing + decay * b) * s)
+        return wanted + moved, speed
+
+
+class EmulatedLens:
+    """The driver's firmware and the lens behind it.
+
+    ``legacy`` answers bad frames with ``N`` as old firmware does, ``stray`` sends an extra frame after the handshake
+    as some units do, ``sensor`` False is a lens without a thermometer and memory.
+    """
+
+    def __init__(
+        self,
+        model: LensModel = LensModel(),
+        firmware: str = "A",
+        celsius: float = 25.0,
+        baud: int = 115200,
+        latency_us: float = 100.0,
+        sensor: bool = True,
+        legacy: bool = False,
+        stray: bool = False,
+    ) -> None:
+        self.model, self.firmware, self.sensor, self.legacy, self.stray = model, firmware, sensor, legacy, stray
+        self.celsius = celsius
+        self.mode, self.full_ma, self.current_code, self.power_code = 1, 292.84, 0, 0
+        self.limits = {"U": 4095, "L": -4095}
+        self.gain = 100
+        self.window: tuple[float, float] | None = None
+        self.memory_writes = self.handshakes = self.settings = 0
+        self.refused: list[int] = []
+        self._glass = _Glass(model)
+        self._buffer = bytearray()
+        self._heard = 0
+        self._out = Outbox(round(10 * SECOND / baud), round(latency_us * 1000))
+
+    # the line
+
+    def receive(self, data: bytes, now: int) -> None:
+        """Take bytes."""
+        self.advance(now)
+        self._buffer += data
+        self._heard = now
+        while self._buffer and self._one(now):
+            pass
+
+    def take(self, now: int) -> bytes:
+        """Give bytes that have left."""
+        return self._out.take(now)
+
+    def ready(self) -> int | None:
+        """When the next byte will have left."""
+        return self._out.ready()
+
+    def due(self) -> int | None:
+        """When patience with half a command ends."""
+        return self._heard + PATIENCE if self._buffer else None
+
+    def advance(self, now: int) -> None:
+        """Give up half a command that is not continued."""
+        if self._buffer and now >= self._heard + PATIENCE:
+            self._buffer.clear()
+            self._refuse(1, now)
+
+    def _one(self, now: int) -> bool:
+        """Act on the first command in the buffer if it is whole."""
+        names = [name for name in LENGTHS if self._buffer.startswith(name)]
+        longer = [name for name in LENGTHS if name.startswith(bytes(self._buffer)) and len(name) > len(self._buffer)]
+        if not names:
+            if longer:
+                return False
+            self._buffer.clear()
+            self._refuse(3, now)
+            return False
+        name = max(names, key=len)
+        if len(self._buffer) < LENGTHS[name]:
+            return False
+        frame = bytes(self._buffer[: LENGTHS[name]])
+        del self._buffer[: LENGTHS[name]]
+        if name == b"Start":
+            self._handshake(now)
+        elif check_sum(frame):
+            self._refuse(1, now)
+        else:
+            self._act(name, frame[len(name) : -2], now)
+        return True
+
+    def _answer(self, payload: bytes, now: int) -> None:
+        value = check_sum(payload)
+        self._out.put(payload + bytes((value & 255, value >> 8)) + b"\r\n", now)
+
+    def _refuse(self, reason: int, now: int) -> None:
+        self.refused.append(reason)
+        if self.legacy:
+            self._out.put(b"N\r\n", now)
+        else:
+            self._answer(b"E" + bytes((reason,)), now)
+
+    def _handshake(self, now: int) -> None:
+        self.handshakes += 1
+        self.mode, self.current_code, self.power_code = 1, 0, 0
+        self._obey(now)
+        self._out.put(b"Ready\r\n", now)
+        if self.stray:
+            self._answer(b"E\x03", now)
+
+    # the firmware
+
+    def _act(self, name: bytes, data: bytes, now: int) -> None:
+        if name in (b"Aw", b"PwDA", b"PwUA", b"PwLA", b"PwFA"):
+            self._set(name, data, now)
+        elif name in MODES:
+            self._change_mode(name, now)
+        elif name[:2] in (b"Cr", b"Cw"):
+            self._answer(b"C" + name[2:] + self._limit(name, data), now)
+        elif name == b"PwTA":
+            high, low = struct.unpack(">hh", data)
+            self.window = (low / 16, high / 16)
+            self._answer(b"PT" + self._range(), now)
+        elif name == b"Ow":
+            self.gain = struct.unpack(">h", data)[0]
+            self._answer(b"Ow" + self._range(), now)
+        else:
+            self._answer(self._report(name, data), now)
+
+    def _set(self, name: bytes, data: bytes, now: int) -> None:
+        """Settings are not answered."""
+        self.settings += 1
+        value = struct.unpack(">h", data[:2])[0]
+        if name == b"Aw":
+            self.current_code = min(max(value, self.limits["L"]), self.limits["U"])
+        elif name == b"PwDA":
+            self.power_code = value
+        self._obey(now)
+
+    def _change_mode(self, name: bytes, now: int) -> None:
+        if name == b"MwCA" and not self.sensor:
+            self._refuse(4, now)
+            return
+        self.mode = MODES[name]
+        if name == b"MwCA":
+            self.power_code = round((0.0 + self._zero()) * 200)
+        self._obey(now)
+        self._answer(b"MCA" + self._range() if name == b"MwCA" else b"M" + name[2:], now)
+
+    def _limit(self, name: bytes, data: bytes) -> bytes:
+        if name[1:2] == b"w":
+            self.memory_writes += 1
+        which = chr(name[2])
+        if which == "M":
+            if name[1:2] == b"w":
+                self.full_ma = struct.unpack(">H", data)[0] / 100
+            return struct.pack(">H", round(self.full_ma * 100))
+        if name[1:2] == b"w":
+            self.limits[which] = struct.unpack(">h", data)[0]
+        return struct.pack(">h", self.limits[which])
+
+    def _zero(self) -> float:
+        return 5.0 if self.firmware == "A" else 0.0
+
+    def _status(self) -> int:
+        """Status bits: 0 no sensor, 1 no memory, 2 no window, 5 outside the product's temperatures, 7 outside the window."""
+        low, high = self.window or (-273.0, 1000.0)
+        flags = 0 if self.sensor else 0b11
+        flags |= 0 if self.window else 1 << 2
+        flags |= 0 if 10 <= self.celsius <= 50 else 1 << 5
+        return flags | (0 if low <= self.celsius <= high else 1 << 7)
+
+    def _range(self) -> bytes:
+        ends = (self.model.greatest, self.model.least)
+        return struct.pack(">Bhh", self._status(), *(round((power + self._zero()) * 200) for power in ends))
+
+    def _report(self, name: bytes, data: bytes) -> bytes:
+        temperature = round(self.celsius * 16) if self.sensor else 4095
+        reports = {
+            b"H": lambda: b"H" + self.firmware.encode(),
+            b"F": lambda: b"F\x01",
+            b"J": lambda: b"J\x00\x01\x02",
+            b"V": lambda: b"V" + struct.pack(">BBHH", 1, 9, 1000, 7),
+            b"X": lambda: b"XEMUL0001" if self.sensor else b"X" + bytes(8),
+            b"IR": lambda: b"IREMULATED",
+            b"Ar": lambda: b"A" + struct.pack(">h", self.current_code),
+            b"MMA": lambda: b"MMA" + bytes((self.mode,)),
+            b"PrDA": lambda: b"PD" + struct.pack(">hh", self.power_code, 0)[:2],
+            b"TCA": lambda: b"TCA" + struct.pack(">h", temperature),
+            b"TA": lambda: b"TA\x00" + struct.pack(">h", temperature),
+            b"Sr": lambda: b"S" + bytes((0, 0, 0, self._status())),
+            b"GAA": lambda: b"GAA\x00\x00",
+            b"Or": lambda: b"Or" + struct.pack(">H", self.gain),
+            b"Y": lambda: b"Y" + data[:2],
+        }
+        return reports[name]()
+
+    # the lens
+
+    def _obey(self, now: int) -> None:
+        """Ask of the lens what mode, codes and temperature make."""
+        if self.mode == 5:
+            wanted = min(max(self.power_code / 200 - self._zero(), self.model.least), self.model.greatest)
+        else:
+            current = self.current_code * self.full_ma / 4095
+            drift = self.model.drift_per_celsius * (self.celsius - self.model.reference_celsius)
+            wanted = self.model.offset + self.model.diopters_per_ma * current + drift
+        self._glass.step(now, wanted)
+
+    def warm(self, celsius: float, now: int) -> None:
+        """Change the lens's temperature [degC]."""
+        self.celsius = celsius
+        self._obey(now)
+
+    def power(self, now: int) -> float:
+        """The focal power [1/m] at a time [ns], also in the midst of settling; the past is remembered."""
+        return self._glass.state(now)[0]

@@ -1,0 +1,124 @@
+"""Positions over time: pieces of constant acceleration, remembered so that the past can be asked for."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass
+from math import sqrt
+
+SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Piece:
+    """From ``start`` [ns] on: position, velocity [1/s] and acceleration [1/s2]."""
+
+    start: int
+    position: float
+    velocity: float
+    acceleration: float = 0.0
+
+    def at(self, now: int) -> tuple[float, float]:
+        """Position and velocity at a time [ns]."""
+        t = (now - self.start) / SECOND
+        return (
+            self.position + self.velocity * t + 0.5 * self.acceleration * t * t,
+            self.velocity + self.acceleration * t,
+        )
+
+
+class Track:
+    """The motion of one axis; the last ``memory`` pieces are remembered."""
+
+    def __init__(self, acceleration: float, memory: int = 4096) -> None:
+        self.acceleration = acceleration
+        self._pieces: deque[Piece] = deque([Piece(0, 0.0, 0.0)], maxlen=memory)
+        self.settled_at = 0
+
+    def _piece(self, now: int) -> Piece:
+        index = bisect_right(self._pieces, now, key=lambda piece: piece.start)
+        return self._pieces[max(index - 1, 0)]
+
+    def position(self, now: int) -> float:
+        """Where the axis is at a time [ns], past or planned."""
+        return self._piece(now).at(now)[0]
+
+    def velocity(self, now: int) -> float:
+        """How fast the axis moves [1/s]."""
+        return self._piece(now).at(now)[1]
+
+    def moving(self, now: int) -> bool:
+        """Whether the axis moves, or is yet to."""
+        return now < self.settled_at or self.velocity(now) != 0.0
+
+    def _replan(self, now: int, pieces: list[Piece]) -> None:
+        while len(self._pieces) > 1 and self._pieces[-1].start >= now:
+            self._pieces.pop()
+        self._pieces.extend(pieces)
+        self.settled_at = pieces[-1].start
+
+    def set_position(self, now: int, position: float) -> None:
+        """Call where the axis is ``position``; its speed stays."""
+        self._replan(now, [Piece(now, position, self.velocity(now))])
+
+    def run(self, now: int, velocity: float) -> None:
+        """Change to a velocity [1/s] with the axis's acceleration, and keep it."""
+        position, speed = self._piece(now).at(now)
+        self._replan(now, self._ramp(now, position, speed, velocity))
+
+    def _ramp(self, now: int, position: float, speed: float, velocity: float) -> list[Piece]:
+        duration = abs(velocity - speed) / self.acceleration
+        if duration == 0:
+            return [Piece(now, position, velocity)]
+        ramp = Piece(now, position, speed, (velocity - speed) / duration)
+        end = now + max(round(duration * SECOND), 1)
+        return [ramp, Piece(end, ramp.at(end)[0], velocity)]
+
+    def go(self, now: int, target: float, speed: float) -> None:
+        """Move to ``target`` with at most ``speed`` [1/s], from rest to rest; a moving axis stops first."""
+        pieces = []
+        position, velocity = self._piece(now).at(now)
+        if velocity:
+            pieces = self._ramp(now, position, velocity, 0.0)
+            now, position = pieces[-1].start, pieces[-1].position
+        distance = target - position
+        sign = 1.0 if distance >= 0 else -1.0
+        top = min(speed, sqrt(abs(distance) * self.acceleration))
+        if top > 0:
+            rise = top / self.acceleration
+            cruise = abs(distance) / top - rise
+            middle = now + round(rise * SECOND)
+            fall = middle + round(cruise * SECOND)
+            end = fall + round(rise * SECOND)
+            pieces.append(Piece(now, position, 0.0, sign * self.acceleration))
+            pieces.append(Piece(middle, position + sign * top * rise / 2, sign * top))
+            pieces.append(Piece(fall, target - sign * top * rise / 2, sign * top, -sign * self.acceleration))
+            now = end
+        pieces.append(Piece(now, target, 0.0))
+        self._replan(pieces[0].start, pieces)
+
+    def reaches(self, target: float, after: int) -> int | None:
+        """When the axis first is at or beyond ``target`` [ns], moving up, from ``after`` on; None if it will not be."""
+        if self.position(after) >= target:
+            return after
+        pieces = [piece for piece in self._pieces if piece.start > after]
+        pieces = [self._piece(after), *pieces]
+        for index, piece in enumerate(pieces):
+            end = pieces[index + 1].start if index + 1 < len(pieces) else None
+            found = self._crossing(piece, target)
+            if found is not None and found >= after and (end is None or found <= end):
+                return found
+        return None
+
+    @staticmethod
+    def _crossing(piece: Piece, target: float) -> int | None:
+        """When one piece rises to a target [ns]."""
+        missing, v, a = target - piece.position, piece.velocity, piece.acceleration
+        if a == 0:
+            return None if v <= 0 else piece.start + -(-round(missing / v * SECOND * 1000) // 1000)
+        inside = v * v + 2 * a * missing
+        if inside < 0 or v + sqrt(inside) == 0:
+            return None
+        seconds = 2 * missing / (v + sqrt(inside))
+        return piece.start + -(-round(seconds * SECOND * 1000) // 1000) if seconds >= 0 else None

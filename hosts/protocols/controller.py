@@ -1,0 +1,132 @@
+"""The open line protocol of the controller that drives web, trigger, lens and light.
+
+Lines of ASCII end in a line feed. Each carries, after ``*``, the CRC-16/CCITT-FALSE of what stands before it in four
+capital hexadecimal digits. The host sends ``<number> <verb> <arguments>``; the controller answers the same number with
+``ok`` and values, or ``no <reason>``. A number sent twice running is answered twice but acted on once, so a host that
+heard nothing may repeat itself. Lines that begin with ``!`` are events; ``?`` answers what could not be read.
+
+========= =========================================== =================================================================
+verb      arguments                                   effect; answer
+========= =========================================== =================================================================
+hello     \\-                                           light off, rows dropped, disarmed; ``vam-controller`` version,
+                                                      rows it can hold, longest lease [ms], channels of light
+lease     milliseconds                                the light may stay on for so long from now
+arm       \\-                                           allow light; refused without a lease or with an open interlock
+disarm    \\-                                           light off and not allowed
+power     channel, 0..65535                           the drive of a channel, of full
+light     0 or 1                                      steady light, while armed
+mode      ``time`` or ``steps``                       what the rows count: microseconds since ``go``, or microsteps
+row       index, at, lens, delay us, on us, channels  queue one slot; rows still free, and the index of the next row
+end       count                                       how many rows the print has
+go        \\-                                           begin to play the rows
+move      thousandths of microsteps per second        run the web at a speed, ramping up to it
+ramp      microsteps per second squared               how fast the speed changes
+zero      \\-                                           call this position 0
+stop      \\-                                           light off, then rows dropped, then the web ramped to rest
+stat      \\-                                           see ``Status``
+========= =========================================== =================================================================
+
+A row acts when ``at`` is reached: a lens driver's focal power code is sent (``-`` for none), and ``delay`` microseconds
+later the projector is triggered and the light of the channels (a sum of powers of two) is on for ``on`` microseconds.
+A row that comes after its time stays dark and is counted as late.
+
+The controller closes the light by itself when the lease runs out, when the interlock opens, and at ``hello``,
+``disarm`` and ``stop``; it then disarms and says ``! light off <reason>``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from vamgpu.errors import BadInput, ProtocolError
+from vamgpu.hosts.protocols.checks import crc16_ccitt
+
+NAME = "vam-controller"
+VERSION = 1
+LONGEST_LINE = 96
+NUMBERS = 65536
+
+
+@dataclass(frozen=True)
+class Reply:
+    """One line of the controller: ``kind`` is ``ok``, ``no``, ``!`` or ``?``; events and complaints have no number."""
+
+    kind: str
+    number: int | None
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One slot: when it acts [us or microsteps], the lens's code, and the light's delay and duration [us]."""
+
+    index: int
+    at: int
+    lens: int | None
+    delay_us: int
+    on_us: int
+    channels: int = 1
+
+    def words(self) -> tuple[str, ...]:
+        """The arguments of its line."""
+        lens = "-" if self.lens is None else str(self.lens)
+        return (str(self.index), str(self.at), lens, str(self.delay_us), str(self.on_us), str(self.channels))
+
+
+@dataclass(frozen=True)
+class Status:
+    """What the controller does: ``state`` is idle, armed, running, done or fault.
+
+    ``row`` is the next row to act, ``shown`` how many acted, ``late`` how many stayed dark because they came late,
+    ``free`` how many more fit, ``position`` the web's [microsteps], ``speed`` [thousandths of microsteps per second].
+    """
+
+    state: str
+    row: int
+    shown: int
+    late: int
+    free: int
+    position: int
+    speed: int
+    lease_ms: int
+    light: int
+    armed: bool
+    interlock_closed: bool
+    fault: str
+
+
+def encode(*words: object) -> bytes:
+    """The bytes of a line."""
+    body = " ".join(str(word) for word in words)
+    line = f"{body}*{crc16_ccitt(body.encode('ascii')):04X}\n".encode("ascii")
+    if len(line) > LONGEST_LINE or "\n" in body or "*" in body:
+        raise BadInput(f"{body!r} cannot be sent to the controller: too long, or holds * or a line end")
+    return line
+
+
+def check(line: bytes) -> tuple[str, ...]:
+    """The words of a line whose check sum is right; ProtocolError otherwise."""
+    body, star, given = line.rstrip(b"\r\n").rpartition(b"*")
+    if not star or given != f"{crc16_ccitt(body):04X}".encode("ascii"):
+        raise ProtocolError(f"{line!r} fails its check sum; check the cable and that no other program uses the port")
+    return tuple(body.decode("ascii", "replace").split(" "))
+
+
+def parse(line: bytes) -> Reply:
+    """What a line of the controller says."""
+    words = check(line)
+    if words[0] in ("!", "?"):
+        return Reply(words[0], None, words[1:])
+    if len(words) >= 2 and words[0].isdigit() and words[1] in ("ok", "no"):
+        return Reply(words[1], int(words[0]), words[2:])
+    raise ProtocolError(f"{line!r} is no line of a controller; check which device is on the port")
+
+
+def parse_status(words: tuple[str, ...]) -> Status:
+    """The status in the answer to ``stat``."""
+    try:
+        state, *numbers, fault = words
+        row, shown, late, free, position, speed, lease, light, armed, interlock = (int(word) for word in numbers)
+    except ValueError:
+        raise ProtocolError(f"the controller's status {words} has not the twelve values of version {VERSION}") from None
+    return Status(state, row, shown, late, free, position, speed, lease, light, bool(armed), bool(interlock), fault)
