@@ -81,7 +81,10 @@ def test_light_begins_where_the_paper_says() -> None:
     assert (shown[:20] == 0).all()
 
 
-@pytest.mark.parametrize("profile", [Flat(1.5), Parallel(0.5, 2.0, 0.0625, 6.25), lambda back, front: 1.2 + 0.1 * front])
+PROFILES = [Flat(1.5), Parallel(0.5, 2.0, 0.0625, 6.25), lambda back, front: 1.2 + 0.1 * front]
+
+
+@pytest.mark.parametrize("profile", PROFILES)
 def test_inner_profiles(profile: object) -> None:
     part = column([(60, 9), (50, 3)], 20)
     correction = Correction(PRINTER, profile, platform=False)  # type: ignore[arg-type]

@@ -68,7 +68,8 @@ def test_gray_fit_rises_and_ends_at_the_readings(tmp_path: Path) -> None:
     assert table.shape == (256,) and (np.diff(table) >= 0).all()
     assert np.abs(fit(levels) - truth).max() < 0.01 and fit.spread == pytest.approx(0.004, rel=0.3)
     file = tmp_path / "gray.csv"
-    file.write_text("level,intensity_mW_cm2\n" + "\n".join(f"{a},{100 * b}" for a, b in zip(levels, truth, strict=True)))
+    rows = [f"{a},{100 * b}" for a, b in zip(levels, truth, strict=True)]
+    file.write_text("\n".join(["level,intensity_mW_cm2", *rows]))
     np.testing.assert_allclose(read_gray(file)(levels), truth, atol=1e-9)
     with pytest.raises(BadInput, match="0 to 255"):
         fit_gray([0, 100], [0.0, 1.0])
