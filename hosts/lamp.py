@@ -1,0 +1,38 @@
+"""Lamps: what the one holder of the light switches."""
+
+from __future__ import annotations
+
+from vamgpu.errors import DeviceError, ProtocolError
+from vamgpu.hosts.drivers.controller import Controller
+
+
+class ControllerLamp:
+    """The light behind a controller's gate. ``on`` allows it; with ``steady`` it shines at once, else row by row."""
+
+    def __init__(self, controller: Controller, channels: tuple[int, ...] = (0,), steady: bool = False) -> None:
+        self._controller, self._channels, self._steady = controller, channels, steady
+
+    def on(self, power: float) -> None:
+        """Drive the channels at a share of full, and allow the light."""
+        for channel in self._channels:
+            self._controller.power(channel, power)
+        self._controller.arm()
+        if self._steady:
+            self._controller.light(True)
+
+    def off(self) -> None:
+        """Light off and not allowed; where that fails, everything stops."""
+        try:
+            self._controller.disarm()
+        except (DeviceError, ProtocolError):
+            self._controller.stop()
+
+
+class Renewal:
+    """Renews a controller's lease of a length [ns]."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+
+    def __call__(self, length: int) -> None:
+        self._controller.lease(length // 1_000_000)
