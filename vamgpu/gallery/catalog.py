@@ -42,6 +42,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "precompensation": "A dose that makes up for diffusing oxygen",
         "history": "Resin that is used again and again",
         "proof": "A print, proven from its frames",
+        "deviation": "How far prints lie from their mesh",
         "curethrough": "Doses that leave a feature as it should be",
         "correction": "Slices corrected for cure-through",
         "layerwise": "Cure-through layer by layer",
@@ -51,6 +52,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "printability": "Doses of a turn, two thresholds, and the power between",
         "joint": "Two colors found together, through the kinetics",
         "designs": "Dots, bars, wedges and posts in one color and two",
+        "curethrough_part": "A part of bridges, corrected for cure-through",
         "fom": "A calibration disk at five stop doses",
     }
 )
