@@ -84,9 +84,7 @@ class Controller:
                 reply = self._answer()
                 if reply is not None:
                     return self._accept(verb, reply)
-        raise DeviceLost(
-            f"{self._wire.name} did not answer {verb!r} in {TRIES} tries; check plug and power (it closes the light itself)"
-        )
+        raise DeviceLost(f"{self._wire.name} did not answer {verb!r} in {TRIES} tries; check plug and power")
 
     def _answer(self) -> Reply | None:
         """The reply to the last number; None when it does not come or must be asked for again."""

@@ -160,7 +160,7 @@ class Sequence:
 
     def __init__(self, dmd: Dmd, count: int, bits: int, timing: SlotTiming) -> None:
         if not 1 <= bits <= 8 or count < 1:
-            raise BadInput(f"a sequence of {count} pictures of {bits} bits is none; give 1..8 bits and a picture or more")
+            raise BadInput(f"a sequence of {count} pictures of {bits} bits is none; give 1..8 bits and 1 or more")
         self.dmd, self.count, self.bits = dmd, count, bits
         self.id = dmd.number("AlpSeqAlloc", bits, count)
         self._control(alp.DATA_FORMAT, alp.DATA_BINARY_TOPDOWN)

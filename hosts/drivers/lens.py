@@ -87,9 +87,8 @@ class TunableLens:
         found = ld4.power_range(self.ask(ld4.set_mode(ld4.Mode.FOCAL_POWER)), self.firmware)
         blocking = found.status & 0b111
         if blocking:
-            raise DeviceRefused(
-                f"the lens driver cannot hold a focal power: {', '.join(ld4.status_texts(blocking))}", f"S{found.status}"
-            )
+            causes = ", ".join(ld4.status_texts(blocking))
+            raise DeviceRefused(f"the lens driver cannot hold a focal power: {causes}", f"S{found.status}")
         self._power_mode = True
         return found
 

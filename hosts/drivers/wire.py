@@ -155,11 +155,12 @@ def open_wire(url: str, name: str, baud: int = 115200, timeout_s: float = 0.25) 
             raise _unopened(url, name, error) from error
     serial = _pyserial()
     try:
-        return Wire(serial.serial_for_url(url, baudrate=baud, timeout=timeout_s, write_timeout=2.0, exclusive=True), name)
+        port = serial.serial_for_url(url, baudrate=baud, timeout=timeout_s, write_timeout=2.0, exclusive=True)
     except ValueError as error:
         raise BadInput(f"{url!r} is no address of a port for {name}: {error}") from error
     except OSError as error:
         raise _unopened(url, name, error) from error
+    return Wire(port, name)
 
 
 def _pyserial() -> Any:

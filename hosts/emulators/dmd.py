@@ -19,26 +19,26 @@ import numpy as np
 from vamgpu.hosts.emulators.clock import VirtualClock
 
 MICRO = 1000
-I, U, P = ctypes.c_int32, ctypes.c_uint32, ctypes.c_void_p
-LONGS, IDS = ctypes.POINTER(I), ctypes.POINTER(U)
+N, U, P = ctypes.c_int32, ctypes.c_uint32, ctypes.c_void_p
+LONGS, IDS = ctypes.POINTER(N), ctypes.POINTER(U)
 ENTRIES = {
-    "AlpDevAlloc": (I, I, IDS),
-    "AlpDevInquire": (U, I, LONGS),
-    "AlpDevControl": (U, I, I),
+    "AlpDevAlloc": (N, N, IDS),
+    "AlpDevInquire": (U, N, LONGS),
+    "AlpDevControl": (U, N, N),
     "AlpDevHalt": (U,),
     "AlpDevFree": (U,),
-    "AlpSeqAlloc": (U, I, I, IDS),
+    "AlpSeqAlloc": (U, N, N, IDS),
     "AlpSeqFree": (U, U),
-    "AlpSeqControl": (U, U, I, I),
-    "AlpSeqTiming": (U, U, I, I, I, I, I),
-    "AlpSeqInquire": (U, U, I, LONGS),
-    "AlpSeqPut": (U, U, I, I, P),
+    "AlpSeqControl": (U, U, N, N),
+    "AlpSeqTiming": (U, U, N, N, N, N, N),
+    "AlpSeqInquire": (U, U, N, LONGS),
+    "AlpSeqPut": (U, U, N, N, P),
     "AlpProjStart": (U, U),
     "AlpProjStartCont": (U, U),
     "AlpProjHalt": (U,),
-    "AlpProjControl": (U, I, I),
-    "AlpProjInquire": (U, I, LONGS),
-    "AlpProjInquireEx": (U, I, P),
+    "AlpProjControl": (U, N, N),
+    "AlpProjInquire": (U, N, LONGS),
+    "AlpProjInquireEx": (U, N, P),
 }
 NOT_ONLINE, NOT_IDLE, _, NOT_READY, INVALID, _, FULL, IN_USE = range(1001, 1009)
 REMOVED = 1012
@@ -151,7 +151,7 @@ class FakeAlp:
             self.advance(self.clock.now())
             return method(*arguments) or 0
 
-        return ctypes.CFUNCTYPE(I, *types)(called)
+        return ctypes.CFUNCTYPE(N, *types)(called)
 
     # light and time
 
@@ -189,9 +189,7 @@ class FakeAlp:
             done = sum(1 << (stored.shown_bits - 1 - i) for i in range(plane + 1))
             edges.append(start + lit * done // total)
         self.counts["shown"] += 1
-        shown = Shown(
-            self.counts["shown"] - 1, head.sequence, picture, planes, tuple(edges[:-1]), tuple(edges[1:])
-        )
+        shown = Shown(self.counts["shown"] - 1, head.sequence, picture, planes, tuple(edges[:-1]), tuple(edges[1:]))
         period = max(stored.picture_us * MICRO, edges[-1] - start)
         self._current = (shown, start + period)
         head.next += 1
@@ -237,9 +235,9 @@ class FakeAlp:
             self._finish()
             if not self.slave and self._queue:
                 self._show(end)
-        if self._current is None and self.slave and self.time_out and self._queue:
-            if now >= self._last_trigger + self.model.time_out_ns:
-                self._queue.clear()
+        waits = self._current is None and self.slave and self.time_out
+        if waits and self._queue and now >= self._last_trigger + self.model.time_out_ns:
+            self._queue.clear()
 
     def _cut(self) -> None:
         """Stop the picture that shows, as a halt does: what was to come of it is not shown."""

@@ -238,7 +238,7 @@ class EmulatedLens:
         return 5.0 if self.firmware == "A" else 0.0
 
     def _status(self) -> int:
-        """Status bits: 0 no sensor, 1 no memory, 2 no window, 5 outside the product's temperatures, 7 outside the window."""
+        """Bits: 0 no sensor, 1 no memory, 2 no window, 5 outside the product's temperatures, 7 outside the window."""
         low, high = self.window or (-273.0, 1000.0)
         flags = 0 if self.sensor else 0b11
         flags |= 0 if self.window else 1 << 2

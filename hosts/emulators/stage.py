@@ -25,7 +25,8 @@ class EmulatedStage:
     ) -> None:
         self.track = Track(acceleration)
         self.limit, self.rotary, self.device, self.scale = limit, rotary, device, scale
-        self.settings = {"maxspeed": 153600, "resolution": 64, "limit.max": limit, "deviceid": 50081, "system.serial": 42}
+        self.settings = {"maxspeed": 153600, "resolution": 64, "limit.max": limit}
+        self.settings |= {"deviceid": 50081, "system.serial": 42}
         self.homed = False
         self.fault = ""
         self.rejected: list[str] = []

@@ -202,7 +202,8 @@ def parse(request: Request, received: bytes) -> bytes:
         )
     body = received[:-2] if not request.checked else _unwrap(request, received, request.reply_length)
     if not body.startswith(request.prefix) or not received.endswith(ENDING):
-        raise ProtocolError(f"the lens driver answered {received.hex(' ')} to {request.payload!r}; is it a Lens Driver 4?")
+        found = received.hex(" ")
+        raise ProtocolError(f"the lens driver answered {found} to {request.payload!r}; is it a Lens Driver 4?")
     return body[len(request.prefix) :]
 
 

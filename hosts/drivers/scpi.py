@@ -1,0 +1,142 @@
+"""Instruments that speak SCPI, as text in lines: photodiode meters, and supplies of LED and laser."""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import Self
+
+from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
+from vamgpu.hosts.drivers.wire import Wire, open_wire
+
+log = logging.getLogger(__name__)
+MILLI = 1000.0
+
+
+class Instrument:
+    """Asks and tells; ``maker`` is what its identification must contain (None: anything)."""
+
+    def __init__(self, wire: Wire, maker: str | None = None) -> None:
+        self._wire = wire
+        try:
+            wire.drain()
+            self.identity = self.ask("*IDN?")
+            if maker is not None and maker.lower() not in self.identity.lower():
+                raise WrongDevice(f"{self.identity!r} answers at {wire.name}, not one of {maker!r}; check the port")
+            self.tell("*CLS")
+        except BaseException:
+            wire.close()
+            raise
+
+    def tell(self, text: str) -> None:
+        """Send a command that is not answered."""
+        with self._wire.lock:
+            self._wire.send(text.encode("ascii") + b"\n")
+
+    def ask(self, text: str) -> str:
+        """Send a question and return the answer."""
+        with self._wire.lock:
+            self._wire.send(text.encode("ascii") + b"\n")
+            answer = self._wire.line()
+        if not answer:
+            raise DeviceLost(f"{self._wire.name} does not answer {text!r}; check its power, the port and the baud rate")
+        if not answer.endswith(b"\n"):
+            raise ProtocolError(f"{self._wire.name} sent {answer!r} without a line end; check the baud rate")
+        return answer.decode("ascii", "replace").strip()
+
+    def number(self, text: str) -> float:
+        """Ask for a number."""
+        answer = self.ask(text)
+        try:
+            value = float(answer)
+        except ValueError:
+            raise ProtocolError(f"{self._wire.name} answered {answer!r} to {text!r}, a number was wanted") from None
+        if not math.isfinite(value) or abs(value) >= 9e37:
+            raise DeviceRefused(f"{self._wire.name} has no value ({answer}) for {text!r}; check its sensor", "range")
+        return value
+
+    def check(self) -> None:
+        """Raise DeviceRefused if a command since the last check was not good."""
+        answer = self.ask("SYST:ERR?")
+        code, _, text = answer.partition(",")
+        if code.strip().lstrip("+") != "0":
+            raise DeviceRefused(f"{self._wire.name} refused a command: {text.strip()}", code.strip())
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._wire.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class PowerMeter(Instrument):
+    """A photodiode's meter, such as Thorlabs' PM100 and PM400."""
+
+    @classmethod
+    def open(cls, url: str, maker: str | None = None, baud: int = 115200, timeout_s: float = 2.0) -> Self:
+        """Open the meter at an address, such as ``usbtmc:/dev/usbtmc0``."""
+        return cls(open_wire(url, "the power meter", baud, timeout_s), maker)
+
+    def wavelength(self, nanometers: float) -> None:
+        """Set the wavelength the reading is corrected for [nm]."""
+        if not 100 < nanometers < 3000:
+            raise BadInput(f"a wavelength of {nanometers} nm is no light a photodiode sees; give nanometers")
+        self.tell(f"SENS:CORR:WAV {nanometers:g}")
+        self.check()
+
+    def average(self, count: int) -> None:
+        """Set how many samples make a reading."""
+        self.tell(f"SENS:AVER:COUN {count}")
+        self.check()
+
+    def power_mw(self) -> float:
+        """The optical power now [mW]."""
+        return self.number("MEAS:POW?") * MILLI
+
+
+class LampSupply(Instrument):
+    """A supply that drives an LED or laser by a current [mA], never above ``greatest_ma``."""
+
+    def __init__(self, wire: Wire, greatest_ma: float, maker: str | None = None) -> None:
+        self.greatest_ma = greatest_ma
+        super().__init__(wire, maker)
+        self.off()
+
+    @classmethod
+    def open(
+        cls, url: str, greatest_ma: float, maker: str | None = None, baud: int = 115200, timeout_s: float = 1.0
+    ) -> Self:
+        """Open the supply at an address; its output is off after."""
+        return cls(open_wire(url, "the lamp's supply", baud, timeout_s), greatest_ma, maker)
+
+    def drive(self, fraction: float) -> None:
+        """Set the current as a fraction of the greatest."""
+        if not 0 <= fraction <= 1:
+            raise BadInput(f"a lamp cannot be driven at {fraction} of its greatest current; give 0..1")
+        self.tell(f"SOUR:CURR {fraction * self.greatest_ma / MILLI:.6f}")
+        self.check()
+
+    def on(self) -> None:
+        """Output on."""
+        self.tell("OUTP ON")
+        self.check()
+
+    def off(self) -> None:
+        """Output off; sent without waiting for anything."""
+        self.tell("OUTP OFF")
+
+    def is_on(self) -> bool:
+        """Whether the output is on."""
+        return self.ask("OUTP?").upper() in ("1", "ON")
+
+    def close(self) -> None:
+        """Output off, and let go of the port."""
+        try:
+            self.off()
+        except DeviceLost as error:
+            log.warning("closing the lamp: %s", error)
+        super().close()

@@ -1,0 +1,124 @@
+"""An emulated camera: what a scene sends during the exposure, blurred, with noise, as whole numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.hosts.emulators.clock import VirtualClock
+
+MICRO = 1000
+Scene = Callable[[int], np.ndarray]
+"""Electrons a second ``[row, column]`` at a time [ns]."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """The camera's sensor: full well and noise of reading [electrons], bits, and an offset [levels]."""
+
+    full_well: float = 30000.0
+    read_noise: float = 7.0
+    bits: int = 8
+    offset: int = 2
+
+
+class EmulatedCamera:
+    """Looks at a scene; ``blur`` is the standard deviation of its optics' spot [pixel], or a function of time of it.
+
+    The exposure is split in ``samples`` looks at the scene, at their middles, so that motion and settling smear.
+    Noise comes from a generator with a seed: the same run makes the same pictures.
+    """
+
+    def __init__(
+        self,
+        clock: VirtualClock,
+        scene: Scene,
+        sensor: Sensor = Sensor(),
+        blur: float | Callable[[int], float] = 0.0,
+        samples: int = 4,
+        seed: int = 0,
+    ) -> None:
+        self.clock, self.scene, self.sensor, self.blur, self.samples = clock, scene, sensor, blur, samples
+        self.exposure_us = 10_000.0
+        self.grabbed = 0
+        self._random = np.random.default_rng(seed)
+
+    def expose(self, exposure_us: float) -> None:
+        """Set the time of exposure [us]."""
+        self.exposure_us = exposure_us
+
+    def grab(self) -> np.ndarray:
+        """Take a picture ``[row, column]``; the clock passes the exposure."""
+        part = self.exposure_us * MICRO / self.samples
+        start = self.clock.now()
+        electrons: np.ndarray | float = 0.0
+        for sample in range(self.samples):
+            middle = start + round((sample + 0.5) * part)
+            self.clock.sleep_until(middle)
+            electrons = electrons + self._look(middle) * (part * 1e-9)
+        self.clock.sleep_until(start + round(self.samples * part))
+        self.grabbed += 1
+        return self._digitize(np.asarray(electrons))
+
+    def _look(self, now: int) -> np.ndarray:
+        seen = np.asarray(self.scene(now), float)
+        spot = self.blur(now) if callable(self.blur) else self.blur
+        if spot <= 0:
+            return seen
+        from scipy.ndimage import gaussian_filter
+
+        return gaussian_filter(seen, spot, mode="nearest")
+
+    def _digitize(self, electrons: np.ndarray) -> np.ndarray:
+        sensor = self.sensor
+        noisy = self._random.poisson(np.clip(electrons, 0, None)) + sensor.read_noise * self._random.standard_normal(
+            electrons.shape
+        )
+        top = 2**sensor.bits - 1
+        levels = np.rint(noisy / sensor.full_well * top) + sensor.offset
+        return np.clip(levels, 0, top).astype(np.uint8 if sensor.bits <= 8 else np.uint16)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+@dataclass(frozen=True)
+class ResinModel:
+    """How resin scatters as it gels: little before ``critical`` [mJ/mm3], up to ``gain`` times more within ``width``.
+
+    The signal rises along a logistic curve of dose, which is what an automatic exposure watches.
+    """
+
+    critical: float = 50.0
+    width: float = 5.0
+    base: float = 1.0
+    gain: float = 8.0
+
+    def scattering(self, dose: np.ndarray | float) -> np.ndarray:
+        """Scattered light over that of liquid resin."""
+        gelled = 1 / (1 + np.exp(-(np.asarray(dose, float) - self.critical) / self.width))
+        return self.base + self.gain * gelled
+
+
+class ResinScene:
+    """A camera's view of resin that is being printed: collected dose makes it scatter the light of an observing lamp.
+
+    ``deposit(rate, start, end)`` adds dose: a rate [mW/mm3] as an array ``[row, column]`` or a number, from ``start``
+    to ``end`` [ns]. Called, it is a scene.
+    """
+
+    def __init__(
+        self, size: tuple[int, int], model: ResinModel = ResinModel(), electrons_per_s: float = 200_000.0
+    ) -> None:
+        self.model, self._electrons = model, electrons_per_s
+        self.dose = np.zeros(size)
+
+    def deposit(self, rate: np.ndarray | float, start: int, end: int) -> None:
+        """Add what came between two times."""
+        self.dose += np.asarray(rate) * ((end - start) * 1e-9)
+
+    def __call__(self, now: int) -> np.ndarray:
+        """Electrons a second ``[row, column]``."""
+        return self._electrons * self.model.scattering(self.dose)

@@ -1,0 +1,123 @@
+"""Emulated instruments that speak SCPI: a photodiode's meter, and a lamp's supply."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from vamgpu.hosts.emulators.line import Outbox
+
+
+class _Lines:
+    """Text in lines, and a list of errors."""
+
+    def __init__(self, identity: str, latency_us: float) -> None:
+        self.identity = identity
+        self.errors: deque[str] = deque()
+        self._buffer = bytearray()
+        self._out = Outbox(0, round(latency_us * 1000))
+
+    def receive(self, data: bytes, now: int) -> None:
+        """Take bytes."""
+        self._buffer += data
+        while (end := self._buffer.find(b"\n")) >= 0:
+            words = self._buffer[:end].decode("ascii", "replace").strip().upper().split()
+            del self._buffer[: end + 1]
+            if words:
+                self._line(words, now)
+
+    def _line(self, words: list[str], now: int) -> None:
+        match words:
+            case ["*IDN?"]:
+                answer: str | None = self.identity
+            case ["*CLS"]:
+                self.errors.clear()
+                answer = ""
+            case ["SYST:ERR?"]:
+                answer = self.errors.popleft() if self.errors else '+0,"No error"'
+            case _:
+                answer = self.act(words, now)
+        if answer is None:
+            self.errors.append('-113,"Undefined header"')
+        elif answer:
+            self._out.put(answer.encode("ascii") + b"\n", now)
+
+    def act(self, words: list[str], now: int) -> str | None:
+        """The answer to a command ('' if it has none), or None if there is no such command."""
+        raise NotImplementedError
+
+    def take(self, now: int) -> bytes:
+        """Give bytes that have left."""
+        return self._out.take(now)
+
+    def ready(self) -> int | None:
+        """When the next bytes leave."""
+        return self._out.ready()
+
+    def due(self) -> int | None:
+        """Instruments say nothing by themselves."""
+        return None
+
+    def advance(self, now: int) -> None:
+        """Instruments do nothing by themselves."""
+
+
+class EmulatedMeter(_Lines):
+    """A meter that reads ``light(now)`` [mW], with noise [mW] from a generator of its own; above its range it has none."""
+
+    def __init__(
+        self, light: Callable[[int], float], noise_mw: float = 0.0, greatest_mw: float = 500.0, seed: int = 0
+    ) -> None:
+        super().__init__("Emulated,PM400,1001,1.0", 5000.0)
+        self._light, self._noise, self._greatest = light, noise_mw, greatest_mw
+        self._random = np.random.default_rng(seed)
+        self.wavelength, self.count = 405.0, 1
+
+    def act(self, words: list[str], now: int) -> str | None:
+        """Answer questions about power."""
+        match words:
+            case ["MEAS:POW?"]:
+                reading = self._light(now) + self._noise / self.count**0.5 * self._random.standard_normal()
+                return "9.91E+37" if reading > self._greatest else f"{reading / 1000:.9E}"
+            case ["SENS:CORR:WAV", value]:
+                wavelength = float(value)
+                if 350 <= wavelength <= 1100:
+                    self.wavelength = wavelength
+                else:
+                    self.errors.append('-222,"Data out of range"')
+                return ""
+            case ["SENS:AVER:COUN", value]:
+                self.count = int(value)
+                return ""
+        return None
+
+
+class EmulatedSupply(_Lines):
+    """A supply with a current [A] and an output; ``on_change(on, current, now)`` hears of changes."""
+
+    def __init__(self, limit_a: float = 1.0) -> None:
+        super().__init__("Emulated,SUPPLY,1001,1.0", 1000.0)
+        self.limit, self.current, self.output = limit_a, 0.0, False
+        self.on_change: Callable[[bool, float, int], None] | None = None
+
+    def act(self, words: list[str], now: int) -> str | None:
+        """Obey and answer."""
+        match words:
+            case ["SOUR:CURR", value]:
+                if float(value) > self.limit:
+                    self.errors.append('-222,"Data out of range"')
+                    return ""
+                self.current = float(value)
+            case ["OUTP", "ON" | "1"]:
+                self.output = True
+            case ["OUTP", "OFF" | "0"]:
+                self.output = False
+            case ["OUTP?"]:
+                return str(int(self.output))
+            case _:
+                return None
+        if self.on_change is not None:
+            self.on_change(self.output, self.current, now)
+        return ""

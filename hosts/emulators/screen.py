@@ -1,0 +1,109 @@
+"""An emulated projector on a video cable: frames taken at refreshes, and their slots lit one refresh later."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.hosts.emulators.clock import VirtualClock
+
+SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Levels ``[row, column]`` out of ``top`` that were lit from ``start`` to ``end`` [ns], as slot ``number``."""
+
+    number: int
+    levels: np.ndarray
+    top: int
+    start: int
+    end: int
+
+
+class EmulatedScreen:
+    """A window and the projector behind it.
+
+    ``order`` lists the colors of a frame whose planes are shown, as the letters of its setting, and ``bits`` how many
+    planes of each. Refresh k is at k / rate; a slot is lit for ``share`` of its length. A frame that is not replaced
+    is shown again, as screens do: ``repeated`` counts such refreshes.
+    """
+
+    def __init__(
+        self,
+        clock: VirtualClock,
+        size: tuple[int, int],
+        rate_hz: int = 60,
+        order: str = "GR",
+        bits: int = 8,
+        latency_refreshes: int = 1,
+        share: float = 1.0,
+    ) -> None:
+        self.clock, self.size, self.rate_hz = clock, size, rate_hz
+        self.order, self.bits, self.latency, self.share = order, bits, latency_refreshes, share
+        self.on_slot: Callable[[Slot], None] | None = None
+        self.repeated = 0
+        self._frame = np.zeros((*size, 3), np.uint8)
+        self._scanned: deque[tuple[int, np.ndarray, bool]] = deque()
+        self._refresh = self._next_refresh(clock.now())
+        self._slot = (self._refresh + latency_refreshes) * len(order)
+        self._fresh = True
+        self.closed = False
+        clock.attach(self)
+
+    def _next_refresh(self, now: int) -> int:
+        return now * self.rate_hz // SECOND + 1
+
+    def refresh_time(self, refresh: int) -> int:
+        """When a refresh is [ns]."""
+        return -(-refresh * SECOND // self.rate_hz)
+
+    def slot_time(self, slot: int) -> int:
+        """When a slot begins [ns]."""
+        return -(-slot * SECOND // (self.rate_hz * len(self.order)))
+
+    def show(self, frame: np.ndarray, /) -> int:
+        """Take a frame for the next refresh, and return once that is reached, as a window in step does."""
+        if frame.shape != (*self.size, 3) or frame.dtype != np.uint8:
+            raise ValueError(f"frames are {self.size} x 3 bytes, not {frame.shape} {frame.dtype}")
+        self._frame, self._fresh = frame.copy(), True
+        refresh = self._refresh
+        self.clock.sleep_until(self.refresh_time(refresh))
+        return refresh
+
+    def close(self) -> None:
+        """Nothing is shown any more."""
+        self.closed = True
+
+    def due(self) -> int | None:
+        """The next refresh, or the end of the next slot."""
+        if self.closed:
+            return None
+        return min(self.refresh_time(self._refresh), self.slot_time(self._slot + 1))
+
+    def advance(self, now: int) -> None:
+        """Scan frames out and light slots."""
+        while (at := self.due()) is not None and at <= now:
+            if self.slot_time(self._slot + 1) <= at:
+                self._light()
+            else:
+                self._scanned.append((self._refresh, self._frame, self._fresh))
+                self.repeated += not self._fresh
+                self._fresh = False
+                self._refresh += 1
+
+    def _light(self) -> None:
+        slots = len(self.order)
+        refresh = self._slot // slots - self.latency
+        while self._scanned and self._scanned[0][0] < refresh:
+            self._scanned.popleft()
+        if self._scanned and self.on_slot is not None:
+            color = "RGB".index(self.order[self._slot % slots])
+            levels = self._scanned[0][1][:, :, color] >> (8 - self.bits)
+            start, stop = self.slot_time(self._slot), self.slot_time(self._slot + 1)
+            end = start + round((stop - start) * self.share)
+            self.on_slot(Slot(self._slot, levels, 2**self.bits - 1, start, end))
+        self._slot += 1
