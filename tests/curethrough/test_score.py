@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from vamgpu.backend.device import Device
 from vamgpu.curethrough.correction import Correction
 from vamgpu.curethrough.dose import column_dose
 from vamgpu.curethrough.job import correct_stack, model
@@ -90,6 +91,23 @@ def test_features_out_of_reach_are_counted_and_told() -> None:
     bare = correct_stack(Correction(PRINTER, tail=0), stack[:40], device="numpy")
     assert bare.missed is not None and int(bare.missed.sum()) == 6
     assert "6 features lack room behind" in render(bare, "x", {})
+
+
+def test_whole_columns_are_weighed_only_where_something_is_out_of_reach(device: Device) -> None:
+    stack = np.zeros((70, 3, 20), np.uint8)
+    stack[5:20] = stack[40:60] = 255
+    stack[21:40, 1, 4:9] = 255  # one slice of void
+    plain = correct_stack(Correction(PRINTER), stack, device=device)
+    whole = correct_stack(Correction(PRINTER), stack, device=device, whole_columns=True)
+    assert plain.after is not None and whole.after is not None and plain.closed is not None
+    bad = np.zeros((3, 20), bool)
+    bad[1, 4:9] = True
+    np.testing.assert_array_equal(plain.closed > 0, bad)
+    errors = [one.heights.over + one.heights.under for one in (plain.after, whole.after)]
+    np.testing.assert_array_equal(errors[0][~bad], errors[1][~bad])
+    assert (errors[1][bad] < 0.8 * errors[0][bad]).all()
+    rows = bad[whole.sample.rows, whole.sample.columns]
+    np.testing.assert_array_equal(plain.after.levels[:, ~rows], whole.after.levels[:, ~rows])
 
 
 def test_an_empty_stack_of_darkness_is_scored() -> None:

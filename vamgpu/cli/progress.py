@@ -21,8 +21,10 @@ STAGES = {
     "report": "drawing the report",
     "model": "modeling the print",
     "correct": "correcting the slices",
+    "survey": "looking for what is out of reach",
+    "columns": "weighing columns as wholes",
 }
-MEASURED = ("light", "model", "correct")
+MEASURED = ("light", "model", "correct", "survey", "columns")
 """Stages that say how much of them is done."""
 
 

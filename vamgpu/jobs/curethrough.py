@@ -95,7 +95,10 @@ class SlicesSection(Section):
 
 
 class CorrectSection(Section):
-    """The correction: dose inside features, ``flat`` at ``most`` critical doses or ``parallel`` to the bounds."""
+    """The correction: dose inside features, ``flat`` at ``most`` critical doses or ``parallel`` to the bounds.
+
+    whole_columns: least squares over columns that hold features or voids out of reach.
+    """
 
     profile: Literal["flat", "parallel"] = "flat"
     most: Annotated[float, Field(ge=1)] | None = None
@@ -103,6 +106,7 @@ class CorrectSection(Section):
     tail: Annotated[int, Field(ge=0)] | None = None
     platform: bool = True
     dither: bool = False
+    whole_columns: bool = False
     device: str | None = None
 
 
@@ -218,5 +222,7 @@ def correct_job(
     """Correct a job's slices and write them to ``out``; as `vamgpu.curethrough.job.correct_stack`."""
     correction, device = job.correction, open_device(job.wanted.correct.device)
     with job.stack(slices) as stack:
-        return correct_stack(correction, stack, out, device=device, overwrite=overwrite, record={"job": job.given},
-                             told=told)  # fmt: skip
+        return correct_stack(
+            correction, stack, out, device=device, whole_columns=job.wanted.correct.whole_columns, overwrite=overwrite,
+            record={"job": job.given}, told=told,
+        )  # fmt: skip
