@@ -47,6 +47,7 @@ def test_folders_are_read_in_natural_order(tmp_path: Path, ending: str) -> None:
         np.testing.assert_array_equal(stack[5:9], wanted[5:9])
         np.testing.assert_array_equal(stack[0:5], wanted[:5])
         np.testing.assert_array_equal(stack[3:], wanted[3:])
+        assert stack[12:40].shape == stack[32:12].shape == (0, 9, 14)
 
 
 def test_blocks_from_the_last_to_the_first(tmp_path: Path) -> None:
@@ -218,6 +219,7 @@ def test_a_mesh_is_sliced_alike_in_blocks_and_whole() -> None:
     assert stack.shape == (40, 24, 34)
     whole = stack[0:40]
     np.testing.assert_array_equal(np.concatenate([stack[0:13], stack[13:32], stack[32:40]]), whole)
+    assert stack[40:64].shape == stack[64:40].shape == (0, 24, 34), "nothing lies beyond the last slice"
     volume = whole.sum(dtype=np.float64) / 255 * 0.1**2 * 0.05
     assert volume == pytest.approx(6.0, rel=2e-3)
     assert whole[0, 5, 20] == whole[30, 5, 4] == 255 and whole[30, 5, 20] == 0, "the first slice is the lowest"

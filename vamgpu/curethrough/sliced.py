@@ -53,9 +53,11 @@ class MeshStack:
     def __getitem__(self, key: slice, /) -> np.ndarray:
         """Slices, uint8 [slice, y, x]. Raises `OutOfMemory`, `DeviceError`."""
         start, stop, step = key.indices(self.shape[0])
-        if step != 1 or stop <= start:
-            raise BadInput(f"wanted some slices in steps of 1; got {start} to {stop} in steps of {step}")
+        if step != 1:
+            raise BadInput(f"slices come in steps of 1; got {step}")
         count, (_, ny, nx) = stop - start, self.shape
+        if count <= 0:
+            return np.zeros((0, ny, nx), np.uint8)
         middle = self._origin + (0.0, 0.0, 0.5 * (start + stop) * self._edges[2])
         cubes = Solid((self._solid.vertices - middle) / self._edges, self._solid.faces, self._solid.name)
         fraction = voxelize(cubes, Grid((nx, ny, count), 1.0), self._device).fraction.numpy()

@@ -56,6 +56,7 @@ class FileStack(ABC):
         start, stop, step = key.indices(len(self.names))
         if step != 1:
             raise SliceError(f"slices come in steps of 1; got {step}")
+        stop = max(start, stop)
         out, decoding = self._begun.pop((start, stop), None) or self._begin(start, stop)
         for waiting in self._begun.values():  # another order than the last one: what was begun is of no use
             _drop(waiting[1])
