@@ -232,13 +232,16 @@ static inline Real looked_up(__global const float *table, Whole at) {
 
 // The level nearest to what is wanted, and its light; in a void that leads up to a back side not below it.
 static inline Whole choose(Real wanted, __global const float *light, __global const float *edges,
-                           __global const uchar *first, float bins, int n_bin, Real shift, Whole solid, Whole run,
-                           Real *shown) {
+                           __global const uchar *first, float bins, int n_bin, float spread, Real shift, Whole solid,
+                           Whole run, Real *shown) {
     const float low = light[0], full = light[255];
-    Whole level = wanted >= full ? (Whole)255 : (Whole)0;
-    *shown = wanted >= full ? (Real)full : (Real)low;
+    // a dose that dies down stays a rounding error above level 0: that needs no search
+    const float least = spread > 0.0f ? low : edges[0], most = spread > 0.0f ? full : edges[254];
+    Whole level = wanted >= most ? (Whole)255 : (Whole)0;
+    *shown = wanted >= most ? (Real)full : (Real)low;
+    const Whole leads = (solid == 0 && run > 0 && wanted > low) ? (Whole)1 : (Whole)0;
+    if (!ANY(wanted < most && (wanted > least || leads == 1))) return level;
     const Whole between = (wanted > low && wanted < full) ? (Whole)~0 : (Whole)0;
-    if (!ANY(between != 0)) return level;
     const Real aim = between != 0 ? wanted + shift : wanted;
     const Whole bin = clamp(TO_WHOLE((clamp(aim, low, full) - low) * bins), (Whole)0, (Whole)(n_bin - 1));
     level = TO_WHOLE(GATHER(Bytes, first, bin));
@@ -279,13 +282,14 @@ CURE_KERNEL correct_slices(__global const uint *restrict words, int block, __glo
             const Real lean = TO_REAL(NUMBERS + x) * START_X + y * START_Y;
             const Real shift = spread * (lean - floor(lean) - 0.5f);
             const int void_all = ALL(word == 0) && ALL(ahead.to_void >= n_void - 1);
-            const int solid_all = ALL(word == ~0u) && ALL(ahead.to_solid >= n_above - 1) && ALL(done >= max(n_below - 1, 1));
+            const int solid_all =
+                ALL(word == ~0u) && ALL(ahead.to_solid >= n_above - 1) && ALL(done >= max(n_below - 1, 1));
             if (void_all || solid_all) {  // far from every edge
                 const Real target = (Real)(void_all ? back[n_void - 1] : inner[n_below * n_above - 1]);
                 for (int n = n_slice - 1; n >= 0; n--) {
                     Real shown;
-                    const Whole level = choose(target - dose + decay * dose, light, edges, first, bins, n_bin, shift,
-                                               (Whole)solid_all, (Whole)BEYOND, &shown);
+                    const Whole level = choose(target - dose + decay * dose, light, edges, first, bins, n_bin, spread,
+                                               shift, (Whole)solid_all, (Whole)BEYOND, &shown);
                     own[n * PACKS + v] = TO_BYTES(level);
                     const Real before = dose;
                     add(&dose, &rest, shown - decay * dose);
@@ -316,8 +320,8 @@ CURE_KERNEL correct_slices(__global const uint *restrict words, int block, __glo
                     target = ALL(bit == 1) ? want : bit == 1 ? want : looked_up(back, ~solid & min(run, n_void - 1));
                 }
                 Real shown;
-                const Whole level = choose(target - dose + decay * dose, light, edges, first, bins, n_bin, shift, bit,
-                                           run, &shown);
+                const Whole level = choose(target - dose + decay * dose, light, edges, first, bins, n_bin, spread,
+                                           shift, bit, run, &shown);
                 own[n * PACKS + v] = TO_BYTES(level);
                 const Real before = dose;
                 add(&dose, &rest, shown - decay * dose);
@@ -329,7 +333,8 @@ CURE_KERNEL correct_slices(__global const uint *restrict words, int block, __glo
             store_real(state + 2 * plane + row, x, n_x, lowest);
             store_real(state + 3 * plane + row, x, n_x, TO_REAL(done));
             if (ANY(low_count != 0)) store_whole(flaws + row, x, n_x, load_whole(flaws + row, x, n_x) + low_count);
-            if (ANY(closed != 0)) store_whole(flaws + plane + row, x, n_x, load_whole(flaws + plane + row, x, n_x) + closed);
+            if (ANY(closed != 0))
+                store_whole(flaws + plane + row, x, n_x, load_whole(flaws + plane + row, x, n_x) + closed);
             lost += NUMBERS + x < n_x ? low_count : (Whole)0;
         }
         for (int n = 0; n < n_slice; n++)

@@ -72,11 +72,10 @@ def numba_dose(write: bool) -> Callable:
     return dose
 
 
-def numpy_correction(stack, light, decay, front, back, out):  # type: ignore[no-untyped-def]
+def numpy_correction(stack, light, decay, front, back, out):  # type: ignore
     """Levels in ``out``; runs ahead counted forward in uint16, then steps backward."""
     shape = stack.shape[1:]
     fade = np.float32(1.0 - decay)
-    mids = 0.5 * (light[1:] + light[:-1])
     slope = 255.0 / (light[-1] - light[0])
     runs = np.empty(stack.shape, np.uint16)
     before, run = stack[0] >= 128, np.full(shape, 60000, np.uint16)
@@ -98,7 +97,6 @@ def numpy_correction(stack, light, decay, front, back, out):  # type: ignore[no-
         out[n] = level
         dose *= fade
         dose += light[level]
-    del mids
     return dose
 
 
@@ -124,7 +122,7 @@ def main() -> None:
     light = (np.linspace(*args.phi, 256) * decay).astype(np.float32)
     if args.task == "correct":
         low, high = args.phi
-        away = np.arange(40 / (40 * args.eta) + 4)
+        away = np.arange(1.0 / args.eta + 4)
         front = np.minimum(low + (1 - low) * 10.0 ** (away * args.eta), 2 * high).astype(np.float32)
         behind = high - (high - 1.0) * 10.0 ** (away * args.eta)
         behind = np.append(np.where(behind > 0, behind, -1e30), -1e30).astype(np.float32)

@@ -81,7 +81,7 @@ def _region(axis: Axes, printer: Printer, height: float) -> None:
     axis.annotate("ζ*, Ω*", (place * printer.slice_height, dose), (8, 4), textcoords="offset points")
     axis.set(title="Where a feature's dose may lie", xlabel="from the front to the back side [mm]", ylabel="Ω",
              ylim=(0.8, 1.25 * dose))  # fmt: skip
-    axis.legend(loc="upper right")
+    axis.legend(loc="upper left")
 
 
 def _by_height(axis: Axes, printer: Printer) -> None:
