@@ -11,15 +11,13 @@ import argparse
 import json
 import os
 import time
-from collections import deque
-from collections.abc import Callable
 from pathlib import Path
 
-from vamgpu.hosts.emulators.lens import check_sum
-from vamgpu.hosts.emulators.line import Outbox, PtyServer
-from vamgpu.hosts.emulators.track import Track
+from vamgpu.hosts.emulators.line import Outbox
+from vamgpu.hosts.emulators.rows import MICRO, RowPlayer
+from vamgpu.hosts.emulators.servers import PtyServer
 
-MILLI, MICRO = 1_000_000, 1000
+MILLI = 1_000_000
 LONGEST_LEASE_MS = 1000
 CAPACITY = 256
 
@@ -36,140 +34,17 @@ def line_check(data: bytes) -> int:
     return int("".join(map(str, register)), 2)
 
 
-class EmulatedController:
-    """Queue, web, lease and gate.
-
-    What it does to the other machines goes out through functions that are given the time [ns]: ``on_trigger(now)``,
-    ``on_lens(bytes, now)`` on its second serial line, ``on_light(channels, now)`` at each change of the light.
-    ``intervals`` remembers when which channels were lit, with their drive.
-    """
+class EmulatedController(RowPlayer):
+    """The firmware's line: commands in, answers and events out."""
 
     def __init__(self, capacity: int = CAPACITY, channels: int = 2, latency_us: float = 50.0) -> None:
-        self.capacity, self.channels = capacity, channels
-        self.on_trigger: Callable[[int], None] | None = None
-        self.on_lens: Callable[[bytes, int], None] | None = None
-        self.on_light: Callable[[int, int], None] | None = None
-        self.web = Track(acceleration=200_000.0)
-        self.interlock_closed = True
-        self.powers = [65535] * channels
-        self.intervals: deque[tuple[int, int, int, tuple[int, ...]]] = deque(maxlen=4096)
-        self.light = 0
-        self.row_times: deque[tuple[int, int]] = deque(maxlen=4096)
-        self._lit_at = 0
+        super().__init__(channels)
+        self.capacity = capacity
         self._buffer = bytearray()
         self._out = Outbox(0, round(latency_us * 1000))
         self._last: tuple[int, bytes] | None = None
-        self._reset()
 
-    def _reset(self) -> None:
-        self.armed = self.running = self.done = False
-        self.fault = "none"
-        self.lease_end: int | None = None
-        self.steps_mode = False
-        self.rows: deque[tuple[int, ...]] = deque()
-        self.next_row = self.shown = self.late = 0
-        self.total: int | None = None
-        self.started = 0
-        self._pulse: tuple[int, int, int] | None = None
-        self._pulse_end: int | None = None
-        self._steady = 0
-
-    # time
-
-    def due(self) -> int | None:
-        """When it acts next."""
-        times = [self._pulse_end, self._pulse[0] if self._pulse else None, self._row_due()]
-        if self.lease_end is not None and (self.light or self.armed):
-            times.append(self.lease_end)
-        return min((at for at in times if at is not None), default=None)
-
-    def _row_due(self) -> int | None:
-        if not self.running or not self.rows or self._pulse is not None:
-            return None
-        at = self.rows[0][1]
-        after = max(self.started, self._floor)
-        return self.web.reaches(at, after) if self.steps_mode else max(self.started + at * MICRO, after)
-
-    def advance(self, now: int) -> None:
-        """Do all that is due."""
-        while (at := self.due()) is not None and at <= now:
-            if self.lease_end is not None and at >= self.lease_end and (self.light or self.armed):
-                self._close("lease", at)
-            elif self._pulse_end is not None and at >= self._pulse_end:
-                self._pulse_end = None
-                self._set_light(self._steady, at)
-                self._finish(at)
-            elif self._pulse is not None and at >= self._pulse[0]:
-                self._fire(at)
-            else:
-                self._act_row(at)
-
-    def _act_row(self, at: int) -> None:
-        index, _, code, delay_us, on_us, channels = self.rows.popleft()
-        self.row_times.append((index, at))
-        self._floor = at
-        self.next_row = index + 1
-        if code is not None and self.on_lens is not None:
-            frame = b"PwDA" + (code & 0xFFFF).to_bytes(2, "big") + b"\0\0"
-            self.on_lens(frame + check_sum(frame).to_bytes(2, "little"), at)
-        self._pulse = (at + delay_us * MICRO, on_us, channels)
-
-    def _fire(self, at: int) -> None:
-        assert self._pulse is not None
-        _, on_us, channels = self._pulse
-        self._pulse = None
-        if self._pulse_end is not None:
-            self._pulse_end = None
-            self._set_light(self._steady, at)
-        self.shown += 1
-        if self.on_trigger is not None:
-            self.on_trigger(at)
-        if on_us and self.armed:
-            self._set_light(self._steady | channels, at)
-            self._pulse_end = at + on_us * MICRO
-        else:
-            self._finish(at)
-
-    def _finish(self, at: int) -> None:
-        if self.running and self.total is not None and self.next_row >= self.total and self._pulse is None:
-            self.running, self.done = False, True
-            self._say(at, "done", self.shown)
-
-    def _set_light(self, channels: int, at: int) -> None:
-        if channels == self.light:
-            return
-        if self.light:
-            self.intervals.append((self._lit_at, at, self.light, tuple(self.powers)))
-        self.light, self._lit_at = channels, at
-        if self.on_light is not None:
-            self.on_light(channels, at)
-
-    def lit(self, now: int) -> int:
-        """The channels that were lit at a time [ns]."""
-        if self.light and now >= self._lit_at:
-            return self.light
-        return next((channels for start, end, channels, _ in reversed(self.intervals) if start <= now < end), 0)
-
-    def _close(self, reason: str, at: int) -> None:
-        """The light goes off and stays off until the host arms again."""
-        self._pulse = self._pulse_end = None
-        self._steady = 0
-        self._set_light(0, at)
-        self.armed = self.running = False
-        self.lease_end = None
-        if reason in ("lease", "interlock"):
-            self.fault = reason
-        self._say(at, "light", "off", reason)
-
-    def open_interlock(self, now: int) -> None:
-        """Somebody opens the enclosure."""
-        self.advance(now)
-        self.interlock_closed = False
-        self._close("interlock", now)
-
-    # the line
-
-    def _say(self, now: int, *words: object) -> None:
+    def say(self, now: int, *words: object) -> None:
         self._send(" ".join(["!", *map(str, words)]), now)
 
     def _send(self, text: str, now: int) -> bytes:
@@ -223,8 +98,8 @@ class EmulatedController:
         return action(now, *(None if word is None else int(word) for word in arguments))
 
     def _do_hello(self, now: int) -> str:
-        self._close("hello", now)
-        self._reset()
+        self.close("hello", now)
+        self.reset()
         return f"ok vam-controller 1 {self.capacity} {LONGEST_LEASE_MS} {self.channels}"
 
     def _do_lease(self, now: int, milliseconds: int) -> str:
@@ -242,16 +117,16 @@ class EmulatedController:
         return "ok"
 
     def _do_disarm(self, now: int) -> str:
-        self._close("disarm", now)
+        self.close("disarm", now)
         return "ok"
 
     def _do_power(self, now: int, channel: int, drive: int) -> str:
         if not 0 <= channel < self.channels or not 0 <= drive <= 65535:
             return "no range"
         light = self.light
-        self._set_light(0, now)
+        self.set_light(0, now)
         self.powers[channel] = drive
-        self._set_light(light, now)
+        self.set_light(light, now)
         return "ok"
 
     def _do_light(self, now: int, on: int) -> str:
@@ -262,7 +137,7 @@ class EmulatedController:
         self._steady = on
         if self._pulse_end is None or not on:
             self._pulse_end = None
-            self._set_light(on, now)
+            self.set_light(on, now)
         return "ok"
 
     def _do_mode(self, mode: str | None) -> str:
@@ -283,7 +158,7 @@ class EmulatedController:
         if self.running and self._passed(at, now):
             self.late += 1
             on = 0
-        self.rows.append((index, at, code, delay, on, channels))  # type: ignore[arg-type]
+        self.rows.append((index, at, code, delay, on, channels))
         self.advance(now)
         return f"ok {self.capacity - len(self.rows)} {index + 1}"
 
@@ -299,8 +174,6 @@ class EmulatedController:
             return "no state"
         self.running, self.done, self.started, self._floor = True, False, now, now
         return "ok"
-
-    _floor = 0
 
     def _do_move(self, now: int, speed: int) -> str:
         self.web.run(now, speed / 1000)
@@ -319,7 +192,7 @@ class EmulatedController:
         return "ok"
 
     def _do_stop(self, now: int) -> str:
-        self._close("stop", now)
+        self.close("stop", now)
         self.rows.clear()
         self.next_row, self.total = 0, None
         self.web.run(now, 0.0)

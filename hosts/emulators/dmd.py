@@ -8,17 +8,14 @@ when each picture is over.
 from __future__ import annotations
 
 import ctypes
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from vamgpu.hosts.emulators.array import MICRO, ArrayModel, EmulatedArray, Queued, Stored
 from vamgpu.hosts.emulators.clock import VirtualClock
 
-MICRO = 1000
 N, U, P = ctypes.c_int32, ctypes.c_uint32, ctypes.c_void_p
 LONGS, IDS = ctypes.POINTER(N), ctypes.POINTER(U)
 ENTRIES = {
@@ -41,103 +38,24 @@ ENTRIES = {
     "AlpProjInquireEx": (U, N, P),
 }
 NOT_ONLINE, NOT_IDLE, _, NOT_READY, INVALID, _, FULL, IN_USE = range(1001, 1009)
-REMOVED = 1012
+FAILED, REMOVED = 1011, 1012
 
 
-@dataclass(frozen=True)
-class ArrayModel:
-    """The device: its size, its memory, and its least times [us] at 1 and 8 bits.
+class FakeAlp(EmulatedArray):
+    """The device; ``library`` is what a driver is given in place of the maker's library.
 
-    The time of a picture of b bits is one load of all rows, or the 8-bit time over 255 for each step of gray, whichever
-    is longer. ``bytes_per_s`` is how fast uploads go (0: at once); ``dark_us`` is lost of every lit time.
-    """
-
-    height: int = 1080
-    width: int = 1920
-    planes: int = 31069
-    load_us: int = 44
-    gray_us: int = 3760
-    dark_us: int = 0
-    bytes_per_s: float = 0.0
-    serial: int = 1001
-    time_out_ns: int = 1_000_000_000
-
-    @property
-    def row_bytes(self) -> int:
-        """Bytes of a packed row."""
-        return 2048 // 8 if self.width == 1920 else self.width // 8
-
-    def least_picture_us(self, bits: int) -> int:
-        """The least time from picture to picture [us]."""
-        return max(self.load_us, -(-self.gray_us * (2**bits - 1) // 255))
-
-
-@dataclass(frozen=True)
-class Shown:
-    """One picture as the mirrors made it: planes ``[plane, row, byte]``, and when each began and ended [ns].
-
-    ``number`` counts pictures since the device was opened; ``sequence`` and ``picture`` are where it was stored.
-    """
-
-    number: int
-    sequence: int
-    picture: int
-    planes: np.ndarray
-    starts: tuple[int, ...]
-    ends: tuple[int, ...]
-
-    def mirrors(self, plane: int, width: int) -> np.ndarray:
-        """Which mirrors ``[row, column]`` a plane turned on, as 0 and 1."""
-        return np.unpackbits(self.planes[plane], axis=-1)[:, :width]
-
-
-@dataclass
-class _Stored:
-    bits: int
-    count: int
-    shown_bits: int
-    last: int
-    repeat: int = 1
-    format: int = 0
-    uninterrupted: bool = False
-    picture_us: int = 33334
-    illuminate_us: int = 33333
-    delay_us: int = 0
-    pictures: dict[int, np.ndarray] = field(default_factory=dict)
-
-
-@dataclass
-class _Queued:
-    queue_id: int
-    sequence: int
-    stored: _Stored
-    iterations: int | None
-    frames: int
-    next: int = 0
-
-
-class FakeAlp:
-    """The device; ``trigger`` is its input, ``on_shown`` its light, ``library`` what a driver is given.
-
-    ``counts`` tells triggers that came while a picture still showed (``missed``) or with nothing to show (``empty``).
+    ``removed`` set to True is a plug pulled: every call fails from then on, and triggers do nothing. ``crash`` keeps
+    what went wrong in Python during a call.
     """
 
     def __init__(self, clock: VirtualClock, model: ArrayModel = ArrayModel()) -> None:
-        self.clock, self.model = clock, model
-        self.on_shown: Callable[[Shown], None] | None = None
-        self.counts = {"shown": 0, "missed": 0, "empty": 0, "uploaded": 0, "upload_bytes": 0}
-        self.removed = self.allocated = self.floating = False
-        self.slave = self.queueing = False
+        super().__init__(clock, model)
+        self.allocated = self.floating = False
         self.rising = True
-        self.time_out = True
-        self._stored: dict[int, _Stored] = {}
-        self._queue: deque[_Queued] = deque()
+        self.crash: Exception | None = None
+        self._stored: dict[int, Stored] = {}
         self._next_id = self._next_queue = 1
-        self._current: tuple[Shown, int] | None = None
-        self._next_start: int | None = None
-        self._last_trigger = 0
         self.library = SimpleNamespace(**{name: self._entry(name, types) for name, types in ENTRIES.items()})
-        clock.attach(self)
 
     def _entry(self, name: str, types: tuple[Any, ...]) -> Any:
         """A C function that calls the method of its name."""
@@ -148,109 +66,14 @@ class FakeAlp:
                 return REMOVED
             if name != "AlpDevAlloc" and not self.allocated:
                 return NOT_ONLINE
-            self.advance(self.clock.now())
-            return method(*arguments) or 0
+            try:
+                self.advance(self.clock.now())
+                return method(*arguments) or 0
+            except Exception as error:  # C code cannot pass it on
+                self.crash = error
+                return FAILED
 
         return ctypes.CFUNCTYPE(N, *types)(called)
-
-    # light and time
-
-    def trigger(self, now: int) -> None:
-        """An edge at the trigger input."""
-        self.advance(now)
-        self._last_trigger = now
-        if not self.slave or self.removed:
-            return
-        if self._current is not None and now < self._next_ready():
-            self.counts["missed"] += 1
-        elif not self._queue:
-            self.counts["empty"] += 1
-        else:
-            self._finish()
-            self._show(now + self._queue[0].stored.delay_us * MICRO)
-
-    def _next_ready(self) -> int:
-        """When the next picture may begin."""
-        assert self._current is not None
-        return self._current[1]
-
-    def _show(self, start: int) -> None:
-        """Begin the next picture of the queue at a time [ns]."""
-        head = self._queue[0]
-        stored, picture = head.stored, head.next
-        planes = stored.pictures.get(picture)
-        if planes is None:
-            planes = np.zeros((stored.bits, self.model.height, self.model.row_bytes), np.uint8)
-        planes = planes[: stored.shown_bits]
-        lit = self._lit_ns(stored)
-        total = 2**stored.shown_bits - 1
-        edges = [start]
-        for plane in range(stored.shown_bits):
-            done = sum(1 << (stored.shown_bits - 1 - i) for i in range(plane + 1))
-            edges.append(start + lit * done // total)
-        self.counts["shown"] += 1
-        shown = Shown(self.counts["shown"] - 1, head.sequence, picture, planes, tuple(edges[:-1]), tuple(edges[1:]))
-        period = max(stored.picture_us * MICRO, edges[-1] - start)
-        self._current = (shown, start + period)
-        head.next += 1
-        self._next_start = None
-        if head.next > stored.last or head.next >= head.frames:
-            self._iterate(head)
-
-    def _lit_ns(self, stored: _Stored) -> int:
-        if stored.uninterrupted and stored.shown_bits == 1:
-            return stored.picture_us * MICRO
-        return max(stored.illuminate_us - self.model.dark_us, 0) * MICRO
-
-    def _iterate(self, head: _Queued) -> None:
-        """Begin a sequence again, or take it off the queue when its last picture is over."""
-        if head.iterations is not None:
-            head.iterations -= 1
-        if head.iterations is None or head.iterations > 0:
-            head.next = 0
-
-    def _finish(self) -> None:
-        """End the picture that shows, and drop its sequence if it was its last."""
-        if self._current is None:
-            return
-        shown, _ = self._current
-        self._current = None
-        if self._queue and self._queue[0].iterations == 0:
-            self._queue.popleft()
-        if self.on_shown is not None:
-            self.on_shown(shown)
-
-    def due(self) -> int | None:
-        """When a picture ends."""
-        if self._current is not None:
-            return self._current[1]
-        if self.slave and self.time_out and self._queue:
-            return self._last_trigger + self.model.time_out_ns
-        return None
-
-    def advance(self, now: int) -> None:
-        """End pictures that are over, and in master mode begin those that follow."""
-        while self._current is not None and self._current[1] <= now:
-            end = self._current[1]
-            self._finish()
-            if not self.slave and self._queue:
-                self._show(end)
-        waits = self._current is None and self.slave and self.time_out
-        if waits and self._queue and now >= self._last_trigger + self.model.time_out_ns:
-            self._queue.clear()
-
-    def _cut(self) -> None:
-        """Stop the picture that shows, as a halt does: what was to come of it is not shown."""
-        if self._current is None:
-            self._queue.clear()
-            return
-        now = self.clock.now()
-        shown, _ = self._current
-        starts = tuple(min(start, now) for start in shown.starts)
-        ends = tuple(max(min(end, now), start) for start, end in zip(starts, shown.ends, strict=True))
-        self._queue.clear()
-        self._current = (replace(shown, starts=starts, ends=ends), now)
-        self._finish()
 
     # the library: devices
 
@@ -303,7 +126,7 @@ class FakeAlp:
         used = sum(stored.bits * stored.count for stored in self._stored.values())
         if used + bits * count > self.model.planes:
             return FULL
-        self._stored[self._next_id] = _Stored(bits, count, bits, count - 1)
+        self._stored[self._next_id] = Stored(bits, count, bits, count - 1)
         answer[0] = self._next_id
         self._next_id += 1
         return 0
@@ -386,7 +209,7 @@ class FakeAlp:
             self.clock.sleep(round(size * count / self.model.bytes_per_s * 1e9))
         return 0
 
-    def _planes(self, data: np.ndarray, stored: _Stored) -> np.ndarray:
+    def _planes(self, data: np.ndarray, stored: Stored) -> np.ndarray:
         """Bit planes, the most significant first, of one picture as it was sent."""
         rows, row_bytes = self.model.height, self.model.row_bytes
         if stored.format == 2:
@@ -408,7 +231,7 @@ class FakeAlp:
         if len(self._queue) >= 256:
             return NOT_READY
         iterations = None if forever else stored.repeat
-        self._queue.append(_Queued(self._next_queue, sequence, stored, iterations, stored.last + 1))
+        self._queue.append(Queued(self._next_queue, sequence, stored, iterations, stored.last + 1))
         self._next_queue += 1
         now = self.clock.now()
         if len(self._queue) == 1:

@@ -65,7 +65,7 @@ class _Lines:
 
 
 class EmulatedMeter(_Lines):
-    """A meter that reads ``light(now)`` [mW], with noise [mW] from a generator of its own; above its range it has none."""
+    """A meter that reads ``light(now)`` [mW], with noise [mW]; above its range it has no value."""
 
     def __init__(
         self, light: Callable[[int], float], noise_mw: float = 0.0, greatest_mw: float = 500.0, seed: int = 0

@@ -1,0 +1,111 @@
+"""What resin gets: it sees mirrors, lamp, lens and motion as they truly were, and nothing of what the host wanted.
+
+A picture's light goes to the pose that the motion was in, and to the focus plane that the lens was at, while the lamp
+shone; light from a lens under way goes astray.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from vamgpu.hosts.emulators.array import Shown
+
+MARGIN = 0.02
+"""Share of a pose by which light may come too early, from where the first light fell."""
+NEAR = 0.02
+"""Within how much of a plane's power [1/m] the lens is at it."""
+
+
+class Chamber:
+    """Light in the resin, by engine, plane and pose: seconds of full drive on each mirror.
+
+    position: of the motion at a time [ns], in poses.  power: of the lens [1/m] at a time.  planes: their powers.
+    mirrors: rows and columns of the arrays.
+    """
+
+    def __init__(
+        self,
+        position: Callable[[int], float],
+        mirrors: tuple[int, int],
+        engines: int = 1,
+        power: Callable[[int], float] | None = None,
+        planes: Sequence[float] = (0.0,),
+    ) -> None:
+        self._position, self._power, self._planes = position, power, np.asarray(planes, float)
+        self.mirrors, self.engines = mirrors, engines
+        self.light: dict[tuple[int, int, int], np.ndarray] = {}
+        self.astray = 0.0
+        self.first: float | None = None
+        self._changes: list[tuple[int, int]] = [(0, 0)]
+
+    def lamp(self, channels: int, now: int) -> None:
+        """The lamp changes."""
+        if channels and self.first is None:
+            self.first = self._position(now)
+        self._changes.append((now, channels))
+        if len(self._changes) > 4000:
+            del self._changes[:2000]
+
+    def shown(self, engine: int, shown: Shown) -> None:
+        """Mirrors have shown a picture."""
+        for plane, (start, end) in enumerate(zip(shown.starts, shown.ends, strict=True)):
+            for begin, stop in self._lit(engine, start, end):
+                self._add(engine, shown.mirrors(plane, self.mirrors[1]), begin, stop)
+
+    def _lit(self, engine: int, start: int, end: int) -> list[tuple[int, int]]:
+        """When the engine's lamp shone between two times."""
+        times = [at for at, _ in self._changes]
+        found, place = [], max(bisect_right(times, start) - 1, 0)
+        while place < len(times) and times[place] < end:
+            stop = times[place + 1] if place + 1 < len(times) else end
+            low, high = max(start, times[place]), min(end, stop)
+            if self._changes[place][1] >> engine & 1 and high > low:
+                found.append((low, high))
+            place += 1
+        return found
+
+    def _pose(self, now: int) -> float:
+        return self._position(now) - (self.first or 0.0) + MARGIN
+
+    def _add(self, engine: int, mirrors: np.ndarray, start: int, end: int) -> None:
+        low, high = self._pose(start), self._pose(end)
+        cuts = [start, end]
+        for edge in range(int(np.floor(min(low, high))) + 1, int(np.ceil(max(low, high)))):
+            cuts.append(round(start + (edge - low) / (high - low) * (end - start)))
+        cuts.sort()
+        for begin, stop in zip(cuts[:-1], cuts[1:], strict=True):
+            if stop > begin:
+                self._add_within(engine, mirrors, begin, stop)
+
+    def _add_within(self, engine: int, mirrors: np.ndarray, start: int, end: int) -> None:
+        seconds = (end - start) * 1e-9
+        plane = self._plane(start, end)
+        if plane is None:
+            self.astray += seconds * float(mirrors.sum())
+            return
+        key = (engine, plane, int(np.floor(self._pose((start + end) // 2))))
+        if key not in self.light:
+            self.light[key] = np.zeros(self.mirrors)
+        self.light[key] += seconds * mirrors[: self.mirrors[0]]
+
+    def _plane(self, start: int, end: int) -> int | None:
+        if self._power is None:
+            return 0
+        nearest = {self._nearest(self._power(time)) for time in (start, (start + end) // 2, end)}
+        return nearest.pop() if len(nearest) == 1 else None
+
+    def _nearest(self, power: float) -> int | None:
+        plane = int(np.argmin(np.abs(self._planes - power)))
+        return plane if abs(float(self._planes[plane]) - power) <= NEAR else None
+
+    def seconds(self, engine: int, poses: int, turn: int | None = None) -> np.ndarray:
+        """Seconds of light [plane, pose, row, column]; with ``turn`` poses are counted modulo a turn."""
+        total = np.zeros((len(self._planes), poses, *self.mirrors))
+        for (which, plane, pose), light in self.light.items():
+            place = pose if turn is None else pose % turn
+            if which == engine and 0 <= place < poses:
+                total[plane, place] += light
+        return total

@@ -1,0 +1,142 @@
+"""What the controller's firmware does in time: rows, pulses of light, and the lease that closes it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from vamgpu.hosts.emulators.lens import check_sum
+from vamgpu.hosts.emulators.track import Track
+
+MICRO = 1000
+
+
+class RowPlayer:
+    """Queue, web, lease and gate.
+
+    What it does to the other machines goes out through functions that are given the time [ns]: ``on_trigger(now)``,
+    ``on_lens(bytes, now)`` on its second serial line, ``on_light(channels, now)`` at each change of the light.
+    ``intervals`` remembers when which channels were lit with which drive, ``row_times`` when each row acted.
+    """
+
+    def __init__(self, channels: int) -> None:
+        self.channels = channels
+        self.on_trigger: Callable[[int], None] | None = None
+        self.on_lens: Callable[[bytes, int], None] | None = None
+        self.on_light: Callable[[int, int], None] | None = None
+        self.web = Track(acceleration=200_000.0)
+        self.interlock_closed = True
+        self.powers = [65535] * channels
+        self.intervals: deque[tuple[int, int, int, tuple[int, ...]]] = deque(maxlen=4096)
+        self.row_times: deque[tuple[int, int]] = deque(maxlen=4096)
+        self.light = 0
+        self._lit_at = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget rows, lease and mode."""
+        self.armed = self.running = self.done = False
+        self.fault = "none"
+        self.lease_end: int | None = None
+        self.steps_mode = False
+        self.rows: deque[tuple[int, int, int | None, int, int, int]] = deque()
+        self.next_row = self.shown = self.late = 0
+        self.total: int | None = None
+        self.started = self._floor = 0
+        self._pulse: tuple[int, int, int] | None = None
+        self._pulse_end: int | None = None
+        self._steady = 0
+
+    def say(self, now: int, *words: object) -> None:
+        """Tell the host something by itself."""
+
+    def due(self) -> int | None:
+        """When it acts next."""
+        times = [self._pulse_end, self._pulse[0] if self._pulse else None, self._row_due()]
+        if self.lease_end is not None and (self.light or self.armed):
+            times.append(self.lease_end)
+        return min((at for at in times if at is not None), default=None)
+
+    def _row_due(self) -> int | None:
+        if not self.running or not self.rows or self._pulse is not None:
+            return None
+        at = self.rows[0][1]
+        after = max(self.started, self._floor)
+        return self.web.reaches(at, after) if self.steps_mode else max(self.started + at * MICRO, after)
+
+    def advance(self, now: int) -> None:
+        """Do all that is due."""
+        while (at := self.due()) is not None and at <= now:
+            if self.lease_end is not None and at >= self.lease_end and (self.light or self.armed):
+                self.close("lease", at)
+            elif self._pulse_end is not None and at >= self._pulse_end:
+                self._pulse_end = None
+                self.set_light(self._steady, at)
+                self._finish(at)
+            elif self._pulse is not None and at >= self._pulse[0]:
+                self._fire(at)
+            else:
+                self._act_row(at)
+
+    def _act_row(self, at: int) -> None:
+        index, _, code, delay_us, on_us, channels = self.rows.popleft()
+        self.row_times.append((index, at))
+        self._floor = at
+        self.next_row = index + 1
+        if code is not None and self.on_lens is not None:
+            frame = b"PwDA" + (code & 0xFFFF).to_bytes(2, "big") + b"\0\0"
+            self.on_lens(frame + check_sum(frame).to_bytes(2, "little"), at)
+        self._pulse = (at + delay_us * MICRO, on_us, channels)
+
+    def _fire(self, at: int) -> None:
+        assert self._pulse is not None
+        _, on_us, channels = self._pulse
+        self._pulse = None
+        if self._pulse_end is not None:
+            self._pulse_end = None
+            self.set_light(self._steady, at)
+        self.shown += 1
+        if self.on_trigger is not None:
+            self.on_trigger(at)
+        if on_us and self.armed:
+            self.set_light(self._steady | channels, at)
+            self._pulse_end = at + on_us * MICRO
+        else:
+            self._finish(at)
+
+    def _finish(self, at: int) -> None:
+        if self.running and self.total is not None and self.next_row >= self.total and self._pulse is None:
+            self.running, self.done = False, True
+            self.say(at, "done", self.shown)
+
+    def set_light(self, channels: int, at: int) -> None:
+        if channels == self.light:
+            return
+        if self.light:
+            self.intervals.append((self._lit_at, at, self.light, tuple(self.powers)))
+        self.light, self._lit_at = channels, at
+        if self.on_light is not None:
+            self.on_light(channels, at)
+
+    def lit(self, now: int) -> int:
+        """The channels that were lit at a time [ns]."""
+        if self.light and now >= self._lit_at:
+            return self.light
+        return next((channels for start, end, channels, _ in reversed(self.intervals) if start <= now < end), 0)
+
+    def close(self, reason: str, at: int) -> None:
+        """The light goes off and stays off until the host arms again."""
+        self._pulse = self._pulse_end = None
+        self._steady = 0
+        self.set_light(0, at)
+        self.armed = self.running = False
+        self.lease_end = None
+        if reason in ("lease", "interlock"):
+            self.fault = reason
+        self.say(at, "light", "off", reason)
+
+    def open_interlock(self, now: int) -> None:
+        """Somebody opens the enclosure."""
+        self.advance(now)
+        self.interlock_closed = False
+        self.close("interlock", now)

@@ -1,0 +1,147 @@
+"""Emulated machines in real time, on pseudo terminals and sockets."""
+
+from __future__ import annotations
+
+import logging
+import os
+import select
+import socket
+import threading
+import time
+from typing import Self
+
+from vamgpu.hosts.emulators.line import SECOND, Faults, LineMachine
+
+log = logging.getLogger(__name__)
+
+
+class _Server:
+    """A thread that carries bytes between a file descriptor and a machine, in real time."""
+
+    def __init__(self, machine: LineMachine, faults: Faults | None = None) -> None:
+        self.machine = machine
+        self.faults = faults or Faults()
+        self.lock = threading.RLock()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def _read(self) -> bytes:
+        raise NotImplementedError
+
+    def _write(self, data: bytes) -> None:
+        raise NotImplementedError
+
+    def _descriptors(self) -> list[int]:
+        raise NotImplementedError
+
+    def step(self, longest_s: float) -> None:
+        """Wait for bytes or for the machine, and act."""
+        with self.lock:
+            times = [at for at in (self.machine.due(), self.machine.ready()) if at is not None]
+        wait = min([longest_s, *(max(at - time.monotonic_ns(), 0) / SECOND for at in times)])
+        readable = select.select(self._descriptors(), [], [], wait)[0]
+        with self.lock:
+            now = time.monotonic_ns()
+            self.machine.advance(now)
+            if readable and (data := self._read()):
+                self.machine.receive(self.faults.to_machine(data), now)
+            out = self.faults.to_host(self.machine.take(time.monotonic_ns()))
+        if out:
+            self._write(out)
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                self.step(0.02)
+            except OSError as error:
+                if not self._stop.is_set():
+                    log.warning("emulated line: %s", error)
+                break
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+
+
+class PtyServer(_Server):
+    """A machine on a pseudo terminal; ``url`` is what a driver opens."""
+
+    def __init__(self, machine: LineMachine, faults: Faults | None = None) -> None:
+        super().__init__(machine, faults)
+        import tty
+
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.url = os.ttyname(self._slave)
+
+    def _descriptors(self) -> list[int]:
+        return [self._master]
+
+    def _read(self) -> bytes:
+        return os.read(self._master, 4096)
+
+    def _write(self, data: bytes) -> None:
+        try:
+            os.write(self._master, data)
+        except BlockingIOError:
+            log.warning("nobody reads %s: %d bytes lost", self.url, len(data))
+
+    def close(self) -> None:
+        """Stop serving, and hang up."""
+        super().close()
+        for descriptor in (self._master, self._slave):
+            if descriptor >= 0:
+                os.close(descriptor)
+        self._master = self._slave = -1
+
+
+class TcpServer(_Server):
+    """A machine on a socket of this computer; ``url`` is what a driver opens. One caller at a time."""
+
+    def __init__(self, machine: LineMachine, faults: Faults | None = None) -> None:
+        super().__init__(machine, faults)
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._caller: socket.socket | None = None
+        self.url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
+
+    def _descriptors(self) -> list[int]:
+        return [(self._caller or self._listener).fileno()]
+
+    def _read(self) -> bytes:
+        if self._caller is None:
+            self._caller = self._listener.accept()[0]
+            self._caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return b""
+        try:
+            data = self._caller.recv(4096)
+        except ConnectionError:
+            data = b""
+        if not data:
+            self._caller.close()
+            self._caller = None
+        return data
+
+    def _write(self, data: bytes) -> None:
+        if self._caller is not None:
+            try:
+                self._caller.sendall(data)
+            except ConnectionError:
+                self._caller.close()
+                self._caller = None
+
+    def close(self) -> None:
+        """Stop serving, and hang up."""
+        super().close()
+        if self._caller is not None:
+            self._caller.close()
+        self._listener.close()
