@@ -64,11 +64,11 @@ def folder(place: Path, slices: int, ny: int, nx: int) -> Path:
     return place
 
 
-def seconds(run: Callable[[], Any]) -> float:
-    """Wall-clock time of a call."""
-    start = time.perf_counter()
+def seconds(run: Callable[[], Any]) -> tuple[float, float]:
+    """Wall-clock time of a call, and what all threads of the process computed meanwhile."""
+    start, busy = time.perf_counter(), time.process_time()
     run()
-    return time.perf_counter() - start
+    return time.perf_counter() - start, time.process_time() - busy
 
 
 def stages(place: Path, out: Path, device: str | None, dither: bool) -> dict[str, Any]:
@@ -77,7 +77,7 @@ def stages(place: Path, out: Path, device: str | None, dither: bool) -> dict[str
     with open_stack(place) as stack:
         size = float(np.prod(stack.shape)) / MB
         packed = sum((place / name).stat().st_size for name in stack.names) / MB
-        found: dict[str, float] = {"bytes of files": seconds(lambda: [(place / n).read_bytes() for n in stack.names])}
+        found = {"bytes of files": seconds(lambda: [(place / n).read_bytes() for n in stack.names])}
         found["read and decode"] = seconds(lambda: [stack[a:b].size for a, b in blocks(stack.shape[0])])
         whole = stack[0 : stack.shape[0]]
     plane = (int(whole.shape[1]), int(whole.shape[2]))
@@ -107,7 +107,8 @@ def stages(place: Path, out: Path, device: str | None, dither: bool) -> dict[str
     with open_stack(place) as stack:
         found["all at once, scored twice"] = seconds(lambda: correct_stack(correction, stack, out / "all", device=on))
     written = sum(file.stat().st_size for file in (out / "all").glob("*.png")) / MB
-    rates = {name: {"seconds": round(t, 3), "MB/s": round(size / t)} for name, t in found.items()}
+    rates = {name: {"seconds": round(t, 3), "computing [s]": round(busy, 3), "MB/s": round(size / t)}
+             for name, (t, busy) in found.items()}  # fmt: skip
     return {"pixels [MB]": size, "files [MB]": packed, "written [MB]": written, "device": on.name, "stages": rates}
 
 
@@ -116,11 +117,11 @@ def limited(place: Path, out: Path, device: str | None, gigabytes: float) -> dic
     bound = int(gigabytes * 1e9)
     resource.setrlimit(resource.RLIMIT_DATA, (bound, bound))
     with open_stack(place) as stack:
-        taken = seconds(lambda: correct_stack(Correction(PRINTER), stack, out / "limited", device=device))
+        taken, busy = seconds(lambda: correct_stack(Correction(PRINTER), stack, out / "limited", device=device))
         size = float(np.prod(stack.shape)) / MB
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / MB
-    return {"limit [GB]": gigabytes, "pixels [MB]": size, "seconds": round(taken, 2), "MB/s": round(size / taken),
-            "largest resident [MB]": round(peak)}  # fmt: skip
+    return {"limit [GB]": gigabytes, "pixels [MB]": size, "seconds": round(taken, 2), "computing [s]": round(busy, 2),
+            "MB/s": round(size / taken), "largest resident [MB]": round(peak)}  # fmt: skip
 
 
 def main() -> None:

@@ -80,7 +80,7 @@ def sample(stack: Stack, threshold: int = 128, side: int = 48) -> Sample:
     ends = zip(filled.min(axis=0), filled.max(axis=0), strict=True)
     at = [np.unique(np.linspace(low, high, side).round().astype(int)) for low, high in ends]
     rows, columns = (part.ravel() for part in np.meshgrid(*at, indexing="ij"))
-    row, column = int((seen > 0).sum(axis=1).argmax()), int((seen > 0).sum(axis=0).argmax())
+    row, column = int(seen.sum(axis=1).argmax()), int(seen.sum(axis=0).argmax())
     return Sample(
         np.concatenate([rows, np.full(nx, row), np.arange(ny)]),
         np.concatenate([columns, np.arange(nx), np.full(ny, column)]),
