@@ -7,7 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from vamgpu.backend.device import Device
+from vamgpu.chemistry.kinetics import advance
 from vamgpu.chemistry.reaction import Reaction
+from vamgpu.chemistry.species import Light, Rates
 from vamgpu.chemistry.transport import NEVER, Box, Concentrations, Transport
 
 BOX = Box((2, 2, 5), (1.0, 1.0, 1.0))
@@ -47,6 +49,28 @@ def test_rates_are_those_of_equations_5_to_7(device: Device, order: int) -> None
     errors = [np.abs(voxel(advanced(device, k, 10.0, n, (1.0, 0.0, 2.0))) - wanted).max() for n in (100, 200, 400)]
     assert errors[-1] < 1e-3 and errors[0] / errors[1] == pytest.approx(2.0, rel=0.1)
     assert errors[1] / errors[2] == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_without_diffusion_a_voxel_of_transport_follows_the_kinetics(device: Device, order: int) -> None:
+    """Two solvers, one set of rates: `Reaction.of` must mean what `advance` makes of `Rates`, [A]₀ and [C]₀ not 1."""
+    rates = Rates(0.05, 0.03, 0.06, 0.2, oxygen=0.8, supply=2.0, order=order)
+    course = advance(rates, rates.start(0.1), Light(VISIBLE, ULTRAVIOLET, 10.0), tolerance=1e-10, device="numpy")
+    wanted = np.array([course.a[0, 0], course.b[0, 0], course.c[0, 0]])
+    start = (0.8, 0.1, 2.0)
+    coarse, fine = (voxel(advanced(device, Reaction.of(rates), 10.0, n, start)) for n in (200, 400))
+    assert np.abs(fine - wanted).max() < 1e-3
+    assert np.abs(2.0 * fine - coarse - wanted).max() < 2e-5  # the step's first order taken away
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_transport_and_kinetics_run_out_of_inhibitor_together(device: Device, order: int) -> None:
+    rates = Rates(0.05, 0.03, 0.01, 0.2, oxygen=0.8, supply=2.0, order=order)
+    course = advance(rates, rates.start(0.1), Light(VISIBLE, ULTRAVIOLET, 30.0), tolerance=1e-10, device="numpy")
+    reaction = Reaction.of(rates, optical=1e-4, mechanical=2e-4)
+    state = advanced(device, reaction, 30.0, 3000, (0.8, 0.1, 2.0))
+    assert 10.0 < course.event[0, 0] < 25.0
+    assert state.optical_time.numpy() == pytest.approx(course.event[0, 0], abs=0.01)  # a step
 
 
 def test_what_visible_light_takes_is_all_that_leaves_the_balance(device: Device) -> None:

@@ -207,6 +207,32 @@ def test_gains_follow_from_rates() -> None:
     assert resin.subtraction == pytest.approx(2 * 5 / 0.2138 * resin.ultraviolet)
 
 
+def test_the_model_follows_the_kinetics_of_the_same_rates() -> None:
+    """At the axis, where light is steady, with [A]₀ and [C]₀ not 1: every constant that `of` converts counts."""
+    A, B = both((32, 32, 2), 16, "numpy")
+    rates, period, turns = Rates(0.03, 0.02, 0.05, 0.08, oxygen=0.8, supply=3.0), 10.0, 2
+    model = KineticModel(A, B, TwoColorResin.of(rates, A, B, floor=1e-6), turns, period=period, runs=16, steps=8)
+    per_pose = (0.6, 0.4)
+    light = Pair(*(A.device.upload(np.full(A.range.shape, value)) for value in per_pose))
+    dose = model.expose(light).numpy()[15:17, 15:17].mean()
+    seen = [16 * value * np.exp(-mu * 1.6) / period for value, mu in zip(per_pose, (0.05, 0.1), strict=True)]
+    end = advance(rates, rates.start(), Light(seen[0], seen[1], turns * period), device="numpy")
+    assert not end.depleted.any() and end.b[0, 0] > 0.1
+    wanted = 1.0 - (end.a[0, 0] + end.b[0, 0] / rates.alpha) / rates.oxygen
+    assert dose == pytest.approx(wanted, abs=5e-3)
+
+
+def test_cross_reactivity_is_that_of_visible_light() -> None:
+    """The same number that `Reaction` takes: radicals that ultraviolet starts, over those of as much visible light."""
+    A, B = both((32, 32, 2), 16, "numpy")
+    rates = Rates(0.03, 0.02, 1e-9, 0.08, oxygen=0.8, supply=3.0)
+    fluence = 16 * 0.5 * np.exp(-0.1 * 1.6)  # mJ/mm² of ultraviolet at the axis
+    resin = TwoColorResin.of(rates, A, B, cross=0.3)
+    light = Pair(A.device.upload(np.zeros(A.range.shape)), A.device.upload(np.full(B.range.shape, 0.5)))
+    dose = KineticModel(A, B, resin, 1, period=10.0, runs=4).expose(light).numpy()[15:17, 15:17].mean()
+    assert dose == pytest.approx(0.3 * rates.k_a / rates.oxygen * fluence, rel=5e-3)
+
+
 def test_contrast_counts_what_is_wrong() -> None:
     target = np.zeros((4, 4, 2))
     target[1:3, 1:3] = 1.0
@@ -245,3 +271,5 @@ def test_wrong_input_is_refused() -> None:
         optimize_colors(model, target, start=Pair(A.device.upload(target), A.device.upload(target)))
     with pytest.raises(BadInput, match="supply of 0"):
         TwoColorResin.of(Rates(1, 1, 1, 1, supply=0.0, order=0), A, B)
+    with pytest.raises(BadInput, match="order 0"):
+        TwoColorResin.of(replace(RATES, order=0), A, B)

@@ -45,14 +45,16 @@ class TwoColorResin:
     ) -> TwoColorResin:  # fmt: skip
         """From rate constants, for light in mJ/mm² of every pose, measured in air.
 
-        cross: share of the induction that 1 mJ/mm² of ultraviolet takes where it arrives. Only the first order in [C]
-        that `Rates` offers counts here.  Raises `BadInput`.
+        cross: radicals that ultraviolet light starts, over those of as much visible light, as in `Reaction`.
+        Raises `BadInput`, also for rates of order 0 in [C]: they would need an end of the supply within a step.
         """
         if not rates.supply:
             raise BadInput("the resin has a supply of 0; wanted [C] > 0, or nothing answers the ultraviolet")
+        if rates.order != 1:
+            raise BadInput("the rates are of order 0 in [C]; wanted order 1, which equals it while [C] is the supply")
         a, seen = rates.oxygen, (_fluence(visible), _fluence(ultraviolet))
         return cls(rates.k_a * seen[0] / a, rates.k_c * seen[1] / rates.supply, rates.supply / a, rates.alpha,
-                   rates.k_2 * a, cross * seen[1], floor)  # fmt: skip
+                   rates.k_2 * a, cross * rates.k_a * seen[1] / a, floor)  # fmt: skip
 
     @property
     def subtraction(self) -> float:
