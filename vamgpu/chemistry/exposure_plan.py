@@ -14,14 +14,13 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
 from vamgpu.kernels.update import linear
 from vamgpu.operators.blur import Blur, gaussian
-from vamgpu.operators.compose import same_device
+from vamgpu.operators.compose import NO_FLOOR, same_device
 from vamgpu.operators.moves import Wobbled
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import extent, total
 from vamgpu.operators.space import require
 from vamgpu.operators.wobble import Wobble
 
-NO_FLOOR = -3e38
 PER_CM2 = 100.0
 """mm² of a cm²."""
 

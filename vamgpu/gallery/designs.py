@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vamgpu.backend.device import Device
+from vamgpu.chemistry.species import PAPER
 from vamgpu.gallery import style
 from vamgpu.gallery.dualcolor import slice_colors, verdict
 from vamgpu.gallery.picture import Fact, Picture, Table
 from vamgpu.optimize.dual import Contrast, DualColor, LeastSquares, superpose
-from vamgpu.optimize.dual.passes import BINARY_PHOTOINHIBITION
 from vamgpu.targets.designs import BLOCKS, PIXELS, dot_array, gray_wedges, usaf, usaf_bars
 from vamgpu.targets.target import Target
 
@@ -58,7 +58,7 @@ def designs(device: Device, quick: bool = False, pixels: int = 300, angles: int 
         f"{thinnest / targets[0].grid.pitch:.1f} pixels here. The paper's designs are {PIXELS} pixels wide."
     )
     table = Table(header, ("+.3f", "+.3f", "+.3f", ".3f", ".3f", ".4f", ".4f"), tuple(rows))
-    return Picture(figure, caption, facts, table, (BINARY_PHOTOINHIBITION,))
+    return Picture(figure, caption, facts, table, (PAPER,))
 
 
 def made(n: int) -> tuple[Target, ...]:

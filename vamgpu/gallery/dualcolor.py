@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vamgpu.backend.device import Device
+from vamgpu.chemistry.species import PAPER
 from vamgpu.gallery import style
 from vamgpu.gallery.picture import Fact, Picture, Table
 from vamgpu.geometry import Beam, Turntable
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat
 from vamgpu.optimize.dual import METHODS, Colors, Contrast, DualPlan, superpose
-from vamgpu.optimize.dual.passes import BINARY_PHOTOINHIBITION
 from vamgpu.targets.designs import DIAMETER, side
 from vamgpu.targets.target import Target
 
@@ -68,7 +68,7 @@ def dualcolor(
         "no chemistry, no depletion."
     )
     return Picture(figure, caption, facts, Table(header, ("+.3f", ".3f", "+.3f", "+.3f", ".3f", ".3f", ".3f", ".4f",
-                   ".4f"), rows), (BINARY_PHOTOINHIBITION,))  # fmt: skip
+                   ".4f"), rows), (PAPER,))  # fmt: skip
 
 
 def slice_colors(target: Target, angles: int, device: Device, extinctions: tuple[float, float]) -> Colors:

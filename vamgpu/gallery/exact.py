@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vamgpu.backend.device import Device
+from vamgpu.chemistry.species import PAPER
 from vamgpu.gallery import style
 from vamgpu.gallery.picture import Fact, Picture, Table
 from vamgpu.optimize.dual import ExactPlan, reconstruct
-from vamgpu.optimize.dual.passes import BINARY_PHOTOINHIBITION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,7 +53,7 @@ def exact(
         "grows out of bounds. Between the points, where a print has resin too, it is not: the finer buildup says "
         "by how much."
     )
-    return Picture(figure, caption, facts, table, (BINARY_PHOTOINHIBITION,))
+    return Picture(figure, caption, facts, table, (PAPER,))
 
 
 def _phantom(n: int) -> np.ndarray:

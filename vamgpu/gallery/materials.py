@@ -9,11 +9,10 @@ import numpy as np
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.diffusivity import WILKE_CHANG, diffusion_length
 from vamgpu.chemistry.materials import Dispersion, Glass, Inhibitor, Liquid, Resin
+from vamgpu.chemistry.species import PAPER
 from vamgpu.gallery import style
 from vamgpu.gallery.picture import Fact, Picture, Table
 from vamgpu.units import nm
-
-PHOTOINHIBITION = "B. Wang et al., Lateral contrast enhancement via binary photoinhibition"
 
 
 def materials(
@@ -42,7 +41,7 @@ def materials(
         "water, its index in yellow light; at the wavelength printed with it is higher."
     )
     table = Table((f"at {wavelength_nm:g} nm", "refractive index"), (".5f",), rows)
-    return Picture(figure, caption, facts, table, (PHOTOINHIBITION, WILKE_CHANG))
+    return Picture(figure, caption, facts, table, (PAPER, WILKE_CHANG))
 
 
 def _length(name: str, diffusivity: float, seconds: float, expected: float | None) -> Fact:

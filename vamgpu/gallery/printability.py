@@ -17,12 +17,12 @@ from vamgpu.chemistry.printability import (
     static_inhibition,
     static_turns,
 )
+from vamgpu.chemistry.species import PAPER
 from vamgpu.gallery import style
 from vamgpu.gallery.joint import round_colors, round_slice
 from vamgpu.gallery.picture import Fact, Picture, Table
 from vamgpu.optimize import optimize
 from vamgpu.optimize.joint import Aims, LinearModel, TwoColorResin, optimize_colors
-from vamgpu.optimize.joint.run import BINARY_PHOTOINHIBITION
 from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def printability(
         f"every corner of them. The slice has {n} × {n} voxels and {poses} angles, doses are linear, visible − uv. "
         f"T_opt = {critical:g} mJ/mm³ is assumed, not measured; 999 stands for any number of turns."
     )
-    return Picture(figure, caption, facts, table, (BINARY_PHOTOINHIBITION,))
+    return Picture(figure, caption, facts, table, (PAPER,))
 
 
 def _lights(

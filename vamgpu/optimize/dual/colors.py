@@ -8,9 +8,8 @@ from typing import Any
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.kernels.update import linear
+from vamgpu.operators.compose import NO_FLOOR
 from vamgpu.operators.linear import LinearOperator
-
-NO_FLOOR = -3e38
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """A greyscale slice reproduced exactly by light that may be negative: points one after another.
 
-Source: B. Wang et al., Lateral contrast enhancement by binary photoinhibition, "Necessity of dose subtraction".
+Source: B. Wang et al., Lateral contrast enhancement via binary photoinhibition, "Necessity of dose subtraction".
 """
 
 from __future__ import annotations

@@ -10,13 +10,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.chemistry.species import PAPER
 from vamgpu.errors import BadInput
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import EVERYWHERE, dot
 from vamgpu.optimize.band import Band
 from vamgpu.optimize.dual.colors import Pass, combine, constant
-from vamgpu.optimize.dual.passes import BINARY_PHOTOINHIBITION, Bench
+from vamgpu.optimize.dual.passes import Bench
 from vamgpu.optimize.papers import NESTEROV, RAMP, RESTART, TWO_METRIC
 from vamgpu.optimize.ramp import Taps, capped_ramp, identity
 from vamgpu.optimize.work import Work
@@ -46,7 +47,7 @@ class LeastSquares:
     below: float = 0.0
     cost: float = 0.0
     cap: float = 0.25
-    papers: ClassVar[tuple[str, ...]] = (BINARY_PHOTOINHIBITION, NESTEROV, RESTART, RAMP, TWO_METRIC)
+    papers: ClassVar[tuple[str, ...]] = (PAPER, NESTEROV, RESTART, RAMP, TWO_METRIC)
 
     def __post_init__(self) -> None:
         if self.iterations < 1 or not self.below >= 0 or not self.cost >= 0 or not 0 < self.cap <= 0.5:

@@ -1,6 +1,6 @@
 """Rules that compare a buildup with the design and project what is missing or too much: SC, SC2 and DC.
 
-Source: B. Wang et al., Lateral contrast enhancement by binary photoinhibition, "Periodicity", Figs 6 and 8. The text
+Source: B. Wang et al., Lateral contrast enhancement via binary photoinhibition, "Periodicity", Figs 6 and 8. The text
 leaves scales open; what is chosen here is said where it is chosen.
 """
 
@@ -12,6 +12,7 @@ from math import prod, sqrt
 from typing import ClassVar
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.chemistry.species import PAPER
 from vamgpu.errors import BadInput
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.reductions import dot, extent
@@ -21,7 +22,6 @@ PASSES = 23
 """The paper's limit."""
 ENOUGH = 1e-6
 """Root mean square of undersupply at which the paper stops; not expected to be reached."""
-BINARY_PHOTOINHIBITION = "B. Wang et al., Lateral contrast enhancement in tomographic volumetric 3D-printing via BPI"
 
 
 class Bench:
@@ -87,7 +87,7 @@ class Bench:
 class SingleColor:
     """SC: the design projected and nothing more; the greatest dose is the design's."""
 
-    papers: ClassVar[tuple[str, ...]] = (BINARY_PHOTOINHIBITION,)
+    papers: ClassVar[tuple[str, ...]] = (PAPER,)
 
     def steps(self, bench: Bench) -> Iterator[Pass]:
         """One pass."""
@@ -108,7 +108,7 @@ class Tolerant:
     tolerance: float = 0.75
     passes: int = PASSES
     enough: float = ENOUGH
-    papers: ClassVar[tuple[str, ...]] = (BINARY_PHOTOINHIBITION,)
+    papers: ClassVar[tuple[str, ...]] = (PAPER,)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.tolerance < 1.0 or self.passes < 1 or not self.enough >= 0.0:
@@ -135,12 +135,13 @@ class Tolerant:
 class DualColor:
     """DC: what is too much becomes UV light, what is too little more visible light.
 
-    recompute: True is the rule of the text. The oversupply of the visible buildup, scaled by its maximum, is painted
-    anew as UV light in every pass, while undersupply adds up in the visible light; both buildups are then scaled by
-    one factor, the maximum of their difference (never by minimum and maximum). UV light is as bright as painted, or
-    dimmer where it could undo more than the greatest oversupply: a thin part in a wide void would have no dose left.
-    Undersupply falls, oversupply grows with the passes, since the visible light grows and the UV light does not: read
-    both. False keeps the scale of the first pass, compares the difference of the buildups, and adds to both colors:
+    recompute: True, the default, is the rule of the text, what it leaves open settled as the erratum has it. The
+    oversupply of the visible buildup, scaled by its maximum, is painted anew as UV light in every pass, while
+    undersupply adds up in the visible light; both buildups are then scaled by one factor, the maximum of their
+    difference (never by minimum and maximum). UV light is as bright as painted, or dimmer where it could undo more than
+    the greatest oversupply: a thin part in a wide void would have no dose left. Undersupply falls, oversupply grows
+    with the passes, since the visible light grows and the UV light does not: read both, and take False for contrast.
+    False keeps the scale of the first pass, compares the difference of the buildups, and adds to both colors:
     a projected descent that lowers both.
     passes: at most.  enough: root mean square of undersupply at which it stops.  Raises `BadInput`.
     """
@@ -148,7 +149,7 @@ class DualColor:
     recompute: bool = True
     passes: int = PASSES
     enough: float = ENOUGH
-    papers: ClassVar[tuple[str, ...]] = (BINARY_PHOTOINHIBITION,)
+    papers: ClassVar[tuple[str, ...]] = (PAPER,)
 
     def __post_init__(self) -> None:
         if self.passes < 1 or not self.enough >= 0.0:

@@ -1,6 +1,6 @@
 """A slice whose pixels are points without size, projected into bins.
 
-Source: B. Wang et al., Lateral contrast enhancement by binary photoinhibition, Fig. 6.
+Source: B. Wang et al., Lateral contrast enhancement via binary photoinhibition, Fig. 6.
 """
 
 from __future__ import annotations

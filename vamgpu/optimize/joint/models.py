@@ -9,13 +9,11 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
 from vamgpu.kernels.inhibition import inhibition_adjoint, inhibition_step
 from vamgpu.kernels.update import linear, paint
-from vamgpu.operators.compose import same_device
+from vamgpu.operators.compose import NO_FLOOR, same_device
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.reductions import EVERYWHERE
 from vamgpu.optimize.joint.poses import PoseRuns
 from vamgpu.optimize.joint.resin import TwoColorResin
-
-NO_FLOOR = -3e38
-EVERYWHERE = 1e9
 
 
 class Pair(NamedTuple):

@@ -10,22 +10,20 @@ from typing import Any, ClassVar
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.chemistry.species import PAPER
 from vamgpu.errors import BadInput, Cancelled
 from vamgpu.kernels.update import linear
+from vamgpu.operators.compose import NO_FLOOR
 from vamgpu.operators.space import require
 from vamgpu.optimize.band import Band
 from vamgpu.optimize.joint.contrast import EffectiveContrast
 from vamgpu.optimize.joint.descent import Descent
-from vamgpu.optimize.joint.models import NO_FLOOR, LinearModel, Model, Pair
+from vamgpu.optimize.joint.models import LinearModel, Model, Pair
 from vamgpu.optimize.joint.resin import TwoColorResin
 from vamgpu.optimize.papers import NESTEROV, RAMP, RESTART, TWO_METRIC
 from vamgpu.optimize.part import fractions_of
 from vamgpu.optimize.plan import Step
 from vamgpu.optimize.run import optimize
-
-BINARY_PHOTOINHIBITION = (
-    "B. Wang et al., Lateral contrast enhancement in tomographic volumetric 3D-printing via binary photoinhibition"
-)
 
 LINEAR = 4
 """Iterations of the linear model for each that visible light alone gets: they cost next to nothing."""
@@ -109,7 +107,7 @@ def optimize_colors(
     descent, history = Descent(model, fractions, aims.band(model.resin), light, aims.share), []
 
     def plan() -> ColorPlan:
-        papers = (BINARY_PHOTOINHIBITION, NESTEROV, RESTART, RAMP, TWO_METRIC)
+        papers = (PAPER, NESTEROV, RESTART, RAMP, TWO_METRIC)
         seconds = time.perf_counter() - begun
         return ColorPlan(*descent.light, model, aims, fractions, tuple(history), papers, seconds)
 
