@@ -42,8 +42,9 @@ def history(
         "Print times of five generations of resin: each print takes oxygen from the resin around the part and leaves "
         "with some of the resin; stirring and a night under air bring oxygen back, the more the less resin there is "
         "under the same surface. Three numbers fit five ages well, which proves little, so each age is also predicted "
-        "from the other four. The last one, longer than the one before, is not foreseen. What the vial gets back is "
-        "far more than diffusion alone brings: stirring does it."
+        "from the other four. The last one, longer than the one before, is not foreseen. What the fit gives "
+        "back to the vial is far more than diffusion alone would in the resin assumed; the times do not tell by which "
+        "way it came, stirring or else, nor that oxygen is all that ages."
     )
     return Picture(_drawn(found, measured), caption, facts, Table(titles, (".1f", ".1f", ".1f", "+.1f"), rows),
                    (AUTOMATIC_EXPOSURE,))  # fmt: skip
