@@ -13,7 +13,7 @@ import numpy as np
 
 from vamgpu.hosts.emulators.array import Shown
 
-MARGIN = 0.02
+MARGIN = 0.005
 """Share of a pose by which light may come too early, from where the first light fell."""
 NEAR = 0.02
 """Within how much of a plane's power [1/m] the lens is at it."""

@@ -1,0 +1,350 @@
+"""Carry out a print: prime, light, watch, feed, record; and whatever happens, dark first."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.errors import BadInput, VamError
+from vamgpu.hosts.board import Board
+from vamgpu.hosts.clock import Clock
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream, SlotTiming
+from vamgpu.hosts.drivers.lens import TunableLens
+from vamgpu.hosts.interlock import Budget, InterlockOpen
+from vamgpu.hosts.lamp import ControllerLamp, Renewal
+from vamgpu.hosts.lease import DEFAULT_LENGTH, Lease
+from vamgpu.hosts.light import LightGuard
+from vamgpu.hosts.record import RunFolder, Shown
+from vamgpu.hosts.rows import Rows
+from vamgpu.hosts.schedule import Schedule
+from vamgpu.hosts.state import State, States
+from vamgpu.hosts.stream import Pictures
+
+log = logging.getLogger(__name__)
+SECOND = 1_000_000_000
+LOOK = 20_000_000
+"""Between two looks at the machines [ns]."""
+WINDOW = SECOND
+"""Over which the motion's speed is judged [ns]."""
+TRIES = 200
+"""Looks for the motion to come to its speed, or to rest."""
+
+
+@dataclass
+class Machines:
+    """The machines of a rig, opened. microsteps: of the motion, in a unit of the schedule's positions."""
+
+    clock: Clock
+    controller: Controller
+    mirrors: Sequence[Dmd]
+    microsteps: float
+    lens: TunableLens | None = None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What holds the light of a print. lease: [ns].  tolerance: of motion, in poses.  budget: light over the plan's."""
+
+    lease: int = DEFAULT_LENGTH
+    tolerance: float = 0.5
+    budget: float = 1.01
+    resume: int = 30 * SECOND
+
+
+class Motion:
+    """Whether a motion keeps its speed: how far it is from where it should be after the last second, in poses."""
+
+    def __init__(self, schedule: Schedule, microsteps: float) -> None:
+        self._per_pose = float(schedule.advance) * microsteps
+        self._period = float(schedule.cadence.period)
+        self._seen: deque[tuple[int, int]] = deque()
+
+    def error(self, now: int, position: int) -> float:
+        """The error [poses] at a position [microsteps]."""
+        self._seen.append((now, position))
+        while now - self._seen[0][0] > WINDOW:
+            self._seen.popleft()
+        began, start = self._seen[0]
+        return (position - start) / self._per_pose - (now - began) / self._period
+
+
+class Print:
+    """One print on one rig.
+
+    schedule: see `vamgpu.hosts.schedule`.  pictures: of each projector.  folder: keeps what happens.  depth: pictures
+    in each of the two sequences of the mirrors; by default a second's. Raises `BadInput`.
+    """
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        machines: Machines,
+        pictures: Sequence[Pictures],
+        folder: RunFolder,
+        *,
+        limits: Limits = Limits(),
+        board: Board | None = None,
+        depth: int | None = None,
+        power: float = 1.0,
+    ) -> None:
+        if len(pictures) != schedule.engines or len(machines.mirrors) != schedule.engines:
+            raise BadInput(
+                f"the schedule is for {schedule.engines} projectors, the rig has {len(machines.mirrors)} and pictures "
+                f"are for {len(pictures)}; choose the rig that the job was made for"
+            )
+        if len(set(schedule.on.tolist())) != 1:
+            raise BadInput("pictures differ in how long they are lit; the mirrors take one time for all")
+        self.schedule, self.machines, self.pictures, self.folder, self.power = (
+            schedule, machines, tuple(pictures), folder, power,
+        )  # fmt: skip
+        self.limits, self.board, self.states = limits, board or Board(), States()
+        self.depth = depth or max(2, round(schedule.rate))
+        self.lease = Lease(machines.clock, Renewal(machines.controller), limits.lease)
+        lamp = ControllerLamp(machines.controller, tuple(range(schedule.engines)))
+        total = float(schedule.on.sum()) * 1e-9 * power
+        self.guard = LightGuard(
+            lamp, self.lease, tolerance=limits.tolerance, budget=Budget(total * limits.budget),
+            others={f"mirrors {number}": _Dark(dmd) for number, dmd in enumerate(machines.mirrors)}, told=self._told,
+        )  # fmt: skip
+        self.next = 0
+        self.playing = False
+        self.asked: State | None = None
+        self.paused_at: int | None = None
+        self.states.listen(folder.state)
+        self.states.listen(lambda change: self.board.show(state=change.after, message=change.message))
+        self.board.on_stop(self.stop)
+        self.board.show(slots=len(schedule), unit=schedule.unit)
+
+    # ---- from any thread -------------------------------------------------------------------------------------
+    def stop(self, why: str = "emergency stop") -> None:
+        """Light off now; the print is cancelled when its thread looks."""
+        self.guard.fail(why)
+        self.asked = State.CANCELLED
+
+    def pause(self) -> None:
+        """Dark, and the motion at rest, until `run` is called again."""
+        self.asked = State.PAUSED
+
+    # ---- the printing thread ---------------------------------------------------------------------------------
+    def run(self, first: int | None = None) -> State:
+        """Print from a slot on (by default where it paused) until it is complete, paused, cancelled or failed.
+
+        Raises what went wrong, after it is dark and written down.
+        """
+        try:
+            self._may_resume()
+            self.next = self.next if first is None else first
+            with self.guard:
+                self._leg()
+        except BaseException as error:
+            self._ended(error)
+            if isinstance(error, InterlockOpen) and self.states.state is State.CANCELLED:
+                return State.CANCELLED
+            raise
+        return self.states.state
+
+    def _may_resume(self) -> None:
+        if self.paused_at is None:
+            return
+        rest = self.machines.clock.now() - self.paused_at
+        if rest > self.limits.resume:
+            raise BadInput(
+                f"the print rested {rest / SECOND:.1f} s; after {self.limits.resume / SECOND:g} s resin has forgotten "
+                "too much of its dose: begin anew with fresh resin"
+            )
+
+    def _ended(self, error: BaseException) -> None:
+        wanted = self.asked is State.CANCELLED or isinstance(error, KeyboardInterrupt)
+        state = State.CANCELLED if wanted else State.ERROR
+        for act in (lambda: self.machines.controller.stop(), lambda: self._event("ended", error=repr(error))):
+            try:
+                act()
+            except Exception as second:  # the first error is the one to tell
+                log.warning("while stopping: %s", second)
+        try:
+            self.states.end(state, str(error) or type(error).__name__)
+        except VamError as second:
+            log.error("the state could not be kept: %s", second)
+
+    def _leg(self) -> None:
+        """From ``next`` to the end or a pause."""
+        machines, first = self.machines, self.next
+        streams = self._primed(first)
+        rows = self._approach(first)
+        self.states.to(State.PRINTING, "" if first == 0 else f"from slot {first}")
+        motion = Motion(self.schedule, machines.microsteps)
+        sent = self._rows(rows, first, first, machines.controller.capacity)
+        machines.controller.end(len(self.schedule) - first)
+        self.guard.look(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
+        self.guard.on(self.power)
+        machines.controller.go()
+        self.playing = True
+        while self.playing:  # the last picture is shown before its light is over
+            if self.asked is not None:
+                self._halt(streams)
+                return
+            sent = self._look(streams, motion, rows, first, sent)
+            machines.clock.sleep_until(machines.clock.now() + LOOK)
+        self.guard.off("complete")
+        if self.next < len(self.schedule):
+            raise InterlockOpen(f"the controller stopped after {self.next} of {len(self.schedule)} pictures")
+        machines.controller.stop()
+        for stream in streams:
+            stream.close()
+        self.states.to(State.COMPLETE)
+
+    def _look(self, streams: list[_Feed], motion: Motion, rows: Rows, first: int, sent: int) -> int:
+        """See what the machines did, keep it, and feed them; how many rows are sent."""
+        clock, controller = self.machines.clock, self.machines.controller
+        before = [stream.shown() for stream in streams]
+        status = controller.status()
+        after = [stream.shown() for stream in streams]
+        if status.state == "fault":
+            self.guard.look(fault=f"the controller closed the light: {status.fault}")
+        shown = next((each for low, each in zip(before, after, strict=True) if not low <= status.shown <= each), None)
+        error = motion.error(clock.now(), status.position)
+        self.guard.look(motion=error, shown=status.shown if shown is None else shown, scheduled=status.shown)
+        self._keep(first, status.shown, status.late)
+        self.playing = status.state == "running"
+        for stream in streams:
+            stream.fill()
+        sent = self._rows(rows, first, sent, status.free)
+        self.lease.beat()
+        self.lease.keep()
+        self._show(status.position, streams)
+        return sent
+
+    def _keep(self, first: int, shown: int, late: int) -> None:
+        """Write down the pictures shown since the last look."""
+        for slot in range(self.next, min(first + shown, len(self.schedule))):
+            on = int(self.schedule.on[slot])
+            frame = int(self.schedule.frame[slot])
+            for engine in range(self.schedule.engines):
+                self.folder.shown(Shown(slot, frame, int(self.schedule.pose[slot]), int(self.schedule.light[slot]), on,
+                                        engine=engine, dark=slot - first < late))  # fmt: skip
+            self.next = slot + 1
+            self.guard.spend(self.power, on)
+
+    def _rows(self, rows: Rows, first: int, sent: int, free: int) -> int:
+        stop = min(sent + free, len(self.schedule))
+        for slot in range(sent, stop):
+            self.machines.controller.row(rows.row(slot, slot - first))
+        return max(sent, stop)
+
+    def _primed(self, first: int) -> list[_Feed]:
+        """Mirrors with both their sequences full."""
+        on = int(self.schedule.on[0]) // 1000
+        feeds = []
+        for dmd, pictures in zip(self.machines.mirrors, self.pictures, strict=True):
+            dmd.halt()
+            dmd.slave()
+            feeds.append(_Feed(PlaneStream(dmd, self.depth, pictures.bits, SlotTiming(on, on)), pictures, self, first))
+            feeds[-1].fill()
+        return feeds
+
+    def _approach(self, first: int) -> Rows:
+        """Bring the motion to its speed ahead of the first slot, and say where pose 0 is."""
+        machines, speed = self.machines, float(self.schedule.speed)
+        lens = machines.lens
+        channels = (1 << self.schedule.engines) - 1
+        code = None if lens is None else lens.code
+        run_up = 4 * float(self.schedule.advance) + speed * 0.6
+        controller = machines.controller
+        controller.mode("steps")
+        if first == 0 and self.states.state is State.STANDBY:
+            controller.zero()
+            self.origin = run_up + speed * 0.4
+        rows = Rows(self.schedule, machines.microsteps, self.origin, code, channels)
+        wanted = rows.at(rows.acts(first)) - round((run_up + speed * 0.4) * machines.microsteps)
+        per_mm = controller.microsteps_per_mm / machines.microsteps
+        while controller.status().position > wanted:
+            controller.move(-max(speed, 1e-3) * 4 / per_mm)
+            machines.clock.sleep_until(machines.clock.now() + LOOK)
+            self._alive()
+        controller.move(0.0)
+        controller.move(speed / per_mm)
+        goal = round(speed * machines.microsteps * 1000)
+        for _ in range(TRIES):
+            if abs(controller.status().speed - goal) <= 1 + 1e-3 * abs(goal):
+                return rows
+            machines.clock.sleep_until(machines.clock.now() + LOOK // 10)
+            self._alive()
+        raise InterlockOpen(f"the motion did not reach {speed:.4g} {self.schedule.unit}/s; check motor and load")
+
+    def _alive(self) -> None:
+        self.lease.beat()
+        self.lease.keep()
+
+    def _halt(self, streams: list[_Feed]) -> None:
+        """Dark, then at rest; what was shown until then is kept."""
+        asked, self.asked = self.asked or State.PAUSED, None
+        self.guard.off(asked.value)
+        self.machines.controller.move(0.0)
+        self.machines.controller.stop()
+        for stream in streams:
+            stream.close()
+        self.paused_at = self.machines.clock.now()
+        self.states.to(asked, self.guard.fault or "")
+
+    def _show(self, position: int, streams: list[_Feed]) -> None:
+        slot = max(self.next - 1, 0)
+        frame, focus = int(self.schedule.frame[slot]), float(self.schedule.focus[slot])
+        budget = self.guard.budget
+        self.board.show(
+            slot=slot, frame=frame, position=position / self.machines.microsteps - self.origin,
+            focus=None if np.isnan(focus) else focus, fill=min(stream.share for stream in streams),
+            margin=round(min(stream.ahead for stream in streams) * SECOND / max(self.schedule.rate, 1e-9)),
+            light=self.guard.lit, power=self.power, spent=0.0 if budget is None else budget.spent / budget.limit,
+            picture=self.pictures[0].picture(frame),
+        )  # fmt: skip
+
+    def _told(self, what: str, why: str) -> None:
+        self.board.show(light=what == "on")
+        try:
+            self._event("light", to=what, why=why)
+        except VamError as error:  # a full disk must not keep the light on
+            log.error("the event could not be kept: %s", error)
+
+    def _event(self, kind: str, **facts: object) -> None:
+        self.folder.event(kind, self.machines.clock.now(), **facts)
+
+
+class _Dark:
+    """Mirrors as a way to make it dark."""
+
+    def __init__(self, dmd: Dmd) -> None:
+        self._dmd = dmd
+
+    def off(self) -> None:
+        """Halt: the mirrors turn away."""
+        self._dmd.halt()
+
+
+class _Feed:
+    """Pictures of one projector on their way to its mirrors."""
+
+    def __init__(self, stream: PlaneStream, pictures: Pictures, run: Print, first: int) -> None:
+        self._stream, self._pictures, self._frames = stream, pictures, run.schedule.frame
+        self._first, self._length = first, stream.length
+        self.ahead, self.share = 0, 0.0
+
+    def fill(self) -> None:
+        """Upload and queue as much as there is room for."""
+        while self._stream.room() and self._first + self._stream.queued < len(self._frames):
+            start = self._first + self._stream.queued
+            self._stream.put(self._pictures.planes(self._frames[start : start + self._length]))
+        self.ahead = self._stream.queued - self.shown()
+        self.share = min(1.0, self.ahead / (2 * self._length))
+
+    def shown(self) -> int:
+        """Pictures since the leg began."""
+        return self._stream.shown()
+
+    def close(self) -> None:
+        """Give the mirrors' memory back."""
+        self._stream.close()

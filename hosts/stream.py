@@ -1,0 +1,99 @@
+"""Pictures of a job as mirrors take them: bit planes of the numbered frames of a vial or a web, made when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.printing.focus import FocusMasks
+from vamgpu.printing.frames import Frames
+
+
+class Pictures(Protocol):
+    """Numbered pictures of one projector."""
+
+    bits: int
+
+    def planes(self, numbers: np.ndarray) -> np.ndarray:
+        """Bit planes of pictures, uint8 [picture, plane, row, byte], the highest bit first and leftmost."""
+        ...
+
+    def picture(self, number: int) -> np.ndarray:
+        """One picture for people, uint8 [row, column]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Mirrors:
+    """The array that pictures are for. row_bytes: of a packed row, which may be longer than the columns need."""
+
+    rows: int
+    columns: int
+    row_bytes: int
+
+    def place(self, rows: int, columns: int) -> tuple[slice, slice]:
+        """Where a picture goes: to the middle. Raises `BadInput` for one that is too large."""
+        if rows > self.rows or columns > self.columns:
+            raise BadInput(
+                f"the job's pictures are {rows} × {columns}, the mirrors {self.rows} × {self.columns}: the job was "
+                "made for another projector; solve it again with [beam] pixels that fit"
+            )
+        top, left = (self.rows - rows) // 2, (self.columns - columns) // 2
+        return slice(top, top + rows), slice(left, left + columns)
+
+    def packed(self, levels: np.ndarray, bits: int) -> np.ndarray:
+        """Levels, uint8 [picture, row, column], as bit planes in the middle of the mirrors."""
+        down, across = self.place(*levels.shape[1:])
+        full = np.zeros((len(levels), self.rows, 8 * self.row_bytes), np.uint8)
+        full[:, down, across] = levels
+        shifts = np.arange(bits - 1, -1, -1, dtype=np.uint8)[:, None, None]
+        return np.packbits((full[:, None] >> shifts) & 1, axis=-1)
+
+
+class FramePictures:
+    """The frames of a vial's job: number k is frame k."""
+
+    def __init__(self, frames: Frames, mirrors: Mirrors) -> None:
+        self.bits, self.count = frames.bits, frames.shape[0]
+        mirrors.place(*frames.shape[1:])
+        self._levels, self._mirrors, self._full = frames.levels(), mirrors, 255 if frames.bits == 1 else 1
+
+    def planes(self, numbers: np.ndarray) -> np.ndarray:
+        """See `Pictures`."""
+        return self._mirrors.packed(self._levels[np.asarray(numbers)], self.bits)
+
+    def picture(self, number: int) -> np.ndarray:
+        """See `Pictures`."""
+        return self._levels[number] * np.uint8(self._full)
+
+
+class WebPictures:
+    """The frames of a web, cut by columns among its focus planes: number pose · planes + plane.
+
+    read: frames from one pose to another, uint8 [pose, row, column].  masks: which plane shows which column; None for
+    one focus.
+    """
+
+    bits = 8
+
+    def __init__(
+        self, read: Callable[[int, int], np.ndarray], poses: int, mirrors: Mirrors, masks: FocusMasks | None = None
+    ) -> None:
+        shape = read(0, 1).shape[1:]
+        mirrors.place(*shape)
+        self._read, self._mirrors = read, mirrors
+        self._masks = np.ones((1, shape[1]), bool) if masks is None else masks.masks
+        self.count = poses * len(self._masks)
+
+    def planes(self, numbers: np.ndarray) -> np.ndarray:
+        """See `Pictures`."""
+        return self._mirrors.packed(np.stack([self.picture(int(number)) for number in numbers]), self.bits)
+
+    def picture(self, number: int) -> np.ndarray:
+        """See `Pictures`."""
+        pose, plane = divmod(number, len(self._masks))
+        return np.where(self._masks[plane], self._read(pose, pose + 1)[0], np.uint8(0))
