@@ -52,10 +52,12 @@ def png(picture: Picture) -> bytes:
     full.save(small, "PNG", optimize=True)
     if small.tell() <= LARGEST:
         return small.getvalue()
-    small = BytesIO()
-    few = full.quantize(256, method=Image.Quantize.MEDIANCUT, kmeans=1, dither=Image.Dither.NONE)
-    few.save(small, "PNG", optimize=True)
-    return small.getvalue()
+    while True:
+        few, small = full.quantize(256, method=Image.Quantize.MEDIANCUT, kmeans=1, dither=Image.Dither.NONE), BytesIO()
+        few.save(small, "PNG", optimize=True)
+        if small.tell() <= LARGEST:
+            return small.getvalue()
+        full = full.resize((int(0.9 * full.width), int(0.9 * full.height)), Image.Resampling.LANCZOS)
 
 
 def markdown(picture: Picture, name: str, device: str = "", values: dict[str, Any] | None = None) -> str:
