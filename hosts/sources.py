@@ -1,0 +1,123 @@
+"""Where the pictures of a print come from, in the form the mirrors are loaded with."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.hosts.schedule import NONE
+from vamgpu.kernels.planes import pick_pictures, split_planes
+from vamgpu.kernels.signature import Kernel
+from vamgpu.printing.focus import FocusMasks
+from vamgpu.printing.frames import Frames
+
+STRIPS = 128
+"""Into how many runs a picture is cut for the device's work items."""
+
+
+class Source(Protocol):
+    """Pictures by number."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one picture's bytes."""
+        ...
+
+    @property
+    def frames(self) -> int:
+        """How many there are."""
+        ...
+
+    def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """Write pictures to ``out`` [picture, …] (those beyond the last are black), and return the sums of their
+        levels, int64. Number −1 is a black picture."""
+        ...
+
+
+class ArraySource:
+    """Pictures that lie ready in host memory, uint8 [picture, …]."""
+
+    def __init__(self, pictures: np.ndarray) -> None:
+        if pictures.dtype != np.uint8 or pictures.ndim < 2:
+            raise ShapeMismatch(f"pictures are {pictures.dtype}{list(pictures.shape)}; wanted uint8 [picture, …]")
+        self._pictures = pictures
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one picture's bytes."""
+        return self._pictures.shape[1:]
+
+    @property
+    def frames(self) -> int:
+        """How many there are."""
+        return len(self._pictures)
+
+    def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """Copy pictures; the sums are those of their bytes."""
+        sums = np.zeros(len(frames), np.int64)
+        for place, frame in enumerate(frames.tolist()):
+            out[place] = 0 if frame == NONE else self._pictures[frame]
+            sums[place] = int(out[place].sum(dtype=np.int64))
+        out[len(frames) :] = 0
+        return sums
+
+
+class FrameSource:
+    """Frames on a device, cut by focus plane and split into bit planes there; only finished bytes cross the bus.
+
+    frames: of 8 bits, or of 1.  masks: focus planes; frame number = pose · planes + plane.  row_bytes: of a row in the
+    mirrors' memory, a multiple of 8 for 8-bit frames; None: what is needed.  batch: pictures at once.  whole: leave
+    8-bit pictures as bytes [row, column], for a video cable.  Pictures are uint8 [plane, row, byte] otherwise, the most
+    significant plane first. Raises `BadInput`, `ShapeMismatch`.
+    """
+
+    def __init__(
+        self, frames: Frames, *, masks: FocusMasks | None = None, row_bytes: int | None = None, batch: int = 8,
+        whole: bool = False,
+    ) -> None:  # fmt: skip
+        self._frames, self._device, self.batch = frames, frames.device, batch
+        count, rows, columns = frames.shape
+        self._kernel, step = (split_planes, 8) if frames.bits == 8 and not whole else (pick_pictures, 1)
+        needed = columns if whole and frames.bits == 8 else -(-columns // (8 * step)) * step
+        width = needed if row_bytes is None else row_bytes
+        if width < -(-columns // 8) or width % step or (whole and width != columns):
+            raise BadInput(f"row_bytes is {row_bytes!r}; wanted {needed} or more, in steps of {step}")
+        self.planes = 1 if masks is None else masks.bins
+        shown = np.ones((1, columns), bool) if masks is None else masks.of_frames(frames)
+        shown = np.concatenate([shown, np.zeros((1, columns), bool)])  # the last shows nothing
+        bits = shown.astype(np.uint8) * np.uint8(255) if frames.bits == 8 else np.packbits(shown, axis=1)
+        self._masks = self._device.upload(bits, table=True)
+        self._chosen = np.empty((batch, 2), np.int32)
+        shape = (8, rows, width) if self._kernel is split_planes else (rows, width)
+        self._staged = self._device.empty((batch, *shape), np.uint8, table=True)
+        self._sent = self._device.empty((batch, min(STRIPS, rows)), np.int32, table=True)
+        self.shape = (1, *shape) if frames.bits == 1 else shape
+        self.frames = count * self.planes
+
+    @property
+    def kernel(self) -> Kernel:
+        """What makes the bytes."""
+        return self._kernel
+
+    def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """Make pictures on the device and bring them to ``out``, uint8 (batch, …), C contiguous."""
+        if len(frames) > self.batch or out.shape != (self.batch, *self.shape):
+            raise ShapeMismatch(f"{len(frames)} pictures into {out.shape}; wanted at most {(self.batch, *self.shape)}")
+        self._chosen[:] = (0, self.planes)
+        lit = np.flatnonzero(frames != NONE)
+        self._chosen[lit, 0], self._chosen[lit, 1] = np.divmod(frames[lit], self.planes)
+        if lit.size and not 0 <= frames[lit].min() <= frames[lit].max() < self.frames:
+            raise BadInput(f"pictures {frames[lit].min()} to {frames[lit].max()}; there are {self.frames}")
+        chosen = self._device.upload(self._chosen, table=True)
+        bindings = {"images": self._frames.images, "masks": self._masks, "chosen": chosen}
+        if self._kernel is split_planes:
+            self._device.launch(split_planes, **bindings, packed=self._staged, sent=self._sent)
+        else:
+            self._device.launch(pick_pictures, **bindings, picked=self._staged)
+        self._staged.numpy(out.reshape(self._staged.shape))
+        if self._kernel is split_planes:
+            return self._sent.numpy().sum(axis=1, dtype=np.int64)[: len(frames)]
+        levels = np.bitwise_count(out) if self._frames.bits == 1 else out
+        return levels.reshape(self.batch, -1).sum(axis=1, dtype=np.int64)[: len(frames)]

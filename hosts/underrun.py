@@ -1,0 +1,78 @@
+"""What to do when a picture is not there in time: a web goes on in the dark twice and then stops, a vial turns on."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from enum import Enum
+
+from vamgpu.geometry import counts
+
+
+class Action(Enum):
+    """What an under-run leads to."""
+
+    BLACK = "show black in its place"
+    STOP = "light off, then stop the web"
+
+
+class WebUnderrun:
+    """A web must not wait, and no picture may come twice: a lost one is black, and too many end the print.
+
+    A voxel sees about ``window`` poses; each that is lost takes one part in so many of its dose. Up to ``allowed`` lost
+    poses in any window are borne. Losing several focus planes of a pose counts as one: each column is in one plane.
+    """
+
+    def __init__(self, window: int = 360, allowed: int = 2) -> None:
+        counts("window", (window,), 1)
+        self.window, self.allowed = window, allowed
+        self.total = 0
+        self._recent: deque[int] = deque()
+
+    def lost(self, pose: int) -> Action:
+        """Count a pose whose picture is late; poses come in rising order."""
+        self.total += 1
+        if not self._recent or self._recent[-1] != pose:
+            self._recent.append(pose)
+        while self._recent[0] <= pose - self.window:
+            self._recent.popleft()
+        return Action.STOP if len(self._recent) > self.allowed else Action.BLACK
+
+
+class VialUnderrun:
+    """A vial comes round again: what was missed is dropped, the current angle is shown, and later turns make amends.
+
+    images: a turn.  poses: of the whole print.  Ask for every pose that the stage reaches, in rising order.
+    """
+
+    def __init__(self, images: int, poses: int) -> None:
+        self.images, self.poses = counts("images and poses", (images, poses), 2)
+        self.missed = 0
+        self._owed: Counter[int] = Counter()
+        self._last, self._choice = -1, False
+
+    def show(self, pose: int, ready: bool) -> bool:
+        """Whether to show the image of the pose at the stage, which is ready or not; the rest is black.
+
+        A pose that was jumped over, or whose image was not ready, is owed. Beyond the last pose only those are shown.
+        """
+        if pose <= self._last:
+            return self._choice and pose == self._last
+        for jumped in range(self._last + 1, min(pose, self.poses)):
+            self._owe(jumped)
+        frame, self._last = pose % self.images, pose
+        self._choice = ready
+        if pose >= self.poses:
+            self._choice = ready and self._owed[frame] > 0
+            self._owed[frame] -= self._choice
+        elif not ready:
+            self._owe(pose)
+        return self._choice
+
+    def _owe(self, pose: int) -> None:
+        self.missed += 1
+        self._owed[pose % self.images] += 1
+
+    @property
+    def owed(self) -> int:
+        """Images that were missed and not yet made up for."""
+        return self._owed.total()
