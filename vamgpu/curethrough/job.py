@@ -19,14 +19,10 @@ from vamgpu.curethrough.machine import Machine
 from vamgpu.curethrough.names import following
 from vamgpu.curethrough.output import check_place, writing
 from vamgpu.curethrough.score import Features, Sample, features, ratio, sample
-from vamgpu.errors import BadInput, SliceWarning
+from vamgpu.curethrough.weighed import Told, weighed
+from vamgpu.errors import SliceWarning
 from vamgpu.kernels.curethrough import BITS
 
-Told = Callable[[str, float], None]
-"""Told of progress: what is being done, and how much of it is done, 0..1."""
-MOST_WEIGHED = 1 << 27
-"""Bytes of columns that are weighed as wholes."""
-WEIGHED_AT_ONCE = 1024
 GRAY_PER_DOSE = 51
 """Gray levels of a critical dose in pictures of the dose: white is five."""
 
@@ -169,44 +165,6 @@ def correct_stack(
     flaws = (corrector.missed, corrector.closed)
     return Outcome(machine, follow.shape, correction.threshold, follow.sample, follow.solid, follow.shown(), found,
                    correction, *flaws, written)  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Weighed:
-    """Columns at pixels (rows, columns) that whole-column least squares made; levels: uint8 [slice + tail, column]."""
-
-    rows: np.ndarray
-    columns: np.ndarray
-    levels: np.ndarray
-
-
-def weighed(correction: Correction, stack: Stack, device: Device, told: Told) -> Weighed | None:
-    """Better levels where the correction from slice to slice finds no way; None where it finds one everywhere.
-
-    Raises `BadInput` for a printer that stops, and where so many columns are out of reach that they fill the memory.
-    """
-    from vamgpu.curethrough.leastsquares import least_squares
-
-    corrector = Corrector(correction, stack.shape, device)
-    for block in corrector.run(stack):
-        told("survey", 1.0 - block.start / corrector.slices)
-    rows, columns = np.nonzero(corrector.missed + corrector.closed)
-    if not len(rows):
-        return None
-    if len(rows) * stack.shape[0] > MOST_WEIGHED:
-        raise BadInput(
-            f"{len(rows):,} columns of {stack.shape[0]:,} slices have features or voids out of reach; wanted at most "
-            f"{MOST_WEIGHED // stack.shape[0]:,} to weigh: print slower or with more light, or do without least squares"
-        )
-    wanted = np.empty((stack.shape[0], len(rows)), np.uint8)
-    for start, stop in blocks(stack.shape[0]):
-        wanted[start:stop] = stack[start:stop][:, rows, columns]
-    levels = np.empty((corrector.slices, len(rows)), np.uint8)
-    for first in range(0, len(rows), WEIGHED_AT_ONCE):
-        part = slice(first, first + WEIGHED_AT_ONCE)
-        told("columns", first / len(rows))
-        levels[:, part] = least_squares(correction, np.ascontiguousarray(wanted[:, part])).levels
-    return Weighed(rows, columns, levels)
 
 
 class _Follow:

@@ -13,12 +13,13 @@ from pydantic import Field, model_validator
 
 from vamgpu.backend import open_device
 from vamgpu.curethrough.correction import Correction
-from vamgpu.curethrough.job import Outcome, Told, correct_stack, model
+from vamgpu.curethrough.job import Outcome, correct_stack, model
 from vamgpu.curethrough.layers import LayerPrinter
 from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.curethrough.profile import Flat, Parallel, Profile
 from vamgpu.curethrough.sliced import MeshStack
 from vamgpu.curethrough.stack import ARCHIVES, layer_height, open_stack
+from vamgpu.curethrough.weighed import Told
 from vamgpu.errors import JobError, SliceWarning
 from vamgpu.jobs.model import Count, Listed, Section
 from vamgpu.jobs.quantity import Background, DoseValue, Exposure, Irradiance, Length, Speed, Thickness
