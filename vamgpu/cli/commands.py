@@ -12,6 +12,8 @@ from rich.markup import escape
 from rich.table import Table
 
 import vamgpu
+from vamgpu.cli import curethrough
+from vamgpu.cli.options import Overwrite, Settings, console
 
 if TYPE_CHECKING:
     from vamgpu.jobs.run import Proven
@@ -23,14 +25,7 @@ app = App(
     version=vamgpu.__version__,
     suppress_keyboard_interrupt=False,
 )
-
-Settings = Annotated[list[str] | None, Parameter(name="--set", negative="", help="key=value that replaces the file's")]
-Overwrite = Annotated[bool, Parameter(name="--overwrite", negative="", help="replace a job that stands there")]
-
-
-def console() -> Console:
-    """Where commands write."""
-    return Console(highlight=False, soft_wrap=True)
+app.command(curethrough.group)
 
 
 @app.command

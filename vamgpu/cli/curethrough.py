@@ -8,17 +8,14 @@ from typing import TYPE_CHECKING
 from cyclopts import App
 from rich.markup import escape
 
-from vamgpu.cli.commands import Overwrite, Settings, app, console
+from vamgpu.cli.options import Overwrite, Settings, console
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from vamgpu.curethrough.job import Outcome
 
-__all__ = ["app"]
-
 group = App(name="curethrough", help="Stereolithography: model what light cures behind a part, and correct the slices.")
-app.command(group)
 
 
 @group.command
