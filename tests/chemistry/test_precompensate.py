@@ -94,6 +94,13 @@ def test_over_a_background_it_comes_several_times_nearer() -> None:
     assert found.dose.numpy().min() >= 0.0
 
 
+@pytest.mark.parametrize(("blur", "background", "factor"), [(1.0, 0.6, 4.93), (2.0, 0.6, 1.76), (1.0, 0.0, 1.14)])
+def test_how_much_nearer_is_as_documented(blur: float, background: float, factor: float) -> None:
+    part = gyroid(64)
+    grid, diffusion = Grid((64, 64, 64), 1.0), Diffusion(blur**2, 1.0)
+    assert precompensate(part, grid, diffusion, background=background).factor == pytest.approx(factor, rel=0.02)
+
+
 def test_without_background_it_is_never_negative_and_still_nearer() -> None:
     found, part = compensated(0.0), gyroid(40)
     dose = found.dose.numpy()

@@ -59,6 +59,10 @@ def precompensate(
     would have to be negative. Without it fine detail can hardly be sharpened.  ridge: weight of the squared distance
     from the plain dose over that of the misfit; smaller is sharper and asks for greater doses.
 
+    How much nearer depends on the blur over the detail, and on edges: for sheets four to five voxels thick with edges
+    sharp to the voxel, over a background of 60 %, 4.9 times at a blur of one voxel's deviation and 1.76 times at two;
+    without a background 1.1 times. That is the dose asked for: light that is never negative need not reach it.
+
     Minimizes ‖K·dose − wanted‖² + ridge·‖dose − wanted‖² over dose ≥ 0 by accelerated projected gradients.
     Raises `BadInput`, `ShapeMismatch`.
     """

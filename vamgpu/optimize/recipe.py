@@ -27,7 +27,8 @@ class Recipe:
     background: dose wanted around the part over that of the part, room for light that should be negative.
     most: largest correction of a voxel in one pass.  diffusion: of oxygen during the exposure; the target over its
     background is then deconvolved by it before the first pass, and what is corrected and judged is the dose after
-    diffusion (a plan's own window stays that of the light alone).  Raises `BadInput`.
+    diffusion (a plan's own window stays that of the light alone). Light that is never negative need not reach what is
+    deconvolved, so a print need not come out better: compare both.  Raises `BadInput`.
     """
 
     background: float = 0.6
