@@ -112,7 +112,6 @@ class Print:
             others={f"mirrors {number}": _Dark(dmd) for number, dmd in enumerate(machines.mirrors)}, told=self._told,
         )  # fmt: skip
         self.next = 0
-        self.playing = False
         self.asked: State | None = None
         self.paused_at: int | None = None
         self.states.listen(folder.state)
@@ -173,51 +172,52 @@ class Print:
 
     def _leg(self) -> None:
         """From ``next`` to the end or a pause."""
-        machines, first = self.machines, self.next
+        leg = self.begin(self.next)
+        while leg.step():
+            self.machines.clock.sleep_until(self.machines.clock.now() + LOOK)
+
+    def begin(self, first: int) -> Leg:
+        """Prime the mirrors, bring the motion to its speed, make light; the guard is held already."""
+        machines = self.machines
         streams = self._primed(first)
         rows = self._approach(first)
         self.states.to(State.PRINTING, "" if first == 0 else f"from slot {first}")
-        motion = Motion(self.schedule, machines.microsteps)
         sent = self._rows(rows, first, first, machines.controller.capacity)
         machines.controller.end(len(self.schedule) - first)
         self.guard.look(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
         self.guard.on(self.power)
         machines.controller.go()
-        self.playing = True
-        while self.playing:  # the last picture is shown before its light is over
-            if self.asked is not None:
-                self._halt(streams)
-                return
-            sent = self._look(streams, motion, rows, first, sent)
-            machines.clock.sleep_until(machines.clock.now() + LOOK)
-        self.guard.off("complete")
-        if self.next < len(self.schedule):
-            raise InterlockOpen(f"the controller stopped after {self.next} of {len(self.schedule)} pictures")
-        machines.controller.stop()
-        for stream in streams:
-            stream.close()
-        self.states.to(State.COMPLETE)
+        return Leg(self, first, streams, Motion(self.schedule, machines.microsteps), rows, sent)
 
-    def _look(self, streams: list[_Feed], motion: Motion, rows: Rows, first: int, sent: int) -> int:
-        """See what the machines did, keep it, and feed them; how many rows are sent."""
+    def look(self, leg: Leg) -> bool:
+        """See what the machines did, keep it, feed them; whether the light's last row is still to end."""
         clock, controller = self.machines.clock, self.machines.controller
-        before = [stream.shown() for stream in streams]
+        before = [stream.shown() for stream in leg.streams]
         status = controller.status()
-        after = [stream.shown() for stream in streams]
+        after = [stream.shown() for stream in leg.streams]
         if status.state == "fault":
             self.guard.look(fault=f"the controller closed the light: {status.fault}")
         shown = next((each for low, each in zip(before, after, strict=True) if not low <= status.shown <= each), None)
-        error = motion.error(clock.now(), status.position)
+        error = leg.motion.error(clock.now(), status.position)
         self.guard.look(motion=error, shown=status.shown if shown is None else shown, scheduled=status.shown)
-        self._keep(first, status.shown, status.late)
-        self.playing = status.state == "running"
-        for stream in streams:
+        self._keep(leg.first, status.shown, status.late)
+        for stream in leg.streams:
             stream.fill()
-        sent = self._rows(rows, first, sent, status.free)
+        leg.sent = self._rows(leg.rows, leg.first, leg.sent, status.free)
         self.lease.beat()
         self.lease.keep()
-        self._show(status.position, streams)
-        return sent
+        self._show(status.position, leg.streams)
+        return status.state == "running"
+
+    def complete(self, leg: Leg) -> None:
+        """Dark, at rest, and everything was shown. Raises `InterlockOpen` where it was not."""
+        self.guard.off("complete")
+        if self.next < len(self.schedule):
+            raise InterlockOpen(f"the controller stopped after {self.next} of {len(self.schedule)} pictures")
+        self.machines.controller.stop()
+        for stream in leg.streams:
+            stream.close()
+        self.states.to(State.COMPLETE)
 
     def _keep(self, first: int, shown: int, late: int) -> None:
         """Write down the pictures shown since the last look."""
@@ -236,14 +236,14 @@ class Print:
             self.machines.controller.row(rows.row(slot, slot - first))
         return max(sent, stop)
 
-    def _primed(self, first: int) -> list[_Feed]:
+    def _primed(self, first: int) -> list[Feed]:
         """Mirrors with both their sequences full."""
         on = int(self.schedule.on[0]) // 1000
         feeds = []
         for dmd, pictures in zip(self.machines.mirrors, self.pictures, strict=True):
             dmd.halt()
             dmd.slave()
-            feeds.append(_Feed(PlaneStream(dmd, self.depth, pictures.bits, SlotTiming(on, on)), pictures, self, first))
+            feeds.append(Feed(PlaneStream(dmd, self.depth, pictures.bits, SlotTiming(on, on)), pictures, self, first))
             feeds[-1].fill()
         return feeds
 
@@ -280,7 +280,7 @@ class Print:
         self.lease.beat()
         self.lease.keep()
 
-    def _halt(self, streams: list[_Feed]) -> None:
+    def halt(self, streams: list[Feed]) -> None:
         """Dark, then at rest; what was shown until then is kept."""
         asked, self.asked = self.asked or State.PAUSED, None
         self.guard.off(asked.value)
@@ -291,7 +291,7 @@ class Print:
         self.paused_at = self.machines.clock.now()
         self.states.to(asked, self.guard.fault or "")
 
-    def _show(self, position: int, streams: list[_Feed]) -> None:
+    def _show(self, position: int, streams: list[Feed]) -> None:
         slot = max(self.next - 1, 0)
         frame, focus = int(self.schedule.frame[slot]), float(self.schedule.focus[slot])
         budget = self.guard.budget
@@ -314,6 +314,28 @@ class Print:
         self.folder.event(kind, self.machines.clock.now(), **facts)
 
 
+@dataclass
+class Leg:
+    """A stretch of a print without a rest. first: its first slot.  sent: slots whose rows the controller has."""
+
+    run: Print
+    first: int
+    streams: list[Feed]
+    motion: Motion
+    rows: Rows
+    sent: int
+
+    def step(self) -> bool:
+        """One look at the machines; False once the leg is over."""
+        if self.run.asked is not None:
+            self.run.halt(self.streams)
+            return False
+        if self.run.look(self):
+            return True
+        self.run.complete(self)
+        return False
+
+
 class _Dark:
     """Mirrors as a way to make it dark."""
 
@@ -325,7 +347,7 @@ class _Dark:
         self._dmd.halt()
 
 
-class _Feed:
+class Feed:
     """Pictures of one projector on their way to its mirrors."""
 
     def __init__(self, stream: PlaneStream, pictures: Pictures, run: Print, first: int) -> None:
