@@ -173,6 +173,7 @@ class EmulatedController(RowPlayer):
         if self.running:
             return "no state"
         self.running, self.done, self.started, self._floor = True, False, now, now
+        self.shown = self.late = 0
         return "ok"
 
     def _do_move(self, now: int, speed: int) -> str:

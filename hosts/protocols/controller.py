@@ -18,7 +18,7 @@ light     0 or 1                                      steady light, while armed
 mode      ``time`` or ``steps``                       what the rows count: microseconds since ``go``, or microsteps
 row       index, at, lens, delay us, on us, channels  queue one slot; rows still free, and the index of the next row
 end       count                                       how many rows the print has
-go        \\-                                           begin to play the rows
+go        \\-                                           begin to play the rows, and to count those shown
 move      thousandths of microsteps per second        run the web at a speed, ramping up to it
 ramp      microsteps per second squared               how fast the speed changes
 zero      \\-                                           call this position 0

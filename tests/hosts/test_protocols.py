@@ -1,0 +1,178 @@
+"""Golden bytes of the protocols, and what garbage does to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
+from vamgpu.hosts.emulators.controller import line_check
+from vamgpu.hosts.emulators.lens import LENGTHS, check_sum
+from vamgpu.hosts.protocols import controller, slots, zaber
+from vamgpu.hosts.protocols import optotune as ld4
+from vamgpu.hosts.protocols.checks import crc16_arc, crc16_ccitt, lrc
+
+REQUESTS = [
+    (ld4.FIRMWARE_TYPE, "48 00 36"),
+    (ld4.VERSION, "56 80 3e"),
+    (ld4.GET_MODE, "4d 4d 41 65 77"),
+    (ld4.GET_STATUS, "53 72 bc d5"),
+    (ld4.GET_TEMPERATURE, "54 43 41 b0 d0"),
+    (ld4.GET_TEMPERATURE_OLD, "54 41 fe f0"),
+    (ld4.set_mode(ld4.Mode.FOCAL_POWER), "4d 77 43 41 56 76"),
+    (ld4.set_mode(ld4.Mode.CURRENT), "4d 77 44 41 54 46"),
+    (ld4.set_mode(ld4.Mode.ANALOG), "4d 77 41 41 57 16"),
+    (ld4.set_mode(ld4.Mode.SINE), "4d 77 53 41 5b b6"),
+    (ld4.set_mode(ld4.Mode.SQUARE), "4d 77 51 41 5a d6"),
+    (ld4.set_window(20, 45), "50 77 54 41 02 d0 01 40 33 c1"),
+    (ld4.set_window(20, 35), "50 77 54 41 02 30 01 40 32 37"),
+    (ld4.set_power(1.0, "A"), "50 77 44 41 04 b0 00 00 31 a7"),
+    (ld4.set_power(3.0, "A"), "50 77 44 41 06 40 00 00 30 2c"),
+    (ld4.set_power(5.0, "A"), "50 77 44 41 07 d0 00 00 31 fd"),
+    (ld4.GET_POWER, "50 72 44 41 00 00 00 00 64 70"),
+    (ld4.set_current(1402), "41 77 05 7a 26 95"),
+    (ld4.set_current(1202), "41 77 04 b2 26 93"),
+    (ld4.GET_CURRENT, "41 72 00 00 b4 27"),
+    (ld4.GET_FULL_CURRENT, "43 72 4d 41 00 00 71 80"),
+    (ld4.set_generator(0, 0, 100.0)[2], "50 77 46 41 00 01 86 a0 03 4a"),
+]
+PUBLIC = [value for value in vars(ld4).values() if isinstance(value, ld4.Request)]
+
+
+@pytest.mark.parametrize(("request_", "frame"), REQUESTS)
+def test_the_lens_drivers_frames_are_the_makers(request_: ld4.Request, frame: str) -> None:
+    assert request_.frame == bytes.fromhex(frame)
+    assert check_sum(request_.frame) == 0, "the emulator's own check sum disagrees"
+    name = max((known for known in LENGTHS if request_.frame.startswith(known)), key=len)
+    assert LENGTHS[name] == len(request_.frame)
+
+
+def test_every_check_sum_has_its_published_value() -> None:
+    assert crc16_arc(b"123456789") == check_sum(b"123456789") == 0xBB3D
+    assert crc16_ccitt(b"123456789") == line_check(b"123456789") == 0x29B1
+    assert lrc(b"\x01\x03\x04\x01\x00\x01") == 0xF6
+
+
+def test_replies_are_read_by_length_though_they_hold_line_ends() -> None:
+    body = b"CMA\x0d\x0a"
+    reply = body + crc16_arc(body).to_bytes(2, "little") + b"\r\n"
+    for received in range(len(reply)):
+        assert ld4.missing(ld4.GET_FULL_CURRENT, reply[:received]) > 0
+    assert ld4.missing(ld4.GET_FULL_CURRENT, reply) == 0
+    assert ld4.unsigned(ld4.parse(ld4.GET_FULL_CURRENT, reply)) == 0x0D0A
+
+
+def test_golden_replies() -> None:
+    current = bytes.fromhex("41 05 7a d2 a7 0d 0a")
+    assert ld4.signed(ld4.parse(ld4.GET_CURRENT, current)) == 1402
+    old = ld4.parse(ld4.GET_TEMPERATURE_OLD, bytes.fromhex("54 41 00 01 b2 a4 15 0d 0a"))
+    assert ld4.signed(old[1:]) / 16 == 27.125
+    with pytest.raises(DeviceRefused, match="check sum") as refused:
+        ld4.parse(ld4.GET_CURRENT, bytes.fromhex("45 01 f3 50 0d 0a"))
+    assert refused.value.code == "E1"
+    with pytest.raises(DeviceRefused):
+        ld4.parse(ld4.GET_STATUS, b"N\r\n")
+
+
+@given(st.binary(max_size=14))
+def test_garbage_is_no_reply(garbage: bytes) -> None:
+    with pytest.raises((ProtocolError, DeviceRefused)):
+        ld4.parse(ld4.GET_FULL_CURRENT, garbage)
+
+
+@given(st.integers(0, 8), st.integers(0, 7))
+def test_one_wrong_bit_is_found(byte: int, bit: int) -> None:
+    body = b"CMA\x72\x64"
+    reply = bytearray(body + crc16_arc(body).to_bytes(2, "little") + b"\r\n")
+    reply[byte] ^= 1 << bit
+    with pytest.raises((ProtocolError, DeviceRefused)):
+        ld4.parse(ld4.GET_FULL_CURRENT, bytes(reply))
+
+
+def test_nothing_resets_the_lens_driver_or_wears_it_unasked() -> None:
+    payloads = [request.payload for request in PUBLIC]
+    assert not any(payload.startswith((b"RESET", b"Zw", b"D")) for payload in payloads)
+    assert not any(request.writes_memory for request in PUBLIC)
+    wearing = (ld4.set_full_current(200), *ld4.set_limits(-4095, 4095))
+    assert all(request.writes_memory for request in wearing)
+
+
+@given(st.floats(-5, 15.475))
+def test_focal_powers_survive_their_code(diopters: float) -> None:
+    for firmware in "AC":
+        code = ld4.power_code(diopters, firmware)
+        assert abs(ld4.power_of(code, firmware) - diopters) <= 0.0025 + 1e-9
+
+
+def test_bad_values_never_become_frames() -> None:
+    for build in (
+        lambda: ld4.set_current(4096),
+        lambda: ld4.set_power(16.0, "A"),
+        lambda: ld4.set_window(45, 20),
+        lambda: ld4.set_generator(0, 0, 0.01),
+        lambda: ld4.set_drift_gain(6),
+        lambda: ld4.set_mode(ld4.Mode.POSITION),
+    ):
+        with pytest.raises(BadInput):
+            build()
+
+
+def test_status_bits_have_names() -> None:
+    assert ld4.status_texts(0) == ()
+    assert ld4.status_texts(0b10000010) == ("lens memory missing or faulty", "outside the temperature window set")
+
+
+def test_controller_lines_keep_their_words() -> None:
+    line = controller.encode(7, "row", *controller.Row(3, 1000, None, 5000, 20000, 2).words())
+    assert line.startswith(b"7 row 3 1000 - 5000 20000 2*") and line.endswith(b"\n")
+    assert controller.check(line) == ("7", "row", "3", "1000", "-", "5000", "20000", "2")
+    assert int(line[-5:-1], 16) == line_check(line[:-6])
+
+
+@given(st.integers(0, 30), st.integers(0, 7))
+def test_one_wrong_bit_in_a_line_is_found(byte: int, bit: int) -> None:
+    line = bytearray(controller.encode(12, "lease", 250))
+    line[byte % (len(line) - 1)] ^= 1 << bit
+    with pytest.raises(ProtocolError):
+        controller.check(bytes(line))
+
+
+@given(st.binary(max_size=60))
+def test_garbage_is_no_controller_line(garbage: bytes) -> None:
+    with pytest.raises(ProtocolError):
+        controller.parse(garbage + b"#")
+
+
+def test_stage_messages() -> None:
+    assert zaber.command(1, 1, 4, "move abs 1000") == b"/01 1 04 move abs 1000:%02X\n" % lrc(b"01 1 04 move abs 1000")
+    reply = zaber.parse(b"@01 1 04 OK BUSY WR 1234\r\n")
+    assert (reply.number, reply.busy, reply.warning, zaber.accept(reply, "get pos")) == (4, True, "WR", "1234")
+    with pytest.raises(DeviceRefused, match="BADDATA"):
+        zaber.accept(zaber.parse(b"@01 0 RJ IDLE -- BADDATA"), "move abs -1")
+    with pytest.raises(DeviceRefused, match="FS"):
+        zaber.accept(zaber.parse(b"@01 1 OK IDLE FS 0"), "move abs 1")
+    assert zaber.parse(b"!01 1 IDLE --").kind == "!"
+    for bad in (b"", b"hello", b"@01 1 OK IDLE -- 0:00", b"@xx 1 OK IDLE -- 0", b"@01 1 04 MAYBE IDLE -- 0"):
+        with pytest.raises(ProtocolError):
+            zaber.parse(bad)
+
+
+def test_slots_keep_pictures_apart_and_levels_in_place() -> None:
+    rng = np.random.default_rng(0)
+    first, second, third = rng.integers(0, 256, (3, 5, 7), dtype=np.uint8)
+    frame = slots.compose([first, second], slots.TWO_OF_8)
+    assert np.array_equal(frame[..., 1], first) and np.array_equal(frame[..., 0], second) and not frame[..., 2].any()
+    frame = slots.compose([first, second, third], slots.THREE_OF_7)
+    assert not (frame & 1).any()
+    for channel, picture in zip((1, 0, 2), (first, second, third), strict=True):
+        assert np.abs((frame[..., channel] >> 1) / 127 - picture / 255).max() <= 0.5 / 127 + 1e-9
+    with pytest.raises(BadInput):
+        slots.compose([first], slots.TWO_OF_8)
+
+
+def test_the_plane_walk_lights_each_plane_once() -> None:
+    frames = slots.plane_walk((2, 3))
+    words = [int(f[0, 0, 0]) << 16 | int(f[0, 0, 1]) << 8 | int(f[0, 0, 2]) for f in frames]
+    assert len(words) == 24 and sum(words) == 2**24 - 1 and all(word.bit_count() == 1 for word in words)
