@@ -38,8 +38,8 @@ class Projector(Protocol):
 class Spun:
     """How a run went.
 
-    slots: frame that each slot of the cable showed, `NONE` for black.  missed: images that were not shown in their turn.
-      owed: those of them that no added turn showed.
+    slots: frame that each slot of the cable showed, `NONE` for black.  missed: images that were not shown in their
+    turn.  owed: those of them that no added turn showed.
     """
 
     slots: np.ndarray

@@ -18,10 +18,11 @@ import numpy as np
 from common import HERE, chosen_devices, is_gpu, machine, peer, timed, write_record
 
 from vamgpu.backend.device import Device
+from vamgpu.chemistry.concentrations import Concentrations
 from vamgpu.chemistry.exposure import Exposure, Extinction
 from vamgpu.chemistry.printrun import PrintRun
 from vamgpu.chemistry.reaction import Reaction
-from vamgpu.chemistry.transport import Box, Concentrations, Transport
+from vamgpu.chemistry.transport import Box, Transport
 from vamgpu.kernels.update import linear
 
 sys.path.insert(0, str(HERE / "peers"))

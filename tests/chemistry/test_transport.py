@@ -8,7 +8,8 @@ import pytest
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.boundary import FACES, Boundary
 from vamgpu.chemistry.reaction import Reaction
-from vamgpu.chemistry.transport import SPECIES, Box, Transport
+from vamgpu.chemistry.species import SPECIES
+from vamgpu.chemistry.transport import Box, Transport
 from vamgpu.errors import BadInput, ShapeMismatch, UnstableStep
 from vamgpu.geometry import centers
 

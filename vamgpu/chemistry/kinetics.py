@@ -93,10 +93,13 @@ def advance(
         stuck = np.count_nonzero(when == UNSETTLED)
         raise BadInput(f"{stuck} of {items} items do not settle within {MOST} steps of one interval at a tolerance of "
                        f"{tolerance:g}; ask for less, or make intervals shorter")  # fmt: skip
-    k_a = np.repeat([resin.k_a for resin in resins], len(state))
-    missed = k_a * ends[:, 3] - (before[:, 0] - ends[:, 0])
-    held = before[:, 0] > 0
-    efficiency = np.where(held, missed / np.where(held, before[:, 0], 1.0), np.nan)
+    efficiency = _efficiency(np.repeat([resin.k_a for resin in resins], len(state)), before[:, 0], ends)
     event = np.where(when < 0, np.nan, when)
     a, b, c, dose, event, efficiency = (v.reshape(shape) for v in (*ends.T, event, efficiency))
     return Course(a, b, c, dose, event, efficiency, path.numpy().astype(np.float64).reshape(*shape, rows, 4))
+
+
+def _efficiency(k_a: Floats, oxygen: Floats, ends: Floats) -> Floats:
+    """W from the balance of visible light, since eq. 5 makes it the integral; NaN without oxygen at the start."""
+    missed, held = k_a * ends[:, 3] - (oxygen - ends[:, 0]), oxygen > 0
+    return np.where(held, missed / np.where(held, oxygen, 1.0), np.nan)

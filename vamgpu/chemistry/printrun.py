@@ -11,8 +11,9 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from vamgpu.chemistry.concentrations import Concentrations
 from vamgpu.chemistry.exposure import Exposure
-from vamgpu.chemistry.transport import Concentrations, Transport
+from vamgpu.chemistry.transport import Transport
 from vamgpu.errors import BadInput, StorageError, UnstableStep
 from vamgpu.geometry import counts, positive
 from vamgpu.storage.atomic import replacing

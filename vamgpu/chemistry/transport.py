@@ -13,14 +13,13 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.boundary import Boundary
+from vamgpu.chemistry.concentrations import NEVER, Concentrations
 from vamgpu.chemistry.reaction import Reaction
+from vamgpu.chemistry.species import SPECIES
 from vamgpu.errors import BadInput, ShapeMismatch, UnstableStep
 from vamgpu.geometry import centers, counts, positive
 from vamgpu.kernels.transport import transport
 
-SPECIES = ("A", "B", "C")
-NEVER = -1.0
-"""What the fields of times hold in voxels that have not crossed."""
 FUSED, CACHE = 5, 2_500_000
 """Most steps an item with a block of columns takes before it goes on, and bytes that what lies between may fill."""
 SPACING = 256
@@ -52,39 +51,6 @@ class Box:
             return np.ones(self.shape[:2], bool)
         x, y = (centers(n, d) for n, d in zip(self.shape[:2], self.pitch, strict=False))
         return x[:, None] ** 2 + y[None, :] ** 2 <= self.radius**2
-
-
-@dataclass(eq=False)
-class Concentrations:
-    """Fields of A, B and C [mol/m³ or normalized], what light has started, and when; all on one device.
-
-    dose: light whose radicals met no inhibitor [mJ/mm²].  optical_time, mechanical_time: when it crossed T_opt and
-    T_mec [s], `NEVER` before.  time: reached so far [s].
-    """
-
-    a: DeviceArray
-    b: DeviceArray
-    c: DeviceArray
-    dose: DeviceArray
-    optical_time: DeviceArray
-    mechanical_time: DeviceArray
-    time: float = 0.0
-
-    FIELDS = ("a", "b", "c", "dose", "optical_time", "mechanical_time")
-
-    def species(self, name: str) -> DeviceArray:
-        """The field of "A", "B" or "C". Raises `BadInput` for another name."""
-        if name not in SPECIES:
-            raise BadInput(f"no species is named {name!r}; there are {', '.join(SPECIES)}")
-        return getattr(self, name.lower())
-
-    def numpy(self) -> dict[str, np.ndarray]:
-        """Every field by its name."""
-        return {name: getattr(self, name).numpy() for name in self.FIELDS}
-
-    def conversion(self, scale: float) -> np.ndarray:
-        """Share of polymer, 1 − exp(−dose/scale): nothing polymerizes before the inhibitors are exhausted."""
-        return -np.expm1(-self.dose.numpy() / positive("scale of conversion [mJ/mm²]", scale))
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vamgpu.backend.device import Device
+from vamgpu.chemistry.concentrations import Concentrations
 from vamgpu.chemistry.exposure import Exposure, Extinction
 from vamgpu.chemistry.printrun import PrintRun
 from vamgpu.chemistry.reaction import Reaction
 from vamgpu.chemistry.species import PAPER
-from vamgpu.chemistry.transport import Box, Concentrations, Transport
+from vamgpu.chemistry.transport import Box, Transport
 from vamgpu.gallery import style
 from vamgpu.gallery.picture import Fact, Picture
 from vamgpu.geometry import centers
