@@ -1,0 +1,318 @@
+"""The way of pictures from a device to the mirrors: the right bytes, in order, bounded, black where they are late."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, DeviceError, ShapeMismatch, TimingInfeasible, VamError, WrongDevice
+from vamgpu.hosts.clock import Clock, RealClock
+from vamgpu.hosts.emulators.clock import VirtualClock
+from vamgpu.hosts.feed import Feed
+from vamgpu.hosts.limits import HdmiTiming, MirrorTiming
+from vamgpu.hosts.moving import web
+from vamgpu.hosts.pinned import buffers
+from vamgpu.hosts.preflight import MARGIN, Residence, fits, measure, preflight
+from vamgpu.hosts.ring import Batch, Ring
+from vamgpu.hosts.sources import ArraySource, FrameSource
+from vamgpu.hosts.underrun import Action, VialUnderrun, WebUnderrun
+from vamgpu.printing.focus import FocusMasks
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+
+LINEAR = GrayCurve.linear()
+
+
+class Mirrors:
+    """Room for two batches; ``trigger`` shows the next picture."""
+
+    def __init__(self, batches: int = 2) -> None:
+        self.taken: list[np.ndarray] = []
+        self.pending: list[int] = []
+        self.triggers, self.batches = 0, batches
+
+    def room(self) -> bool:
+        done, kept = self.triggers, []
+        for size in self.pending:
+            if done >= size:
+                done -= size
+                self.triggers -= size
+                continue
+            kept.append(size)
+        self.gone = getattr(self, "gone", 0) + sum(self.pending) - sum(kept)
+        self.pending = kept
+        return len(kept) < self.batches
+
+    def put(self, pictures: np.ndarray) -> None:
+        assert self.room()
+        self.pending.append(len(pictures))
+        self.taken += [picture.copy() for picture in pictures]
+
+    def shown(self) -> int:
+        self.room()
+        return self.gone + self.triggers
+
+    def trigger(self, count: int = 1) -> None:
+        self.triggers += count
+
+
+def numbered(count: int) -> ArraySource:
+    """Pictures of one byte, their own number + 1."""
+    return ArraySource((1 + np.arange(count)).astype(np.uint8)[:, None, None])
+
+
+# ---- sources -----------------------------------------------------------------------------------------------
+def frames_of(device: Device, bits: int, columns: int = 77) -> Frames:
+    rng = np.random.default_rng(bits)
+    width = columns if bits == 8 else -(-columns // 8)
+    images = rng.integers(0, 256, (5, 9, width), dtype=np.uint8)
+    if bits == 1:
+        images = np.packbits(np.unpackbits(images, axis=2, count=columns), axis=2)
+    return Frames(device.upload(images, table=True), bits=bits, gray=LINEAR, scale=1.0, columns=columns)
+
+
+@pytest.mark.parametrize("bits", [1, 8])
+def test_planes_put_together_are_the_pictures(device: Device, bits: int) -> None:
+    frames = frames_of(device, bits)
+    masks = FocusMasks(77, 0.1, 3.5, (-3.0, -2.0, -1.0))
+    source = FrameSource(frames, masks=masks, row_bytes=16, batch=4)
+    assert source.shape == (bits, 9, 16) and source.frames == 15
+    out = buffers(1, (4, *source.shape), device)[0]
+    sent = source.read(np.array([7, -1, 2]), out)
+    pixels = np.unpackbits(out, axis=-1)
+    weights = 2 ** np.arange(bits - 1, -1, -1)
+    levels = (pixels * weights[:, None, None]).sum(axis=1)
+    wanted = np.zeros((4, 9, 128), np.int64)
+    wanted[0, :, :77] = frames.levels()[2] * masks.of_frames(frames)[1]
+    wanted[2, :, :77] = frames.levels()[0] * masks.of_frames(frames)[2]
+    assert np.array_equal(levels, wanted)
+    assert np.array_equal(sent, wanted.sum(axis=(1, 2))[:3])
+
+
+def test_focus_planes_share_out_every_pixel_once(device: Device) -> None:
+    frames, masks = frames_of(device, 8), FocusMasks(77, 0.1, 3.5, (-3.0, -2.0, -1.0))
+    source = FrameSource(frames, masks=masks, batch=3)
+    out = buffers(1, (3, *source.shape))[0]
+    source.read(np.arange(6, 9), out)
+    assert not (out[0] & out[1]).any() and not (out[1] & out[2]).any()
+    whole = FrameSource(frames, batch=3)
+    alone = buffers(1, (3, *whole.shape))[0]
+    whole.read(np.array([2]), alone)
+    assert np.array_equal(out[0] | out[1] | out[2], alone[0]) and not alone[1:].any()
+
+
+def test_a_video_cable_gets_bytes(device: Device) -> None:
+    frames = frames_of(device, 8)
+    source = FrameSource(frames, whole=True, batch=2)
+    out = buffers(1, (2, *source.shape))[0]
+    sent = source.read(np.array([4, 0]), out)
+    assert np.array_equal(out, frames.levels()[[4, 0]]) and sent[1] == frames.levels()[0].sum()
+
+
+def test_a_source_refuses_what_it_has_not() -> None:
+    frames = Frames.from_bytes(np.zeros((2, 4, 64), np.uint8), "numpy", bits=8, gray=LINEAR, scale=1.0, columns=64)
+    with pytest.raises(BadInput, match="row_bytes"):
+        FrameSource(frames, row_bytes=12)
+    source = FrameSource(frames, batch=2)
+    with pytest.raises(BadInput, match="there are 2"):
+        source.read(np.array([2]), np.zeros((2, *source.shape), np.uint8))
+    with pytest.raises(ShapeMismatch):
+        source.read(np.array([0]), np.zeros((1, *source.shape), np.uint8))
+    with pytest.raises(BadInput, match="frames 0 to 2"):
+        Feed(source, np.array([0, 1, 2]), Mirrors(), VirtualClock())
+
+
+# ---- ring --------------------------------------------------------------------------------------------------
+@given(st.lists(st.booleans(), max_size=60), st.integers(2, 5))
+def test_a_ring_keeps_order_and_never_holds_more_than_it_may(steps: list[bool], capacity: int) -> None:
+    ring, wrote, read = Ring(buffers(capacity, (1, 1))), 0, 0
+    for fill in steps:
+        if fill:
+            buffer = ring.claim()
+            assert (buffer is None) == (wrote - read == capacity)
+            if buffer is not None:
+                buffer[0] = wrote % 251
+                ring.commit(Batch(wrote, buffer, np.zeros(1, np.int64), 0))
+                wrote += 1
+        else:
+            head = ring.head()
+            assert (head is None) == (wrote == read)
+            if head is not None:
+                assert head.first == read and head.pictures[0, 0] == read % 251
+                ring.release()
+                read += 1
+    assert ring.fill == wrote - read
+
+
+def test_a_closed_ring_lets_everybody_go() -> None:
+    ring = Ring(buffers(2, (1, 1)))
+    waiting = threading.Thread(target=lambda: ring.head(30.0))
+    waiting.start()
+    ring.close()
+    waiting.join(5.0)
+    assert not waiting.is_alive() and ring.closed and ring.claim() is None
+    with pytest.raises(BadInput):
+        ring.release()
+    with pytest.raises(BadInput):
+        Ring(buffers(1, (1, 1)))
+
+
+def test_buffers_lie_on_pages_of_their_own_and_are_used_again() -> None:
+    made = buffers(3, (2, 8, 5, 7))
+    assert all(each.ctypes.data % 4096 == 0 and each.flags.c_contiguous and each.flags.writeable for each in made)
+    mirrors, seen = Mirrors(), set()
+    feed = Feed(numbered(40), np.arange(40), mirrors, VirtualClock(), batch=4, depth=3)
+    while not feed.done:
+        feed.pump()
+        head = feed.ring.head()
+        seen.add(head.pictures.ctypes.data if head else 0)
+        mirrors.trigger(4)
+    assert len(seen - {0}) <= 3
+
+
+# ---- feed --------------------------------------------------------------------------------------------------
+@given(st.lists(st.integers(0, 9), max_size=80), st.integers(1, 5), st.integers(2, 4), st.integers(0, 60))
+@settings(deadline=None)
+def test_pictures_arrive_once_and_in_order(triggers: list[int], batch: int, depth: int, count: int) -> None:
+    order = np.arange(count)[::-1].copy()
+    mirrors = Mirrors()
+    feed = Feed(numbered(count), order, mirrors, VirtualClock(), batch=batch, depth=depth)
+    for number in triggers:
+        feed.pump()
+        assert feed.uploaded - mirrors.shown() <= 2 * batch and feed.made - feed.uploaded <= depth * batch
+        mirrors.trigger(min(number, feed.uploaded - mirrors.shown()))
+    got = np.array(mirrors.taken, np.int64).ravel()
+    assert np.array_equal(got, order[: feed.uploaded] + 1)
+    assert np.array_equal(feed.sent[: feed.uploaded], got)
+
+
+def test_it_is_primed_when_mirrors_and_ring_are_full() -> None:
+    mirrors = Mirrors()
+    feed = Feed(numbered(100), np.arange(100), mirrors, VirtualClock(), batch=5, depth=4)
+    assert not feed.primed
+    feed.pump()
+    assert feed.primed and feed.uploaded == 10 and feed.made == 30 and not feed.done
+    short = Feed(numbered(3), np.arange(3), Mirrors(), VirtualClock(), batch=5)
+    short.pump()
+    assert short.primed and short.done
+
+
+def test_a_late_picture_is_black_and_never_comes_after_its_slot() -> None:
+    mirrors, clock = Mirrors(), VirtualClock()
+    feed = Feed(numbered(12), np.arange(12), mirrors, clock, batch=4, depth=2)
+    feed.make()
+    feed.upload()
+    clock.sleep(7)
+    assert [feed.black(), mirrors.shown()] == [4, 0]
+    mirrors.trigger(4)
+    assert feed.black() == 5
+    mirrors.trigger(2)
+    clock.sleep(5)
+    while not feed.done:
+        feed.pump()
+        mirrors.trigger(feed.uploaded - mirrors.shown())
+    shown = np.array(mirrors.taken).ravel().tolist()
+    assert shown == [1, 2, 3, 4, 0, 0, 7, 8, 9, 10, 11, 12]
+    assert {slot: (late.frame, late.missed, late.ready) for slot, late in feed.late.items()} == {
+        4: (4, 7, 12), 5: (5, 7, 12)
+    }  # fmt: skip
+    assert feed.sent[4] == feed.sent[5] == 0 and (np.diff(feed.arrived) >= 0).all()
+
+
+def test_threads_bring_the_same(clock: Clock | None = None) -> None:
+    count = 300
+    mirrors = Mirrors(batches=1000)
+    feed = Feed(numbered(200), np.arange(count) % 200, mirrors, clock or RealClock(), batch=8, depth=3)
+    feed.start()
+    waited = threading.Event()
+    for _ in range(500):
+        if feed.done:
+            break
+        feed.check()
+        waited.wait(0.01)
+    feed.stop()
+    assert feed.done and np.array_equal(np.array(mirrors.taken).ravel(), np.arange(count) % 200 + 1)
+
+
+def test_what_a_thread_fails_with_is_raised_where_the_print_runs() -> None:
+    class Broken(ArraySource):
+        def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
+            raise ZeroDivisionError("no pictures today")
+
+    feed = Feed(Broken(np.zeros((4, 1, 1), np.uint8)), np.arange(4), Mirrors(), RealClock())
+    feed.start()
+    for thread in threading.enumerate():
+        if thread.name == "feed make":
+            thread.join(5.0)
+    with pytest.raises(VamError, match="no pictures today"):
+        feed.check()
+    feed.stop()
+
+
+# ---- under-run ---------------------------------------------------------------------------------------------
+@given(st.lists(st.integers(0, 200), min_size=1, max_size=40))
+def test_a_web_bears_two_lost_poses_in_any_window(steps: list[int]) -> None:
+    policy, poses = WebUnderrun(window=360, allowed=2), np.cumsum(steps)
+    for number, pose in enumerate(poses):
+        lost = {int(p) for p in poses[: number + 1] if p > pose - 360}
+        assert policy.lost(int(pose)) is (Action.STOP if len(lost) > 2 else Action.BLACK)
+
+
+@given(st.integers(1, 12), st.integers(1, 4), st.lists(st.tuples(st.integers(1, 3), st.booleans()), max_size=80))
+def test_a_vial_owes_what_it_missed_and_pays_it_later(images: int, turns: int, steps: list[tuple[int, bool]]) -> None:
+    policy, pose, shown = VialUnderrun(images, turns * images), -1, np.zeros(images, int)
+    for step, ready in steps:
+        pose += step
+        shown[pose % images] += policy.show(pose, ready)
+        assert (shown <= turns).all() and not policy.show(pose - 1, True)
+    for later in range(pose + 1, pose + 1 + (2 * turns + 1) * images):
+        shown[later % images] += policy.show(later, True)
+    assert (shown == turns).all() and policy.owed == 0
+
+
+def test_a_vial_shows_in_added_turns_only_what_it_missed() -> None:
+    policy = VialUnderrun(10, 20)
+    shown = [pose for pose in range(40) if pose not in (3, 14) and policy.show(pose, pose != 7)]
+    assert policy.missed == 3 and policy.owed == 0
+    assert [pose for pose in shown if pose >= 20] == [23, 24, 27]
+    assert sorted(pose % 10 for pose in shown) == sorted([*range(10), *range(10)])
+
+
+# ---- preflight ---------------------------------------------------------------------------------------------
+def test_preflight_chooses_where_pictures_live_or_refuses_with_numbers() -> None:
+    mirrors = MirrorTiming(memory=31069)
+    long = web(7639, advance=0.0785398, speed=0.8, engines=mirrors, focus=())
+    short = long.window(0, 3000)
+    assert preflight(short, mirrors, 1e6).residence is Residence.RESIDENT
+    found = preflight(long, mirrors, 400e6, batch=16, depth=8)
+    assert found.residence is Residence.STREAMED and found.planes == 7639 * 8
+    assert found.demand == pytest.approx(0.8 / 0.0785398 * 8 * 1080 * 256)
+    assert found.freeze == pytest.approx(16 * 0.0785398 / 0.8) and found.stall == pytest.approx(9 * found.freeze)
+    assert preflight(long, mirrors, 1e6, bits=1).residence is Residence.RESIDENT
+    with pytest.raises(TimingInfeasible, match="MB/s") as refused:
+        preflight(long, mirrors, 20e6)
+    slower = web(7639, advance=0.0785398, speed=refused.value.speed, engines=mirrors)
+    assert 20e6 / (slower.rate * mirrors.nbytes(8)) == pytest.approx(MARGIN)
+    assert refused.value.limit == "data link"
+    with pytest.raises(TimingInfeasible, match="smaller batches"):
+        preflight(long, mirrors, 1e9, memory=100)
+
+
+def test_bandwidth_is_what_the_clock_says() -> None:
+    clock = VirtualClock()
+    speed = measure(lambda pictures: clock.sleep(pictures.nbytes * 4), np.zeros((8, 1000), np.uint8), clock, 2.0)
+    assert speed == pytest.approx(250e6)
+    with pytest.raises(BadInput):
+        measure(lambda pictures: None, np.zeros(0, np.uint8), clock)
+
+
+def test_a_job_for_other_mirrors_is_refused() -> None:
+    fits((1080, 1920), MirrorTiming())
+    with pytest.raises(WrongDevice, match="1140 × 912"):
+        fits((1080, 1920), HdmiTiming())
+    assert issubclass(WrongDevice, DeviceError)
