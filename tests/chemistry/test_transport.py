@@ -29,7 +29,7 @@ def noise(shape: tuple[int, int, int], seed: int = 0) -> np.ndarray:
 
 
 def test_heat_kernel_second_order_over_three_grids(device: Device) -> None:
-    diffusivities, begin, span = (0.010, 0.006, 0.008), 4.0, 1.0
+    diffusivities, begin, span = (0.010, 0.0075, 0.008), 4.0, 1.0
     errors = []
     for level in (1, 2, 4):
         shape = (18 * level, 18 * level, 14 * level)
@@ -37,7 +37,7 @@ def test_heat_kernel_second_order_over_three_grids(device: Device) -> None:
         box = Box(shape, (pitch[0], pitch[1], pitch[2]))
         walk = Transport(box, diffusivities, device=device)
         steps = 6 * level**2
-        assert diffusivities[0] * span / steps / pitch[0] ** 2 >= 0.1  # cell Fourier number
+        assert min(diffusivities) * span / steps / pitch[0] ** 2 >= 0.1  # cell Fourier number
         state = walk.start(*(heat_kernel(box, d, begin) for d in diffusivities))
         walk.advance(state, span, steps)
         found = {name: state.species(name).numpy() for name in SPECIES}
@@ -139,8 +139,7 @@ def test_oxygen_alone_follows_equation_12(device: Device) -> None:
         gone = gone + span / steps * (near + da)
     state = walk.start(first, 0.0, 0.0)
     walk.advance(state, span * length**2 / 3.27e-4, steps, device.upload(light))
-    assert np.abs(1.0 - state.a.numpy() / first - gone).max() < 0.03 * gone.max()
-    assert np.abs(1.0 - state.a.numpy() / first - gone).mean() < 0.003 * gone.max()
+    assert np.abs(1.0 - state.a.numpy() / first - gone).max() < 3e-5 * gone.max()
 
 
 def test_bad_input_is_refused_with_the_limit_it_broke(device: Device) -> None:
