@@ -83,7 +83,7 @@ def _printed(dose: np.ndarray, stop: float, noise: float, length: float, rng: np
 
 def _judged(printed: np.ndarray, pitch: float) -> Merit:
     try:
-        return merit(printed, pitch)
+        return merit(printed, pitch, pixel=pitch)
     except BadInput:  # nothing in the middle gelled: no disk, nothing connected to it
         return Merit((False,) * 7, (False,) * 7)
 
