@@ -16,7 +16,9 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
 
 HALVINGS = 22
-"""Of the range of UV in which the wanted W is looked for: to 1e-5 of two decades' span."""
+"""Of the decades of UV in which the wanted W is looked for: of eleven they leave 6e-6 of a value."""
+LEAST = 1e-9
+"""UV that counts as none, over the visible irradiance."""
 
 
 def exact_efficiency(alpha: float, beta: float = 0.0, stored: float = 0.0) -> float:
@@ -106,7 +108,7 @@ def uv_needed(
     """
     turn = replace(light, uv=1.0).at(radius, phase)
     turns = _turns((rates,), light, turn, 1.5 * (1.0 + positive("wanted", wanted)))
-    low = np.zeros(turn.sources)
+    low = np.full(turn.sources, LEAST * light.visible)
     high = np.full(turn.sources, positive("most", most) * light.visible)
 
     def exposed(uv: Floats) -> tuple[Floats, Floats]:
@@ -117,7 +119,6 @@ def uv_needed(
     if short.any():
         raise BadInput(f"{np.count_nonzero(short)} of {short.size} points do not reach W = {wanted:g} with "
                        f"{high[0]:g} mW/mm² of UV; raise most, the supply or the life of B")  # fmt: skip
-    low, high = np.full_like(low, 1e-9 * light.visible), high
     for _ in range(HALVINGS):
         middle = np.sqrt(low * high)
         enough = exposed(middle)[0] >= wanted
