@@ -48,8 +48,9 @@ class TunableLens:
             raise WrongDevice(
                 f"{answer!r} came from {self._wire.name} instead of Ready; check that the port is the lens driver's"
             )
-        self._wire.receive(1)
-        self._wire.drain()
+        for _ in range(4):
+            if not self._wire.receive(64):
+                break
         self.firmware = self.ask(ld4.FIRMWARE_TYPE).decode("ascii", "replace")
         if expected is not None and self.firmware != expected:
             raise WrongDevice(f"the lens driver has firmware type {self.firmware}, the configuration wants {expected}")
