@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.errors import BadInput, ShapeMismatch, WrongDevice
 from vamgpu.hosts.schedule import NONE
 from vamgpu.kernels.planes import pick_pictures, split_planes
 from vamgpu.kernels.signature import Kernel
@@ -70,23 +70,26 @@ class FrameSource:
     frames: of 8 bits, or of 1.  masks: focus planes; frame number = pose · planes + plane.  row_bytes: of a row in the
     mirrors' memory, a multiple of 8 for 8-bit frames; None: what is needed.  batch: pictures at once.  whole: leave
     8-bit pictures as bytes [row, column], for a video cable.  Pictures are uint8 [plane, row, byte] otherwise, the most
-    significant plane first. Raises `BadInput`, `ShapeMismatch`.
+    significant plane first.  size: rows and columns of the mirrors, in whose middle smaller pictures go; None for those
+    of the pictures. Raises `BadInput`, `ShapeMismatch`; `WrongDevice` for pictures larger than the mirrors.
     """
 
     def __init__(
         self, frames: Frames, *, masks: FocusMasks | None = None, row_bytes: int | None = None, batch: int = 8,
-        whole: bool = False,
+        whole: bool = False, size: tuple[int, int] | None = None,
     ) -> None:  # fmt: skip
         self._frames, self._device, self.batch = frames, frames.device, batch
-        count, rows, columns = frames.shape
+        count, *own = frames.shape
+        rows, columns = size or own
+        self._top, self._left = _middle((own[0], own[1]), (rows, columns), 8 if frames.bits == 1 else 1)
         self._kernel, step = (split_planes, 8) if frames.bits == 8 and not whole else (pick_pictures, 1)
         needed = columns if whole and frames.bits == 8 else -(-columns // (8 * step)) * step
         width = needed if row_bytes is None else row_bytes
         if width < -(-columns // 8) or width % step or (whole and width != columns):
             raise BadInput(f"row_bytes is {row_bytes!r}; wanted {needed} or more, in steps of {step}")
         self.planes = 1 if masks is None else masks.bins
-        shown = np.ones((1, columns), bool) if masks is None else masks.of_frames(frames)
-        shown = np.concatenate([shown, np.zeros((1, columns), bool)])  # the last shows nothing
+        shown = np.ones((1, own[1]), bool) if masks is None else masks.of_frames(frames)
+        shown = np.concatenate([shown, np.zeros((1, own[1]), bool)])  # the last shows nothing
         bits = shown.astype(np.uint8) * np.uint8(255) if frames.bits == 8 else np.packbits(shown, axis=1)
         self._masks = self._device.upload(bits, table=True)
         self._chosen = np.empty((batch, 2), np.int32)
@@ -111,7 +114,8 @@ class FrameSource:
         if lit.size and not 0 <= frames[lit].min() <= frames[lit].max() < self.frames:
             raise BadInput(f"pictures {frames[lit].min()} to {frames[lit].max()}; there are {self.frames}")
         chosen = self._device.upload(self._chosen, table=True)
-        bindings = {"images": self._frames.images, "masks": self._masks, "chosen": chosen}
+        place = {"top": self._top, "left": self._left}
+        bindings = {"images": self._frames.images, "masks": self._masks, "chosen": chosen, **place}
         if self._kernel is split_planes:
             self._device.launch(split_planes, **bindings, packed=self._staged, sent=self._sent)
         else:
@@ -121,3 +125,16 @@ class FrameSource:
             return self._sent.numpy().sum(axis=1, dtype=np.int64)[: len(frames)]
         levels = np.bitwise_count(out) if self._frames.bits == 1 else out
         return levels.reshape(self.batch, -1).sum(axis=1, dtype=np.int64)[: len(frames)]
+
+
+def _middle(own: tuple[int, int], size: tuple[int, int], step: int) -> tuple[int, int]:
+    """Rows, and bytes or columns, before pictures in the middle of mirrors. Raises `WrongDevice`, `BadInput`."""
+    if own[0] > size[0] or own[1] > size[1]:
+        raise WrongDevice(
+            f"the job's pictures have {own[0]} × {own[1]} pixels, the mirrors {size[0]} × {size[1]}: it was made for "
+            "another device; pack it again for this one, or check the rig's file"
+        )
+    left = (size[1] - own[1]) // 2
+    if left % step:
+        raise BadInput(f"pictures of 1 bit would begin at column {left} of the mirrors; wanted a multiple of {step}")
+    return (size[0] - own[0]) // 2, left // step

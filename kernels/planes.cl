@@ -3,9 +3,9 @@
 static inline uchar16 turned(uchar16 v) { return v.s76543210fedcba98; }
 
 static inline uchar16 part(__global const uchar *line, __global const uchar *mask, int column, int n_byte) {
-    if (column + 16 <= n_byte) return turned(vload16(0, line + column) & vload16(0, mask + column));
+    if (column >= 0 && column + 16 <= n_byte) return turned(vload16(0, line + column) & vload16(0, mask + column));
     uchar own[16];
-    for (int k = 0; k < 16; k++) own[k] = column + k < n_byte ? line[column + k] & mask[column + k] : 0;
+    for (int k = 0; k < 16; k++) own[k] = column + k >= 0 && column + k < n_byte ? line[column + k] & mask[column + k] : 0;
     return turned(vload16(0, own));
 }
 
@@ -44,26 +44,27 @@ static inline int sum_of(ulong8 x) {
 // An item takes 64 columns at a time and writes eight bytes of every plane.
 __kernel __attribute__((vec_type_hint(ulong8))) void split_planes(
     __global const uchar *restrict images, __global const uchar *restrict masks, __global const int *restrict chosen,
-    __global uchar *restrict packed, __global int *restrict sent,
-    int n_angle, int n_row, int n_byte, int n_bin, int n_picture, int n_width, int n_strip) {
+    int top, int left, __global uchar *restrict packed, __global int *restrict sent,
+    int n_angle, int n_line, int n_byte, int n_bin, int n_picture, int n_row, int n_width, int n_strip) {
     const int strip = get_global_id(0), picture = get_global_id(1);
     if (strip >= n_strip || picture >= n_picture) return;
     const int across = n_width / 8, blocks = n_row * across, run = (blocks + n_strip - 1) / n_strip;
     const int begin = min(strip * run, blocks), end = min(begin + run, blocks);
-    __global const uchar *image = images + (size_t)chosen[2 * picture] * n_row * n_byte;
+    __global const uchar *image = images + (size_t)chosen[2 * picture] * n_line * n_byte;
     __global const uchar *mask = masks + (size_t)chosen[2 * picture + 1] * n_byte;
     const size_t plane = (size_t)n_row * n_width;
     __global uchar *out = packed + 8 * plane * picture;
     int row = begin / across, block = begin % across, sum = 0;
     ulong8 few = 0;
     for (int b = begin; b < end; b++) {
-        __global const uchar *line = image + (size_t)row * n_byte;
+        const int y = row - top, column = 64 * block - left;
         ulong8 x = 0;
-        if (64 * block < n_byte) {
-            x.s01 = as_ulong2(part(line, mask, 64 * block, n_byte));
-            x.s23 = as_ulong2(part(line, mask, 64 * block + 16, n_byte));
-            x.s45 = as_ulong2(part(line, mask, 64 * block + 32, n_byte));
-            x.s67 = as_ulong2(part(line, mask, 64 * block + 48, n_byte));
+        if (y >= 0 && y < n_line && column < n_byte && column > -64) {
+            __global const uchar *line = image + (size_t)y * n_byte;
+            x.s01 = as_ulong2(part(line, mask, column, n_byte));
+            x.s23 = as_ulong2(part(line, mask, column + 16, n_byte));
+            x.s45 = as_ulong2(part(line, mask, column + 32, n_byte));
+            x.s67 = as_ulong2(part(line, mask, column + 48, n_byte));
             few += (x & 0x00FF00FF00FF00FFul) + (x >> 8 & 0x00FF00FF00FF00FFul);
             x = sort_bytes(turn_bits(x));
         }
@@ -86,14 +87,15 @@ __kernel __attribute__((vec_type_hint(ulong8))) void split_planes(
 
 #ifdef COMPILE_pick_pictures
 __kernel void pick_pictures(__global const uchar *restrict images, __global const uchar *restrict masks,
-                            __global const int *restrict chosen, __global uchar *restrict picked,
-                            int n_angle, int n_row, int n_byte, int n_bin, int n_picture, int n_width) {
+                            __global const int *restrict chosen, int top, int left, __global uchar *restrict picked,
+                            int n_angle, int n_line, int n_byte, int n_bin, int n_picture, int n_row, int n_width) {
     const int byte = get_global_id(0), row = get_global_id(1), picture = get_global_id(2);
     if (byte >= n_width || row >= n_row || picture >= n_picture) return;
     uchar value = 0;
-    if (byte < n_byte)
-        value = images[((size_t)chosen[2 * picture] * n_row + row) * n_byte + byte] &
-                masks[(size_t)chosen[2 * picture + 1] * n_byte + byte];
+    const int y = row - top, x = byte - left;
+    if (y >= 0 && y < n_line && x >= 0 && x < n_byte)
+        value = images[((size_t)chosen[2 * picture] * n_line + y) * n_byte + x] &
+                masks[(size_t)chosen[2 * picture + 1] * n_byte + x];
     picked[((size_t)picture * n_row + row) * n_width + byte] = value;
 }
 #endif

@@ -11,12 +11,12 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.signature import Table, Tiling, kernel
+from vamgpu.kernels.signature import Integer, Table, Tiling, kernel
 
 BLOCK = 64
 """Columns split together; rows of planes are whole blocks."""
 
-Images = Annotated[np.ndarray, Table("uint8", ("angle", "row", "byte"))]
+Images = Annotated[np.ndarray, Table("uint8", ("angle", "line", "byte"))]
 Masks = Annotated[np.ndarray, Table("uint8", ("bin", "byte"))]
 Chosen = Annotated[np.ndarray, Table("int32", ("picture", "2"))]
 Packed = Annotated[np.ndarray, Table("uint8", ("picture", "8", "row", "width"), writes=True)]
@@ -24,12 +24,21 @@ Picked = Annotated[np.ndarray, Table("uint8", ("picture", "row", "width"), write
 Sent = Annotated[np.ndarray, Table("int32", ("picture", "strip"), writes=True)]
 
 
+def put(whole: np.ndarray, part: np.ndarray, top: int, left: int) -> None:
+    """Write a picture into a larger one, whatever lies over its edges left out."""
+    room = whole[top : top + part.shape[0], left : left + part.shape[1]]
+    room[...] = part[: room.shape[0], : room.shape[1]]
+
+
 @kernel(over="sent", gpu=Tiling(group=(128, 1)))
-def split_planes(images: Images, masks: Masks, chosen: Chosen, packed: Packed, sent: Sent) -> None:
+def split_planes(
+    images: Images, masks: Masks, chosen: Chosen, top: Integer, left: Integer, packed: Packed, sent: Sent
+) -> None:  # fmt: skip
     """packed = the bit planes of the 8-bit pictures images[angle] & masks[bin], (angle, bin) = chosen[picture].
 
-    sent: sum of the levels in each strip; strips are equal runs of blocks of 64 columns, row by row, the last one cut.
-    width: a multiple of 8.
+    top, left: rows and columns of mirrors before the first of the picture, ≥ 0; all around it is dark.  sent: sum of
+    the levels in each strip; strips are equal runs of blocks of 64 columns, row by row, the last one cut.  width: a
+    multiple of 8.
     """
     pictures, _, rows, width = packed.shape
     strips = sent.shape[1]
@@ -38,7 +47,7 @@ def split_planes(images: Images, masks: Masks, chosen: Chosen, packed: Packed, s
     for picture in range(pictures):
         angle, focus = chosen[picture]
         levels = np.zeros((rows, 8 * width), np.uint8)
-        levels[:, : images.shape[2]] = images[angle] & masks[focus]
+        put(levels, images[angle] & masks[focus], top, left)
         for plane in range(8):
             packed[picture, plane] = np.packbits((levels >> (7 - plane)) & 1, axis=-1)
         sums = levels.reshape(blocks, BLOCK).sum(axis=1, dtype=np.int64)
@@ -46,11 +55,13 @@ def split_planes(images: Images, masks: Masks, chosen: Chosen, packed: Packed, s
 
 
 @kernel(over="picked")
-def pick_pictures(images: Images, masks: Masks, chosen: Chosen, picked: Picked) -> None:
-    """picked = images[angle] & masks[bin] with (angle, bin) = chosen[picture], byte by byte; rows are filled up with 0.
+def pick_pictures(
+    images: Images, masks: Masks, chosen: Chosen, top: Integer, left: Integer, picked: Picked
+) -> None:  # fmt: skip
+    """picked = images[angle] & masks[bin] with (angle, bin) = chosen[picture], byte by byte, and 0 around it.
 
-    Bytes are levels, or eight columns each where pictures are of one bit.
+    Bytes are levels, or eight columns each where pictures are of one bit; left counts them.
     """
     picked[...] = 0
     for picture, (angle, focus) in enumerate(chosen):
-        picked[picture, :, : images.shape[2]] = images[angle] & masks[focus]
+        put(picked[picture], images[angle] & masks[focus], top, left)

@@ -23,13 +23,16 @@ def split_planes(
     images: wp.array3d(dtype=wp.uint8),
     masks: wp.array2d(dtype=wp.uint8),
     chosen: wp.array2d(dtype=int),
+    top: int,
+    left: int,
     packed: wp.array4d(dtype=wp.uint8),
     sent: wp.array2d(dtype=int),
     n_angle: int,
-    n_row: int,
+    n_line: int,
     n_byte: int,
     n_bin: int,
     n_picture: int,
+    n_row: int,
     n_width: int,
     n_strip: int,
 ):
@@ -41,19 +44,19 @@ def split_planes(
     focus = chosen[picture, 1]
     total = int(0)
     for word in range(8 * wp.min(strip * run, blocks), 8 * wp.min((strip + 1) * run, blocks)):
-        row = word // n_width
+        row = word // n_width - top
         byte = word % n_width
         bits = wp.uint64(0)
         for k in range(8):
-            column = 8 * byte + k
+            column = 8 * byte + k - left
             bits = bits << wp.uint64(8)
-            if column < n_byte:
+            if row >= 0 and row < n_line and column >= 0 and column < n_byte:
                 level = images[angle, row, column] & masks[focus, column]
                 total += int(level)
                 bits = bits | wp.uint64(level)
         bits = turn_bits(bits)
         for plane in range(8):
-            packed[picture, 7 - plane, row, byte] = wp.uint8((bits >> wp.uint64(8 * plane)) & wp.uint64(255))
+            packed[picture, 7 - plane, row + top, byte] = wp.uint8((bits >> wp.uint64(8 * plane)) & wp.uint64(255))
     sent[picture, strip] = total
 
 
@@ -62,16 +65,21 @@ def pick_pictures(
     images: wp.array3d(dtype=wp.uint8),
     masks: wp.array2d(dtype=wp.uint8),
     chosen: wp.array2d(dtype=int),
+    top: int,
+    left: int,
     picked: wp.array3d(dtype=wp.uint8),
     n_angle: int,
-    n_row: int,
+    n_line: int,
     n_byte: int,
     n_bin: int,
     n_picture: int,
+    n_row: int,
     n_width: int,
 ):
     picture, row, byte = wp.tid()
     value = wp.uint8(0)
-    if byte < n_byte:
-        value = images[chosen[picture, 0], row, byte] & masks[chosen[picture, 1], byte]
+    y = row - top
+    x = byte - left
+    if y >= 0 and y < n_line and x >= 0 and x < n_byte:
+        value = images[chosen[picture, 0], y, x] & masks[chosen[picture, 1], x]
     picked[picture, row, byte] = value

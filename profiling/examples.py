@@ -248,10 +248,12 @@ def _bits(n: int) -> Example:
 def _planes(n: int, bits: int = 8) -> Example:
     rng = np.random.default_rng(5)
     chosen = np.stack([np.arange(6) % 4, np.arange(6) % 3], axis=1)
-    given = {"masks": 255 * rng.integers(0, 2, (3, n + 5)), "chosen": chosen,
+    given = {"masks": 255 * rng.integers(0, 2, (3, n + 5)), "chosen": chosen, "top": 2, "left": 3,
              "images": rng.integers(0, 256, (4, n, n + 5))}  # fmt: skip
     width = 8 * -(-(n + 5) // 64) if bits == 8 else n + 9
-    return Example({"angle": 4, "row": n, "byte": n + 5, "bin": 3, "picture": 6, "width": width, "strip": n}, given)
+    return Example(
+        {"angle": 4, "line": n, "byte": n + 5, "bin": 3, "picture": 6, "row": n + 3, "width": width, "strip": n}, given
+    )
 
 
 def _rebinned(n: int) -> Example:

@@ -106,6 +106,20 @@ def test_focus_planes_share_out_every_pixel_once(device: Device) -> None:
     assert np.array_equal(out[0] | out[1] | out[2], alone[0]) and not alone[1:].any()
 
 
+@pytest.mark.parametrize("bits", [1, 8])
+def test_small_pictures_go_to_the_middle(device: Device, bits: int) -> None:
+    frames = frames_of(device, bits)
+    source = FrameSource(frames, row_bytes=16, batch=1, size=(12, 93))
+    out = buffers(1, (1, *source.shape))[0]
+    sent = source.read(np.array([3]), out)
+    shown = np.packbits(np.unpackbits(out[0], axis=-1), axis=0, bitorder="big")  # planes to levels
+    levels = np.zeros((12, 128), np.uint8)
+    levels[1:10, 8:85] = frames.levels()[3]
+    assert np.array_equal(shown[0] >> (8 - bits), levels) and sent[0] == levels.sum(dtype=int)
+    with pytest.raises(WrongDevice, match="77 pixels, the mirrors 12 × 64"):
+        FrameSource(frames, size=(12, 64))
+
+
 def test_a_video_cable_gets_bytes(device: Device) -> None:
     frames = frames_of(device, 8)
     source = FrameSource(frames, whole=True, batch=2)
