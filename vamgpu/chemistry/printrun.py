@@ -25,8 +25,8 @@ Progress = Callable[[int, Concentrations], None]
 class PrintRun:
     """Turns of a dual-color print: light of a pose, through the C there is, for a frame's time; then the next pose.
 
-    turn: seconds a turn takes.  turns: how many.  steps: of transport a frame, by default the fewest that are stable (see
-    `Transport.advance`).
+    turn: seconds a turn takes.  turns: how many.  steps: of transport a frame, by default the fewest that are stable
+    (see `Transport.advance`).
     Raises `BadInput`, `UnstableStep`. Source: paper, "Reactive Transport Simulation".
     """
 

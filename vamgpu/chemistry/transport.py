@@ -132,7 +132,8 @@ class Transport:
         """Advance a state in place under constant light, fields [mW/mm²] of both colors, dark where not given.
 
         steps: equal steps, by default the fewest that are stable, which diffusion alone decides. Reactions stay above
-        zero at any step, but their error is of its first order: where diffusion is slow, ask for more. Raises `UnstableStep`, `BadInput`.
+        zero at any step, but their error is of its first order: where diffusion is slow, ask for more.
+        Raises `UnstableStep`, `BadInput`.
         """
         span = positive("seconds", seconds)
         count = self.steps(span) if steps is None else counts("steps", (steps,), 1)[0]

@@ -63,9 +63,9 @@ def dualcolor(
         f"visible and {uv:g} for UV light. Above, effective doses over D_in,max; below, what has at least 0.75 of it: "
         "right in black, missing in blue, too much in red. SC projects the design, SC2 corrects one sinogram with 75 % "
         "allowed around the part, DC subtracts UV dose. The text's rule paints the UV light anew in each pass; since "
-        "the visible light adds up and the UV light does not, oversupply comes back. Here it takes UV "
-        "light that adds up as well for a contrast like the paper's; least squares over both sinograms goes further. Doses are linear here: "
-        "no chemistry, no depletion."
+        "the visible light adds up and the UV light does not, oversupply comes back. Here it takes UV light that adds "
+        "up as well for a contrast like the paper's; least squares over both sinograms goes further. Doses are linear "
+        "here: no chemistry, no depletion."
     )
     return Picture(figure, caption, facts, Table(header, ("+.3f", ".3f", "+.3f", "+.3f", ".3f", ".3f", ".3f", ".4f",
                    ".4f"), rows), (PAPER,))  # fmt: skip
