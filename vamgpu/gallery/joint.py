@@ -22,6 +22,7 @@ from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 ALPHA, PAIRING = 0.2138, 0.432
 """k_B/k_A and k₂·[A]₀ [1/s] as fitted to the measured induction times."""
@@ -56,20 +57,7 @@ def joint(
     fractions, near = target.numpy(), target.grid.cylinder()[:, :, None]
     doses = {name: plan.effective_dose(model).numpy() for name, plan in plans.items()}
     found = {name: plan.contrast(model) for name, plan in plans.items()}
-    figure, axes = style.sheet("abcd;efgh;iiij", 8.4, height_ratios=(1.0, 1.0, 0.95))
-    style.shown(axes["a"], fractions[:, :, 0], "part", cmap=style.SOLID)
-    for (top, below), (name, dose) in zip(("be", "cf", "dg"), doses.items(), strict=True):
-        style.shown(axes[top], dose[:, :, 0], LABELS[name], vmin=-0.2, vmax=1.5)
-        print_ = verdict((dose >= 1.0)[:, :, 0], fractions[:, :, 0] >= 0.5)
-        axes[below].imshow(print_.transpose(1, 0, 2), origin="lower", interpolation="nearest")
-        style.bare(axes[below])
-        axes[below].grid(False)
-    style.shown(axes["h"], plans["joint"].ultraviolet.numpy()[:, :, 0], "ultraviolet light", cmap=style.LIGHT)
-    axes["h"].set(xlabel="angle", ylabel="r", aspect="auto")
-    _spread(axes["i"], doses, fractions, np.broadcast_to(near, fractions.shape))
-    for name, plan in plans.items():
-        axes["j"].semilogy([s.loss for s in plan.history], color=HUES[name], label=LABELS[name])
-    axes["j"].set(title="Loss over iterations", xlabel="iteration")
+    figure = _drawn(plans, doses, fractions, near)
     promised = plans["linear"].contrast()
     rows = tuple((LABELS[name], _row(plan, model, before, firm)) for name, plan in plans.items())
     facts = (
@@ -82,18 +70,25 @@ def joint(
     )
     header = ("light", "D in, least", "D out, most", "window", "bulk", "uncured [%]", "overcured [%]", "D in before "
               "the last turn", "seconds")  # fmt: skip
-    caption = (
-        f"{n} × {n} voxels, {poses} angles, {turns:.0f} turns of {period:g} s. Shown are effective doses: 1 is the end "
-        "of the induction; what ultraviolet adds to the inhibitors counts as visible dose still to be sent. Light "
-        "arrives in the order of rotation, each color is attenuated by itself (μR = 0.5), C is used up, and B pairs up "
-        f"in between: α = {ALPHA:g} and k₂ = {PAIRING:g}/s are those fitted to the measured induction times; "
-        f"[C]₀ = {supply:g} [A]₀ is assumed. The linear model, visible − k·ultraviolet, knows no order and no decay, "
-        "and so counts on ultraviolet that is long forgotten; the kinetics, differentiated exactly through all turns, "
-        "put it where and when it lasts. Middle row, all with dose ≥ 1: right in black, missing in blue, too much in "
-        "red."
-    )
+    early = sum(values[-2] >= 1.0 for _, values in rows)
     formats = ("+.3f", "+.3f", "+.3f", "+.3f", ".2f", ".2f", ".3f", ".1f")
-    return Picture(figure, caption, facts, Table(header, formats, rows), plans["joint"].papers)
+    return Picture(figure, _caption(n, poses, model, early), facts, Table(header, formats, rows), plans["joint"].papers)
+
+
+def _caption(size: int, poses: int, model: KineticModel, early: int) -> str:
+    """early: how many kinds of light pass the end of the induction before the last turn."""
+    turns, supply = f"{model.turns} turns of {model.period:g} s", f"{model.resin.supply:g}"
+    return (
+        f"{size} × {size} voxels, {poses} angles, {turns}. Shown are effective doses: 1 is the end of the induction; "
+        "what ultraviolet adds to the inhibitors counts as visible dose still to be sent. Light arrives in the order "
+        "of rotation, each color is attenuated by itself (μR = 0.5), C is used up, and B pairs up in between: α = "
+        f"{ALPHA:g} and k₂ = {PAIRING:g}/s are those fitted to the measured induction times; [C]₀ = {supply} [A]₀ is "
+        "assumed. The linear model, visible − k·ultraviolet, knows no order and no decay, "
+        "and so counts on ultraviolet that is long forgotten; the kinetics, differentiated exactly through all turns, "
+        "put it where and when it lasts. Nothing here asks that the part stays clear before the last turn: in "
+        f"{early} of {len(LABELS)} its greatest dose is beyond 1 by then. Middle row, all with dose ≥ 1: right in "
+        "black, missing in blue, too much in red."
+    )
 
 
 def round_slice(n: int) -> Target:
@@ -113,6 +108,26 @@ def round_colors(
     vats = (Vat(2.0 * radius, radius=radius, absorption=mu / radius) for mu in extinctions)
     visible, ultraviolet = (Projection(grid, beam, Turntable(poses), vat, device) for vat in vats)
     return visible, ultraviolet
+
+
+def _drawn(
+    plans: dict[str, ColorPlan], doses: dict[str, np.ndarray], fractions: np.ndarray, near: np.ndarray
+) -> Figure:  # fmt: skip
+    figure, axes = style.sheet("abcd;efgh;iiij", 8.4, height_ratios=(1.0, 1.0, 0.95))
+    style.shown(axes["a"], fractions[:, :, 0], "part", cmap=style.SOLID)
+    for (top, below), (name, dose) in zip(("be", "cf", "dg"), doses.items(), strict=True):
+        style.shown(axes[top], dose[:, :, 0], LABELS[name], vmin=-0.2, vmax=1.5)
+        print_ = verdict((dose >= 1.0)[:, :, 0], fractions[:, :, 0] >= 0.5)
+        axes[below].imshow(print_.transpose(1, 0, 2), origin="lower", interpolation="nearest")
+        style.bare(axes[below])
+        axes[below].grid(False)
+    style.shown(axes["h"], plans["joint"].ultraviolet.numpy()[:, :, 0], "ultraviolet light", cmap=style.LIGHT)
+    axes["h"].set(xlabel="angle", ylabel="r", aspect="auto")
+    _spread(axes["i"], doses, fractions, np.broadcast_to(near, fractions.shape))
+    for name, plan in plans.items():
+        axes["j"].semilogy([s.loss for s in plan.history], color=HUES[name], label=LABELS[name])
+    axes["j"].set(title="Loss over iterations", xlabel="iteration")
+    return figure
 
 
 def _row(plan: ColorPlan, model: KineticModel, before: KineticModel, firm: float) -> tuple[float, ...]:

@@ -27,6 +27,7 @@ from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 PLAIN = TwoColorResin(visible=1.0, ultraviolet=1.0, supply=0.5, alpha=1.0)
 """Of the linear model with k = 1."""
@@ -61,13 +62,8 @@ def printability(
     cases = disturbances(dose=off, axis=axis)
     worst = {"one color": TurnDoses.worst(*one.doses(fractions, cases)),
              "two colors": TurnDoses.worst(*two.doses(fractions, cases))}  # fmt: skip
-    figure, axes = style.sheet("abcde;fffgg", 6.4, height_ratios=(1.0, 1.15))
-    scenes = _scenes(single, dual, resin, int(turns))
-    for letter, scene in zip("abcde", scenes, strict=True):
-        _turns(axes[letter], scene, critical)
     every = {"one color": single, "two colors": dual}
-    _map(axes["f"], every, worst, resin, critical)
-    _extremes(axes["g"], every, worst)
+    figure = _drawn(_scenes(single, dual, resin, int(turns)), every, worst, resin)
     window = power_window(dual, resin, int(turns))
     plan = plan_exposure(two, int(turns), window.middle, visible_limit=limit, ultraviolet_limit=limit)
     facts = (
@@ -84,15 +80,7 @@ def printability(
         Fact("brightest visible pixel", plan.visible_peak, "mW/cm²", 4, limit, "projector", "≤"),
         Fact("brightest ultraviolet pixel", plan.ultraviolet_peak, "mW/cm²", 4, limit, "projector", "≤"),
     )  # fmt: skip
-    rows = []
-    for name, doses in every.items():
-        for label, value in ((name, doses), (f"{name}, worst case", worst[name])):
-            found = power_window(value, resin, int(turns))
-            rows.append((label, (value.in_least / value.in_most, value.out_most / value.in_most,
-                                 100 * found.tolerance, float(min(most_turns(value, resin), 999)))))  # fmt: skip
-    header = ("light", "D in, least / most", "D out, most / D in, most", f"power off by at {turns:.0f} turns [%]",
-              "most turns")  # fmt: skip
-    table = Table(header, (".3f", "+.3f", ".1f", ".0f"), tuple(rows))
+    table = _table(every, worst, resin, int(turns))
     caption = (
         f"Doses after every turn of all points of the part (blue, D_in,min to D_in,max) and of the point outside that "
         f"gets most (red), over T_opt; the dashed line is T_mec = {firm:g} T_opt. (a) Before the last turn no point of "
@@ -104,6 +92,29 @@ def printability(
         f"T_opt = {critical:g} mJ/mm³ is assumed, not measured; 999 stands for any number of turns."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
+
+
+def _drawn(
+    scenes: tuple[_Scene, ...], every: dict[str, TurnDoses], worst: dict[str, TurnDoses], resin: Thresholds
+) -> Figure:  # fmt: skip
+    figure, axes = style.sheet("abcde;fffgg", 6.4, height_ratios=(1.0, 1.15))
+    for letter, scene in zip("abcde", scenes, strict=True):
+        _turns(axes[letter], scene, resin.optical)
+    _map(axes["f"], every, worst, resin)
+    _extremes(axes["g"], every, worst)
+    return figure
+
+
+def _table(every: dict[str, TurnDoses], worst: dict[str, TurnDoses], resin: Thresholds, turns: int) -> Table:
+    rows = []
+    for name, doses in every.items():
+        for label, value in ((name, doses), (f"{name}, worst case", worst[name])):
+            found = power_window(value, resin, turns)
+            rows.append((label, (value.in_least / value.in_most, value.out_most / value.in_most,
+                                 100 * found.tolerance, float(min(most_turns(value, resin), 999)))))  # fmt: skip
+    header = ("light", "D in, least / most", "D out, most / D in, most", f"power off by at {turns} turns [%]",
+              "most turns")  # fmt: skip
+    return Table(header, (".3f", "+.3f", ".1f", ".0f"), tuple(rows))
 
 
 def _lights(
@@ -148,7 +159,7 @@ def _turns(axis: Axes, scene: _Scene, critical: float) -> None:
 
 
 def _map(
-    axis: Axes, every: dict[str, TurnDoses], worst: dict[str, TurnDoses], resin: Thresholds, critical: float
+    axis: Axes, every: dict[str, TurnDoses], worst: dict[str, TurnDoses], resin: Thresholds
 ) -> None:  # fmt: skip
     most = 8
     number = np.arange(1, most + 1)
