@@ -74,14 +74,16 @@ class Executor:
     place and ``policy`` is asked.  poll: between looks at the counter [ns]; by default a quarter of the guard's time.
     patience: longest without a trigger [ns].  preroll, pulse: black pictures shown before the light opens, by calling
     ``pulse`` once for each, after which the counter must agree: some mirrors show an unpredictable first picture.
-    watch: called at every look with the slot that is shown, to renew leases and compare positions; what it raises
-    ends the print.
+    triggers: how many triggers the controller has sent, where it counts them: mirrors that count fewer have missed one,
+    and every later picture would be at a wrong pose, so that ends the print.  watch: called at every
+    look with the slot that is shown, to renew leases and compare positions; what it raises ends the print.
     """
 
     def __init__(
         self, schedule: Schedule, feed: Feed, sink: Sink, light: Light, motion: Motion, clock: Clock, *,
         policy: WebUnderrun | None = None, guard: int = 2, poll: int | None = None, patience: int | None = None,
-        preroll: int = 0, pulse: Callable[[], None] | None = None, watch: Callable[[int], None] | None = None,
+        preroll: int = 0, pulse: Callable[[], None] | None = None, triggers: Callable[[], int] | None = None,
+        watch: Callable[[int], None] | None = None,
     ) -> None:  # fmt: skip
         if len(feed) != len(schedule):
             raise BadInput(f"the feed has {len(feed)} pictures, the schedule {len(schedule)} slots; use one job")
@@ -92,7 +94,7 @@ class Executor:
         self._policy = WebUnderrun() if policy is None else policy
         slot = int(np.diff(schedule.light).min()) if len(schedule) > 1 else max(schedule.duration, 1)
         longest = int(np.diff(schedule.light, prepend=0).max()) if len(schedule) else 0
-        self._guard, self._preroll, self._pulse = guard, preroll, pulse
+        self._guard, self._preroll, self._pulse, self._triggers = guard, preroll, pulse, triggers
         self._poll = max(guard * slot // 4, 1) if poll is None else poll
         self._patience = max(3 * longest, SECOND // 4) if patience is None else patience
         self.began = NONE
@@ -165,7 +167,13 @@ class Executor:
             self._keep_ahead(shown)
             self._watch(shown)
             self._clock.sleep_until(self._clock.now() + self._poll)
+            sent = self._triggers() if self._triggers is not None else 0  # before the mirrors are asked
             count = self._count()
+            if sent > count + self._preroll:
+                raise Underrun(
+                    f"the controller sent {sent} triggers, the mirrors counted {count + self._preroll}: pictures are "
+                    "no longer where they belong; check the trigger line, and whether the host stood still"
+                )
             if count != shown:
                 shown, seen = count, self._clock.now()
             elif self._clock.now() - seen > self._patience:

@@ -200,6 +200,19 @@ def test_no_trigger_puts_the_light_out() -> None:
     assert since < 300_000_000
 
 
+def test_a_trigger_that_the_mirrors_missed_ends_the_print() -> None:
+    rig = WebRig(roll(100))
+    feed = Feed(coded(300), rig.schedule.frame, rig, rig.clock, batch=16, depth=4)
+    sent = rig.triggered
+    rig.triggered = lambda since: max(sent(since) - (since > SECOND), 0)  # type: ignore[method-assign]
+    executor = Executor(
+        rig.schedule, feed, rig, rig, rig, rig.clock, triggers=lambda: sent(rig.clock.now() - rig.moves)
+    )
+    with pytest.raises(Underrun, match="sent 31 triggers, the mirrors counted 30"):
+        executor.run()
+    assert rig.did == ["on", "start", "off", "stop"]
+
+
 def test_what_the_watch_raises_ends_the_print_dark() -> None:
     rig, seen = WebRig(roll(100)), []
 

@@ -1,0 +1,168 @@
+"""How many pictures a second go from a device to mirrors without one late, and what splitting them into planes costs.
+
+    python profiling/feed.py --device opencl:intel:0 --seconds 10
+
+The mirrors are memory that is copied to and a counter that real time advances; the feed is that of a print. A rate is
+sustained if no picture comes later than its trigger; the greatest is searched for by halving. The last line of each bit
+depth is the greatest rate again, with its lateness and the host's share of a core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+import time
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+import vamgpu
+from vamgpu.backend.device import Device
+from vamgpu.errors import Underrun
+from vamgpu.hosts.clock import RealClock
+from vamgpu.hosts.executor import Executor
+from vamgpu.hosts.feed import Feed
+from vamgpu.hosts.limits import MirrorTiming
+from vamgpu.hosts.moving import turned
+from vamgpu.hosts.sources import FrameSource
+from vamgpu.kernels.planes import split_planes
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+
+ROWS, COLUMNS, ROW_BYTES, BATCH = 1080, 1920, 256, 8
+
+
+@dataclass(frozen=True)
+class Sustained:
+    """A rate and how it went: lateness [ms], negative where early; cores: of the host's time."""
+
+    bits: int
+    rate: float
+    pictures: int
+    lost: int
+    p50: float
+    p99: float
+    most: float
+    cores: float
+
+    @property
+    def good(self) -> bool:
+        """Whether every picture was there before its trigger."""
+        return not self.lost and self.most < 0
+
+
+class Memory:
+    """Mirrors: two batches of room, copied to, and triggered as time goes."""
+
+    def __init__(self, shape: tuple[int, ...], triggers: np.ndarray, clock: RealClock) -> None:
+        self._memory = np.zeros((2, BATCH, *shape), np.uint8)
+        self._triggers, self._clock, self._ends, self._began = triggers, clock, [0], 0
+
+    def shown(self) -> int:
+        return int(np.searchsorted(self._triggers, self._clock.now() - self._began)) if self._began else 0
+
+    def room(self) -> bool:
+        return len(self._ends) < 3 or self._ends[-2] <= self.shown()
+
+    def put(self, pictures: np.ndarray) -> None:
+        self._memory[len(self._ends) % 2, : len(pictures)] = pictures
+        self._ends.append(self._ends[-1] + len(pictures))
+
+    def start(self) -> None:
+        self._began = self._clock.now()
+
+    def stop(self) -> None:
+        pass
+
+    def on(self, power: float) -> None:
+        pass
+
+    def off(self, why: str) -> None:
+        pass
+
+
+def frames_on(device: Device, bits: int, count: int = 12) -> Frames:
+    """Random pictures, more than any cache holds."""
+    width = COLUMNS if bits == 8 else COLUMNS // 8
+    images = np.random.default_rng(0).integers(0, 256, (count, ROWS, width), dtype=np.uint8)
+    return Frames(device.upload(images, table=True), bits=bits, gray=GrayCurve.linear(), scale=1.0, columns=COLUMNS)
+
+
+def trial(frames: Frames, rate: float, seconds: float) -> Sustained:
+    """Run at a rate for so long."""
+    count = max(int(rate * seconds), 4 * BATCH)
+    mirrors = MirrorTiming(picture={8: 1e-6, 1: 1e-6})
+    schedule = turned(count, speed=360.0 * rate / count, engines=mirrors, bits=frames.bits)
+    source, clock = FrameSource(frames, row_bytes=ROW_BYTES, batch=BATCH), RealClock()
+    memory = Memory(source.shape, schedule.trigger, clock)
+    order = np.arange(count) % source.frames
+    feed = Feed(source, order, memory, clock, batch=BATCH, depth=8)
+    executor = Executor(schedule, feed, memory, memory, memory, clock, guard=1)
+    feed.start()
+    before = time.process_time()
+    with suppress(Underrun):
+        executor.run()
+    ran, spent = executor.ran(), time.process_time() - before
+    late = 1e-6 * np.percentile(ran.late, [50, 99, 100])
+    return Sustained(frames.bits, rate, ran.shown, len(ran.lost), *late, spent / max(1e-9 * ran.duration, 1e-9))
+
+
+def greatest(frames: Frames, seconds: float) -> Sustained:
+    """The greatest rate without a picture lost, within 5 %."""
+    low, high = 0.0, 50.0
+    while trial(frames, high, 0.3 * seconds).good and high < 50_000:
+        low, high = high, 2 * high
+    while high - low > 0.05 * high:
+        middle = 0.5 * (low + high)
+        good = trial(frames, middle, 0.3 * seconds).good
+        low, high = (middle, high) if good else (low, middle)
+    while not (found := trial(frames, low, seconds)).good and low > 1:
+        low *= 0.9
+    return found
+
+
+def packing(device: Device, frames: Frames) -> dict[str, float]:
+    """Milliseconds a picture to split into planes on the device, and with NumPy, taken alternately."""
+    source, order = FrameSource(frames, row_bytes=ROW_BYTES, batch=BATCH), np.arange(BATCH)
+    out, times = np.empty((BATCH, *source.shape), np.uint8), ([], [])
+    source.read(order, out)
+    tables = source._frames.images, source._masks, source._staged, source._sent
+    chosen = device.upload(source._chosen, table=True)
+    pictures = frames.levels()
+    for _ in range(15):
+        begin = time.perf_counter()
+        device.launch(split_planes, images=tables[0], masks=tables[1], chosen=chosen, top=0, left=0,
+                      packed=tables[2], sent=tables[3])  # fmt: skip
+        device.synchronize()
+        times[0].append((time.perf_counter() - begin) / BATCH)
+        begin = time.perf_counter()
+        for bit in range(8):
+            out[0, bit, :, : COLUMNS // 8] = np.packbits((pictures[0] >> (7 - bit)) & 1, axis=-1)
+        times[1].append(time.perf_counter() - begin)
+    own, theirs = (1e3 * float(np.median(each)) for each in times)
+    best, their_best = (1e3 * min(each) for each in times)
+    found = {"device_ms": own, "numpy_ms": theirs, "ratio": theirs / own}
+    return {**found, "device_best_ms": best, "numpy_best_ms": their_best, "ratio_of_best": their_best / best}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--device", default=None)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    asked = parser.parse_args()
+    logging.disable(logging.WARNING)  # rates that fail are what is looked for
+    device = vamgpu.open_device(asked.device)
+    eight = frames_on(device, 8)
+    report = {"device": device.name, "packing": packing(device, eight)}
+    report["sustained"] = [asdict(greatest(frames_on(device, bits), asked.seconds)) for bits in (8, 1)]
+    for rate in (30.56, 40.0):
+        report[f"at {rate:g}"] = asdict(trial(eight, rate, asked.seconds))
+    print(json.dumps(report, indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
