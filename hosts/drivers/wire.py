@@ -80,6 +80,7 @@ class Wire:
         self.port = port
         self.name = name
         self.lock = threading.RLock()
+        self._ahead = bytearray()
 
     def send(self, data: bytes) -> None:
         """Send all bytes."""
@@ -90,36 +91,43 @@ class Wire:
 
     def receive(self, size: int) -> bytes:
         """Receive ``size`` bytes, or fewer if they do not come in time."""
-        received = b""
         try:
-            while len(received) < size:
-                more = self.port.read(size - len(received))
+            while len(self._ahead) < size:
+                more = self.port.read(size - len(self._ahead))
                 if not more:
                     break
-                received += more
+                self._ahead += more
         except OSError as error:
             raise self._lost(error) from error
-        return received
+        return self._take(size)
 
     def line(self, longest: int = 256) -> bytes:
         """Receive up to and with a line feed; fewer bytes, or none, if it does not come in time."""
-        received = b""
-        while len(received) < longest and not received.endswith(b"\n"):
-            more = self.receive(1)
-            if not more:
-                break
-            received += more
-        return received
+        try:
+            while (end := self._ahead.find(b"\n", 0, longest)) < 0 and len(self._ahead) < longest:
+                more = self.port.read(max(self.port.in_waiting, 1))
+                if not more:
+                    break
+                self._ahead += more
+        except OSError as error:
+            raise self._lost(error) from error
+        return self._take(end + 1 if end >= 0 else longest)
+
+    def _take(self, size: int) -> bytes:
+        taken = bytes(self._ahead[:size])
+        del self._ahead[:size]
+        return taken
 
     def waiting(self) -> int:
         """How many bytes have come in and are not read."""
         try:
-            return self.port.in_waiting
+            return len(self._ahead) + self.port.in_waiting
         except OSError as error:
             raise self._lost(error) from error
 
     def drain(self) -> None:
         """Forget what has come in."""
+        self._ahead.clear()
         try:
             self.port.reset_input_buffer()
         except OSError as error:

@@ -23,13 +23,14 @@ class VirtualClock:
     """A clock that stands until somebody sleeps on it, and then jumps.
 
     While it jumps, attached machines act in order of time, those attached first first, so a run is exactly
-    repeatable. Any thread may sleep: time then passes for everybody, as far as the sleeper asked.
+    repeatable. Any thread may sleep: time then passes for everybody, as far as the sleeper asked. ``lock`` guards all
+    that is attached: whoever reaches a machine by another way than the clock must hold it.
     """
 
     def __init__(self, start: int = 0) -> None:
         self._now = int(start)
         self._machines: list[Timed] = []
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
 
     def now(self) -> int:
         """The time [ns]."""
@@ -37,17 +38,17 @@ class VirtualClock:
 
     def attach(self, machine: Timed) -> None:
         """Let a machine act when it is due."""
-        with self._lock:
+        with self.lock:
             self._machines.append(machine)
 
     def detach(self, machine: Timed) -> None:
         """Let a machine act no more."""
-        with self._lock:
+        with self.lock:
             self._machines = [each for each in self._machines if each is not machine]
 
     def sleep_until(self, until: int) -> None:
         """Jump to ``until`` [ns], through everything due before; a time that is past returns at once."""
-        with self._lock:
+        with self.lock:
             while True:
                 pending = [(due, machine) for machine in self._machines if (due := machine.due()) is not None]
                 if not pending:

@@ -11,6 +11,7 @@ import argparse
 import json
 import os
 import time
+from binascii import crc_hqx
 from pathlib import Path
 
 from vamgpu.hosts.emulators.line import Outbox
@@ -23,15 +24,8 @@ CAPACITY = 256
 
 
 def line_check(data: bytes) -> int:
-    """The lines' check sum by a shift register of sixteen single bits."""
-    register = [1] * 16
-    for byte in data:
-        for bit in range(7, -1, -1):
-            carry = register[0] ^ (byte >> bit & 1)
-            register = [*register[1:], 0]
-            for tap in (15, 10, 3):
-                register[tap] ^= carry
-    return int("".join(map(str, register)), 2)
+    """The lines' check sum, by the standard library's own code for it."""
+    return crc_hqx(data, 0xFFFF)
 
 
 class EmulatedController(RowPlayer):

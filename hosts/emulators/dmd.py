@@ -67,8 +67,9 @@ class FakeAlp(EmulatedArray):
             if name != "AlpDevAlloc" and not self.allocated:
                 return NOT_ONLINE
             try:
-                self.advance(self.clock.now())
-                return method(*arguments) or 0
+                with self.clock.lock:
+                    self.advance(self.clock.now())
+                    return method(*arguments) or 0
             except Exception as error:  # C code cannot pass it on
                 self.crash = error
                 return FAILED

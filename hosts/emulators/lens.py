@@ -19,6 +19,8 @@ LENGTHS = {
     b"TCA": 5, b"TA": 4, b"Sr": 4, b"GAA": 5, b"Ow": 6, b"Or": 6, b"Y": 7, b"Start": 5,
 }  # fmt: skip
 """Bytes of each command with its check sum, by what it starts with."""
+LONGEST_NAME = max(map(len, LENGTHS))
+BEGINNINGS = {name[:size] for name in LENGTHS for size in range(1, len(name))}
 MODES = {b"MwDA": 1, b"MwSA": 2, b"MwTA": 3, b"MwQA": 4, b"MwCA": 5, b"MwAA": 6}
 CRC_TABLE = [0, 0xCC01, 0xD801, 0x1400, 0xF001, 0x3C00, 0x2800, 0xE401]
 CRC_TABLE += [0xA001, 0x6C00, 0x7800, 0xB401, 0x5000, 0x9C01, 0x8801, 0x4400]
@@ -96,15 +98,13 @@ class EmulatedLens:
 
     def _one(self, now: int) -> bool:
         """Act on the first command in the buffer if it is whole."""
-        names = [name for name in LENGTHS if self._buffer.startswith(name)]
-        longer = [name for name in LENGTHS if name.startswith(bytes(self._buffer)) and len(name) > len(self._buffer)]
-        if not names:
-            if longer:
-                return False
-            self._buffer.clear()
-            self._refuse(3, now)
+        starts = [bytes(self._buffer[:size]) for size in range(min(len(self._buffer), LONGEST_NAME), 0, -1)]
+        name = next((start for start in starts if start in LENGTHS), None)
+        if name is None:
+            if starts[0] not in BEGINNINGS:
+                self._buffer.clear()
+                self._refuse(3, now)
             return False
-        name = max(names, key=len)
         if len(self._buffer) < LENGTHS[name]:
             return False
         frame = bytes(self._buffer[: LENGTHS[name]])

@@ -29,16 +29,22 @@ class VirtualPort:
             raise OSError(errno.EIO, "device disconnected")
 
     def _collect(self) -> None:
-        self._received += self.faults.to_host(self.machine.take(self.clock.now()))
+        with self.clock.lock:
+            self._received += self.faults.to_host(self.machine.take(self.clock.now()))
 
     def write(self, data: bytes, /) -> int:
         """Send."""
         self._check()
-        self._cable.send(self.faults.to_machine(bytes(data)), self.clock.now())
+        with self.clock.lock:
+            self._cable.send(self.faults.to_machine(bytes(data)), self.clock.now())
         return len(data)
 
     def read(self, size: int = 1, /) -> bytes:
         """Receive, or give up when the timeout is over."""
+        with self.clock.lock:
+            return self._read(size)
+
+    def _read(self, size: int) -> bytes:
         self._check()
         deadline = self.clock.now() + self.timeout_ns
         self._collect()
