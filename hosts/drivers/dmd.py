@@ -221,7 +221,8 @@ class PlaneStream:
     """More pictures than fit: two sequences in turn, one shown while the other is filled.
 
     ``put`` fills and queues the sequence that is not in the queue; ``shown`` counts pictures by the device's own
-    progress, so it is right whatever the host's time does.
+    progress, so it is right whatever the host's time does. Whether a picture counts when it begins or when it ends is
+    the device's to say: compare with the count of triggers once, before the first print.
     """
 
     def __init__(self, dmd: Dmd, length: int, bits: int, timing: SlotTiming = SlotTiming()) -> None:
@@ -251,7 +252,7 @@ class PlaneStream:
         self.queued += len(planes)
 
     def shown(self) -> int:
-        """How many pictures have been shown since the start."""
+        """How many pictures have begun to show since the start."""
         progress = self.dmd.progress()
         if progress.flags & alp.FLAG_QUEUE_IDLE:
             self._queued.clear()

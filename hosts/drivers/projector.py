@@ -37,7 +37,12 @@ class PygletWindow:
             import pyglet  # type: ignore[import-not-found]
         except ImportError as error:
             raise DeviceNotFound("a projector window needs pyglet: pip install pyglet") from error
-        screens = pyglet.display.get_display().get_screens()
+        try:
+            screens = pyglet.display.get_display().get_screens()
+        except Exception as error:
+            raise DeviceNotFound(
+                f"there is no display to open a window on ({error}); start one, or set DISPLAY"
+            ) from error
         if screen >= len(screens):
             raise DeviceNotFound(f"there is no screen {screen}, only {len(screens)}; check the projector's cable")
         found = screens[screen]

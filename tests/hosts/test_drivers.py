@@ -44,7 +44,7 @@ from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.dmd import FakeAlp
 from vamgpu.hosts.emulators.instruments import EmulatedMeter, EmulatedSupply
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.line import Faults, LineMachine
+from vamgpu.hosts.emulators.line import Cable, Faults, LineMachine
 from vamgpu.hosts.emulators.ports import plug
 from vamgpu.hosts.emulators.screen import EmulatedScreen, Slot
 from vamgpu.hosts.emulators.servers import PtyServer, TcpServer
@@ -326,6 +326,49 @@ def test_the_libraries_numbers_have_32_bits() -> None:
     assert ctypes.sizeof(alp.Progress) == 36
     kinds = {kind for types in alp.SIGNATURES.values() for kind in types}
     assert ctypes.c_long not in kinds or ctypes.sizeof(ctypes.c_long) == 4
+
+
+def _hour() -> list[tuple[object, ...]]:
+    """An hour of one picture a second on every machine, and all that was seen of it."""
+    clock, fake, dmd = _dmd()
+    lens, machine = EmulatedLens(), EmulatedController()
+    driver = Controller(_wire(machine, clock))
+    focus = TunableLens(_wire(lens, clock))
+    focus.focal_power_mode()
+    cable = Cable(lens, 38400)
+    clock.attach(cable)
+    machine.on_trigger, machine.on_lens = fake.trigger, cable.send
+    seen: list[tuple[object, ...]] = []
+    fake.on_shown = lambda shown: seen.append((shown.number, shown.starts, shown.ends, lens.power(shown.starts[0])))
+    dmd.slave()
+    stream = PlaneStream(dmd, 60, 8, SlotTiming(500_000, 500_000))
+    pictures = np.zeros((60, 8, 6, 2), np.uint8)
+    driver.lease(1000)
+    driver.arm()
+    driver.end(3600)
+    row = 0
+    while stream.shown() < 3600:
+        while stream.room() and stream.queued < 3600:
+            stream.put(pictures)
+        while row < 3600 and row - stream.shown() < 200:
+            driver.row(Row(row, 1_000_000 * row + 10_000, 1000 + row % 3 * 100, 7600, 500_000))
+            row += 1
+        if not seen and not machine.running:
+            driver.go()
+        driver.lease(1000)
+        clock.sleep(900 * MILLI)
+    clock.sleep(SECOND)
+    assert driver.status().state == "done" and driver.status().late == 0 and fake.counts["missed"] == 0
+    assert machine.intervals[-1][1] - machine.intervals[-1][0] == 500 * MILLI
+    return seen
+
+
+def test_an_hour_passes_in_seconds_and_twice_the_same() -> None:
+    first = _hour()
+    assert len(first) == 3600 and first == _hour()
+    starts = [entry[1][0] for entry in first]  # type: ignore[index]
+    assert set(np.diff(starts)) == {SECOND}, "no drift"
+    assert [round(entry[3], 2) for entry in first[:3]] == [0.0, 0.5, 1.0]  # type: ignore[arg-type]
 
 
 # stages, screens, cameras, instruments

@@ -147,6 +147,8 @@ def test_garbage_is_no_controller_line(garbage: bytes) -> None:
 
 def test_stage_messages() -> None:
     assert zaber.command(1, 1, 4, "move abs 1000") == b"/01 1 04 move abs 1000:%02X\n" % lrc(b"01 1 04 move abs 1000")
+    makers = b"/1 1 00 get pos:2C"
+    assert lrc(makers[1:-3]) == 0x2C
     reply = zaber.parse(b"@01 1 04 OK BUSY WR 1234\r\n")
     assert (reply.number, reply.busy, reply.warning, zaber.accept(reply, "get pos")) == (4, True, "WR", "1234")
     with pytest.raises(DeviceRefused, match="BADDATA"):
