@@ -213,6 +213,22 @@ def test_a_trigger_that_the_mirrors_missed_ends_the_print() -> None:
     assert rig.did == ["on", "start", "off", "stop"]
 
 
+class Failing(ArraySource):
+    """Fails at a picture."""
+
+    def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
+        if 200 in frames:
+            raise DeviceError("the device that makes pictures is gone")
+        return super().read(frames, out)
+
+
+def test_a_source_that_fails_puts_the_light_out() -> None:
+    rig = WebRig(roll(100))
+    with pytest.raises(DeviceError, match="is gone"):
+        print_of(rig, Failing(coded(300)._pictures))[0].run()
+    assert rig.did == ["on", "start", "off", "stop"]
+
+
 def test_what_the_watch_raises_ends_the_print_dark() -> None:
     rig, seen = WebRig(roll(100)), []
 
