@@ -30,9 +30,12 @@ class Window(Protocol):
 
 
 class PygletWindow:
-    """A window of the pyglet package on one screen, in step with its refresh, without scaling."""
+    """A window of the pyglet package on one screen, in step with its refresh, without scaling.
 
-    def __init__(self, screen: int, size: tuple[int, int]) -> None:
+    ``rate_hz`` is needed where the system does not tell the screen's.
+    """
+
+    def __init__(self, screen: int, size: tuple[int, int], rate_hz: float | None = None) -> None:
         try:
             import pyglet  # type: ignore[import-not-found]
         except ImportError as error:
@@ -51,7 +54,10 @@ class PygletWindow:
                 f"screen {screen} has {found.height} x {found.width} pixels, the projector {size[0]} x {size[1]}; "
                 "set its native resolution and no scaling"
             )
-        self.size, self.rate_hz = size, float(found.get_mode().rate or 60)
+        rate = rate_hz or getattr(found.get_mode(), "rate", None)
+        if not rate:
+            raise WrongDevice(f"the system does not tell how often screen {screen} is refreshed; configure its rate_hz")
+        self.size, self.rate_hz = size, float(rate)
         self._pyglet: Any = pyglet
         self._window: Any = pyglet.window.Window(fullscreen=True, screen=found, vsync=True)
         self._window.set_mouse_visible(False)
