@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vamgpu import hosts
 from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
-from vamgpu.hosts.emulators.controller import line_check
+from vamgpu.hosts.emulators.controller import EmulatedController, line_check
 from vamgpu.hosts.emulators.lens import LENGTHS, check_sum
 from vamgpu.hosts.protocols import controller, slots, zaber
 from vamgpu.hosts.protocols import optotune as ld4
@@ -178,3 +182,14 @@ def test_the_plane_walk_lights_each_plane_once() -> None:
     frames = slots.plane_walk((2, 3))
     words = [int(f[0, 0, 0]) << 16 | int(f[0, 0, 1]) << 8 | int(f[0, 0, 2]) for f in frames]
     assert len(words) == 24 and sum(words) == 2**24 - 1 and all(word.bit_count() == 1 for word in words)
+
+
+def test_protocol_emulator_and_sketch_know_the_same_verbs() -> None:
+    table = "\n" + (controller.__doc__ or "").split("=\n", 2)[2].split("\n=====")[0]
+    verbs = set(re.findall(r"\n([a-z]+) ", table))
+    sketch = (Path(hosts.__file__).parent / "firmware" / "controller.ino").read_text(encoding="utf-8")
+    assert len(verbs) == 15
+    assert verbs == set(re.findall(r'strcmp\(verb, "(\w+)"\)', sketch))
+    assert verbs == {name.removeprefix("_do_") for name in dir(EmulatedController) if name.startswith("_do_")}
+    assert f'"{controller.NAME} {controller.VERSION} "' in sketch
+    assert f"LONGEST_LINE = {controller.LONGEST_LINE};" in sketch
