@@ -47,12 +47,12 @@ class RigSection(Section):
 
 
 class ControllerSection(Section):
-    """What keeps the trigger, the lease and the light. microsteps: of the web, a millimeter."""
+    """What keeps trigger, lease, motion and light. microsteps: of the motion, a millimeter or degree."""
 
     driver: Literal["vam-controller", "emulated"]
     port: str | None = None
     baud: Baud = 115200
-    microsteps_per_mm: Annotated[float, Field(gt=0)] = 3200.0
+    microsteps: Annotated[float, Field(gt=0)] = 3200.0
     channel: Annotated[int, Field(ge=0, le=7)] = 0
 
 

@@ -1,0 +1,152 @@
+"""Rigs and prints from the command line: rehearsals, stops, pauses, and bad input told as such."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vamgpu.cli import main
+from vamgpu.errors import BadInput, DeviceNotFound, JobError, StorageError, TimingInfeasible
+from vamgpu.hosts.board import Board
+from vamgpu.hosts.config import EMULATED, parse_rig, read_rig
+from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.rig import Plan, carry_out, opened, plan, rehearsal, seen
+from vamgpu.hosts.run import Print
+from vamgpu.hosts.state import State
+from vamgpu.hosts.stream import FramePictures, Mirrors
+from vamgpu.printing.folder import save_frames
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+
+REAL = """
+[rig]
+name = "bench"
+machine = "vial"
+[controller]
+driver = "vam-controller"
+port = "/dev/does-not-exist"
+[projector]
+driver = "alp"
+library = "/does/not/exist.so"
+[stage]
+driver = "zaber"
+port = "socket://127.0.0.1:9"
+"""
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    images = np.random.default_rng(4).integers(0, 256, (36, 6, 10), dtype=np.uint8)
+    frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
+    return save_frames(tmp_path / "part.vam", frames).path
+
+
+def planned(job: Path, **fields: Any) -> Plan:
+    return plan(job, read_rig("emulated"), **({"speed": 40.0} | fields))
+
+
+def test_a_rehearsal_shows_every_byte(job: Path, tmp_path: Path) -> None:
+    wanted = planned(job, turns=2)
+    machines, bench = rehearsal(wanted)
+    board = Board()
+    state, _ = carry_out(wanted, machines, tmp_path / "run", board)
+    assert state is State.COMPLETE and np.array_equal(seen(wanted, bench).images.numpy(), wanted.frames.images.numpy())
+    run = read_run(tmp_path / "run")
+    assert run.shown["frame"].tolist() == [*range(36), *range(36)] and run.asked["rig"] == "emulated"
+    assert (run.path / "rig.toml").read_text() == EMULATED
+    assert [event["to"] for event in run.events if event["event"] == "light"] == ["on", "off"]
+    assert board.now.state is State.COMPLETE and not board.now.light and board.now.spent == pytest.approx(1 / 1.01)
+
+
+def test_a_rehearsal_repeats_exactly(job: Path, tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        wanted = planned(job)
+        carry_out(wanted, rehearsal(wanted)[0], tmp_path / name)
+    assert (tmp_path / "one" / "shown.bin").read_bytes() == (tmp_path / "two" / "shown.bin").read_bytes()
+
+
+def begun(wanted: Plan, place: Path, at: int, act: str) -> tuple[Print, Any, RunFolder]:
+    """A print to which something is done from its own pictures, in the midst."""
+    machines, bench = rehearsal(wanted)
+    folder = RunFolder.begin(place, {}, "")
+    job = Print(wanted.schedule, machines, [FramePictures(wanted.frames, wanted.mirrors)], folder)
+    keep = folder.shown
+
+    def shown(picture: Any) -> None:
+        keep(picture)
+        if picture.slot == at:
+            getattr(job, act)()
+
+    folder.shown = shown
+    return job, bench, folder
+
+
+def test_an_emergency_stop_is_dark_at_once(job: Path, tmp_path: Path) -> None:
+    run, bench, folder = begun(planned(job), tmp_path / "run", 5, "stop")
+    assert run.run() is State.CANCELLED
+    assert not bench.controller.light and not bench.controller.armed and run.guard.fault == "emergency stop"
+    folder.close()
+    found = read_run(tmp_path / "run")
+    assert found.state is State.CANCELLED and len(found.shown) == 6
+
+
+def test_a_pause_is_resumed_where_it_was(job: Path, tmp_path: Path) -> None:
+    run, bench, folder = begun(planned(job), tmp_path / "run", 9, "pause")
+    assert run.run() is State.PAUSED and not bench.controller.light
+    bench.clock.sleep(5_000_000_000)
+    assert run.run() is State.COMPLETE
+    folder.close()
+    assert read_run(tmp_path / "run").shown["slot"].tolist() == list(range(36))
+
+
+def test_a_long_rest_is_not_resumed(job: Path, tmp_path: Path) -> None:
+    run, bench, _ = begun(planned(job), tmp_path / "run", 9, "pause")
+    run.run()
+    bench.clock.sleep(31_000_000_000)
+    with pytest.raises(BadInput, match="forgotten"):
+        run.run()
+    assert not bench.controller.light and run.states.state is State.ERROR
+
+
+def test_a_missing_machine_is_an_error_and_never_a_simulation() -> None:
+    with pytest.raises(DeviceNotFound, match="/dev/does-not-exist"):
+        opened(parse_rig(REAL))
+
+
+def test_bad_rigs_are_told(tmp_path: Path) -> None:
+    for change, why in (
+        (("[controller]", "[controler]"), "did you mean 'controller'"),
+        (('driver = "zaber"', 'driver = "emulated"'), "all of one kind"),
+        (('port = "/dev/does-not-exist"\n', ""), "wanted port"),
+        (('library = "/does/not/exist.so"\n', ""), "wanted library"),
+        (('[rig]', '[safety]\nlease = "0 furlongs"\n[rig]'), "furlongs"),
+    ):
+        with pytest.raises(JobError, match=why):
+            parse_rig(REAL.replace(*change))
+    with pytest.raises(JobError, match="or the word emulated"):
+        read_rig(tmp_path / "none.toml")
+
+
+def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
+    with pytest.raises(TimingInfeasible):
+        planned(job, speed=4000.0)
+    with pytest.raises(BadInput, match="another projector"):
+        Mirrors(4, 8, 1).place(6, 10)
+    with pytest.raises(StorageError):
+        planned(tmp_path / "nothing")
+    wanted = planned(job)
+    machines, _ = rehearsal(wanted)
+    with pytest.raises(BadInput, match="projectors"), RunFolder.begin(tmp_path / "run", {}, "") as folder:
+        Print(wanted.schedule, machines, [], folder)
+
+
+def test_the_command(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["print", "demo", "--rig", "emulated", "--out", str(tmp_path / "demo.run")]) == 0
+    assert "complete: 120 pictures" in capsys.readouterr().out
+    assert (tmp_path / "demo.run" / "report.html").stat().st_size > 10_000
+    (tmp_path / "lab.toml").write_text(REAL)
+    assert main(["print", str(job), "--rig", str(tmp_path / "lab.toml"), "--out", str(tmp_path / "x")]) == 1
+    assert "does-not-exist" in capsys.readouterr().err
