@@ -12,7 +12,7 @@ from vamgpu.cli import main
 from vamgpu.errors import BadInput, DeviceNotFound, JobError, StorageError, TimingInfeasible
 from vamgpu.hosts.board import Board
 from vamgpu.hosts.config import EMULATED, parse_rig, read_rig
-from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.record import RunFolder, Shown, read_run
 from vamgpu.hosts.rig import Plan, carry_out, opened, plan, rehearsal, seen
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.state import State
@@ -44,8 +44,8 @@ def job(tmp_path: Path) -> Path:
     return save_frames(tmp_path / "part.vam", frames).path
 
 
-def planned(job: Path, **fields: Any) -> Plan:
-    return plan(job, read_rig("emulated"), **({"speed": 40.0} | fields))
+def planned(job: Path, speed: float = 40.0, turns: int = 1) -> Plan:
+    return plan(job, read_rig("emulated"), speed=speed, turns=turns)
 
 
 def test_a_rehearsal_shows_every_byte(job: Path, tmp_path: Path) -> None:
@@ -75,12 +75,12 @@ def begun(wanted: Plan, place: Path, at: int, act: str) -> tuple[Print, Any, Run
     job = Print(wanted.schedule, machines, [FramePictures(wanted.frames, wanted.mirrors)], folder)
     keep = folder.shown
 
-    def shown(picture: Any) -> None:
-        keep(picture)
-        if picture.slot == at:
+    def kept(shown: Shown) -> None:
+        keep(shown)
+        if shown.slot == at:
             getattr(job, act)()
 
-    folder.shown = shown
+    folder.shown = kept
     return job, bench, folder
 
 
