@@ -28,6 +28,8 @@ def test_demo_prove_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str
     job = str(tmp_path / "demo" / "boat.vam")
     assert main(["prove", job]) == 0
     assert (tmp_path / "demo" / "boat.html").exists()
+    assert main(["prove", job, "--report", str(tmp_path / "boat.stl")]) == 1
+    assert "wanted a path ending in .html" in capsys.readouterr().err
     formats = {"--png": "frames", "--tiff": "frames.tif", "--npz": "frames.npz", "--mp4": "frames.mp4"}
     words = [word for flag, name in formats.items() for word in (flag, str(tmp_path / name))]
     assert main(["export", job, *words]) == 0

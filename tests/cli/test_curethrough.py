@@ -155,3 +155,33 @@ def test_fit_finds_the_curves_that_measurements_were_made_with(
     assert "nothing to fit" in capsys.readouterr().err
     assert main([*command[:3], "--irradiance", "20"]) == 1
     assert "wanted an irradiance" in capsys.readouterr().err
+
+
+def test_reports_never_replace_slices_or_jobs(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for wrong in (job, job.parent / "slices" / "slice3.png"):
+        before = wrong.read_bytes()
+        for command in ("model", "correct"):
+            assert main(["curethrough", command, str(job), "--report", str(wrong)]) == 1
+            assert "wanted a path ending in .html" in capsys.readouterr().err
+        assert wrong.read_bytes() == before
+    assert not (job.parent / "slices-corrected").exists()
+
+
+def test_fit_never_replaces_measurements(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plugs = tmp_path / "plugs.csv"
+    plugs.write_text("exposure_mJ_cm2,height_mm\n10,0.5\n20,1.1\n40,1.7\n", encoding="utf-8")
+    before = plugs.read_bytes()
+    assert main(["curethrough", "fit", str(plugs), "--out", str(plugs), "--overwrite"]) == 1
+    assert "holds the measurements" in capsys.readouterr().err and plugs.read_bytes() == before
+
+
+def test_darkness_above_full_light_is_told(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["curethrough", "model", str(job), "--set", 'printer.dark="200 mW/cm2"']) == 1
+    assert "2 mW/mm² at level 0 (dark) and 1 at 255" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["model", "correct", "fit"])
+def test_help_says_what_parameters_are(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["curethrough", command, "--help"])
+    said = capsys.readouterr().out
+    assert ("the TOML file" if command != "fit" else "CSV file with columns height_mm") in said

@@ -36,6 +36,20 @@ def test_intervals_hold_as_often_as_they_say(confidence: float) -> None:
     assert np.abs(held / 600 - confidence).max() < 0.04
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("time_s,height_mm\n\n1,nan\n", "line 3 holds NaN"),
+        ("time_s,height_mm\n1,1\n\n2,x\n", "line 4: could not"),
+        ("time_s,time_s\n1,1\n", "column .time_s. more than once"),
+    ],
+)
+def test_columns_name_the_line(tmp_path: Path, text: str, told: str) -> None:
+    (tmp_path / "plugs.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(BadInput, match=told):
+        read_columns(tmp_path / "plugs.csv")
+
+
 def test_csv(tmp_path: Path) -> None:
     seconds = np.array([1.0, 3.0, 9.0, 20.0])
     file = tmp_path / "plugs.csv"

@@ -34,10 +34,9 @@ def demo(
 ) -> None:
     """Print the bundled boat, or a gyroid film on an endless web, in simulation and draw a report.
 
-    Parameters
-    ----------
-    what: boat or web
-    out: folder of the demo's files
+    Args:
+        what: boat or web
+        out: folder of the demo's files
     """
     if what == "web":
         return _demo_web(out, settings)
@@ -56,10 +55,9 @@ def demo(
 def solve(job: Path, *, out: Path | None = None, settings: Settings = None, overwrite: Overwrite = False) -> None:
     """Find light for a TOML job file and write its frames to a job folder.
 
-    Parameters
-    ----------
-    job: the TOML file
-    out: the folder; the file's name with .vam by default
+    Args:
+        job: the TOML file
+        out: the folder; the file's name with .vam by default
     """
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.read import read_job
@@ -80,24 +78,25 @@ def solve(job: Path, *, out: Path | None = None, settings: Settings = None, over
 def prove(job: Path, *, report: Path | None = None, device: str | None = None) -> None:
     """Simulate a written job from its frames alone and draw a report.
 
-    Parameters
-    ----------
-    job: the job folder
-    report: the HTML file; the folder's name with .html by default
-    device: where to compute; the best device here by default
+    Args:
+        job: the job folder
+        report: the HTML file; the folder's name with .html by default
+        device: where to compute; the best device here by default
     """
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.run import prove as run
     from vamgpu.jobs.web import is_web_folder
+    from vamgpu.storage.atomic import page_path
 
+    place = page_path(report or job.with_suffix(".html"))
     if is_web_folder(job):
-        return _prove_web(job, report, device)
+        return _prove_web(job, place, device)
     screen = console()
     with shown(screen) as told:
         told("proof", 0.0)
         proven = run(job, device)
         told("report", 0.0)
-        page = proven.report(report if report is not None else job.with_suffix(".html"))
+        page = proven.report(place)
     _scores(screen, proven)
     screen.print(f"report  [bold]{_path(page.resolve())}[/]")
 
@@ -115,14 +114,13 @@ def export(
 ) -> None:
     """Write the frames of a job as files that other programs read.
 
-    Parameters
-    ----------
-    job: the job folder
-    png: a folder of PNG pictures
-    tiff: one file, a page a frame
-    npz: bytes, curve and settings for NumPy
-    mp4: a lossless film
-    fps: frames a second of the film
+    Args:
+        job: the job folder
+        png: a folder of PNG pictures
+        tiff: one file, a page a frame
+        npz: bytes, curve and settings for NumPy
+        mp4: a lossless film
+        fps: frames a second of the film
     """
     from vamgpu.errors import BadInput
     from vamgpu.jobs.web import is_web_folder
@@ -151,10 +149,9 @@ def export(
 def limits(machine: Path, *, png: Path | None = None, settings: Settings = None) -> None:
     """Tell what a web machine can do, how fast at most, and what binds it.
 
-    Parameters
-    ----------
-    machine: the TOML file with the machine's tables, such as that of a web job
-    png: a picture of the limits
+    Args:
+        machine: the TOML file with the machine's tables, such as that of a web job
+        png: a picture of the limits
     """
     from vamgpu.jobs.limits import read_limits
     from vamgpu.webs.limits_table import lines
@@ -182,12 +179,11 @@ def gallery(
 ) -> None:
     """Draw the picture of one capability from parameters; list them all where no name is given.
 
-    Parameters
-    ----------
-    name: which picture; "all" draws every one
-    out: folder of the index and of its gallery folder
-    device: where to compute; the best device here by default
-    quick: small sizes, for a fast look
+    Args:
+        name: which picture; "all" draws every one
+        out: folder of the index and of its gallery folder
+        device: where to compute; the best device here by default
+        quick: small sizes, for a fast look
     """
     from vamgpu import gallery as pictures
     from vamgpu.backend import open_device
@@ -224,9 +220,8 @@ def devices() -> None:
 def doctor(*, limit: float = 120.0) -> int:
     """Run a kernel on every device here, and say why one is missing and what to install.
 
-    Parameters
-    ----------
-    limit: seconds a driver gets to answer
+    Args:
+        limit: seconds a driver gets to answer
     """
     from vamgpu.cli.doctor import examine
 
@@ -246,13 +241,12 @@ def bench(
 ) -> None:
     """Time the projectors on the devices here.
 
-    Parameters
-    ----------
-    size: voxels along each axis
-    angles: poses over a full turn
-    repeats: runs that a median is taken of
-    device: devices to time; all but the reference by default
-    record: JSON file to keep the table and the machine's description in
+    Args:
+        size: voxels along each axis
+        angles: poses over a full turn
+        repeats: runs that a median is taken of
+        device: devices to time; all but the reference by default
+        record: JSON file to keep the table and the machine's description in
     """
     from vamgpu.jobs.bench import bench as run
     from vamgpu.jobs.bench import machine
@@ -305,7 +299,7 @@ def _solve_web(job: Path, out: Path | None, settings: list[str] | None, overwrit
     screen.print(f"wrote [bold]{_path(folder.path)}[/]; prove it with: vam prove {_path(folder.path)}")
 
 
-def _prove_web(job: Path, report: Path | None, device: str | None) -> None:
+def _prove_web(job: Path, report: Path, device: str | None) -> None:
     from vamgpu.cli.progress import shown
     from vamgpu.webs.proof import prove_web
 
@@ -314,7 +308,7 @@ def _prove_web(job: Path, report: Path | None, device: str | None) -> None:
         told("proof", 0.0)
         proof = prove_web(job, device)
         told("report", 0.0)
-        page = proof.report(report or job.with_suffix(".html"))
+        page = proof.report(report)
     _web_scores(screen, proof)
     screen.print(f"report  [bold]{_path(page.resolve())}[/]")
 

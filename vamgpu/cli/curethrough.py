@@ -25,21 +25,22 @@ def model(
 ) -> None:  # fmt: skip
     """Tell what slices print as they are, and draw a report.
 
-    Parameters
-    ----------
-    job: the TOML file
-    slices: a folder, zip or SL1 file that takes the place of the job's slices
-    doses: a folder or zip for pictures of the dose, 51 gray levels a critical dose
-    report: the HTML file; the job's name with -model.html by default
+    Args:
+        job: the TOML file
+        slices: a folder, zip or SL1 file that takes the place of the job's slices
+        doses: a folder or zip for pictures of the dose, 51 gray levels a critical dose
+        report: the HTML file; the job's name with -model.html by default
     """
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.curethrough import model_job, read_curethrough
+    from vamgpu.storage.atomic import page_path
 
+    place = page_path(report or job.with_name(f"{job.stem}-model.html"))
     wanted, screen = read_curethrough(job, settings or ()), console()
     with shown(screen) as told:
         found = model_job(wanted, slices=slices, doses=doses, overwrite=overwrite, told=told)
         told("report", 0.0)
-        page = _draw(found, report or job.with_name(f"{job.stem}-model.html"), wanted.name)
+        page = _draw(found, place, wanted.name)
     _lines(screen, found)
     if doses is not None:
         screen.print(f"doses   [bold]{escape(str(doses))}[/]")
@@ -53,22 +54,23 @@ def correct(
 ) -> None:  # fmt: skip
     """Write corrected slices beside the originals, and draw a report of both.
 
-    Parameters
-    ----------
-    job: the TOML file
-    slices: a folder, zip or SL1 file that takes the place of the job's slices
-    out: where the corrected slices go, a folder or a zip; by default the slices' name with -corrected
-    report: the HTML file; beside the corrected slices by default
+    Args:
+        job: the TOML file
+        slices: a folder, zip or SL1 file that takes the place of the job's slices
+        out: where the corrected slices go, a folder or a zip; by default the slices' name with -corrected
+        report: the HTML file; beside the corrected slices by default
     """
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.curethrough import correct_job, read_curethrough
+    from vamgpu.storage.atomic import page_path
 
     wanted, screen = read_curethrough(job, settings or ()), console()
     place = out if out is not None else wanted.beside(slices)
+    page = page_path(report or place.with_name(f"{place.stem}.html"))
     with shown(screen) as told:
         found = correct_job(wanted, place, slices=slices, overwrite=overwrite, told=told)
         told("report", 0.0)
-        page = _draw(found, report or place.with_name(f"{place.stem}.html"), wanted.name)
+        _draw(found, page, wanted.name)
     _lines(screen, found)
     added = found.correction.added if found.correction is not None else 0
     screen.print(f"slices  [bold]{escape(str(place))}[/]{f', {added} added after the last' if added else ''}")
@@ -82,19 +84,18 @@ def fit(
 ) -> None:  # fmt: skip
     """Fit a resin's working curve to cured plugs, and a projector's light to readings of its gray levels.
 
-    Parameters
-    ----------
-    plugs: CSV file with columns height_mm and exposure_mJ_cm2, or time_s and irradiance_mW_cm2
-    irradiance: light of all plugs, such as "20 mW/cm2", where the file gives times alone
-    gray: CSV file with columns level and intensity_mW_cm2
-    pieces: straight pieces of the gray curve; by default one between every two levels read, 32 at the most
-    confidence: of the intervals
-    gels: critical dose over the dose that just gels
-    out: TOML file for the tables [printer] and [gray] of what was fitted
+    Args:
+        plugs: CSV file with columns height_mm and exposure_mJ_cm2, or time_s and irradiance_mW_cm2
+        irradiance: light of all plugs, such as "20 mW/cm2", where the file gives times alone
+        gray: CSV file with columns level and intensity_mW_cm2
+        pieces: straight pieces of the gray curve; by default one between every two levels read, 32 at the most
+        confidence: of the intervals
+        gels: critical dose over the dose that just gels
+        out: TOML file for the tables [printer] and [gray] of what was fitted
     """
     from vamgpu.jobs.fit import fit_files
 
-    fitted, screen = fit_files(plugs, irradiance, gray, pieces, confidence, gels), console()
+    fitted, screen = fit_files(plugs, irradiance, gray, pieces, confidence, gels, out), console()
     for name, value, meaning in fitted.lines():
         screen.print(f"  {name:<27} [bold]{value:<16}[/] [dim]{escape(meaning)}[/]")
     if out is not None:

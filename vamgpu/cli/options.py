@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from rich.console import Console
 
 Settings = Annotated[list[str] | None, Parameter(name="--set", negative="", help="key=value that replaces the file's")]
-Overwrite = Annotated[bool, Parameter(name="--overwrite", negative="", help="replace a job that stands there")]
+Overwrite = Annotated[bool, Parameter(name="--overwrite", negative="", help="replace what stands there")]
 
 
 def console() -> Console:

@@ -49,6 +49,8 @@ def levels_of(full: float, dark: float = 0.0, curve: Callable[[Any], Any] | None
     numbers = np.arange(LEVELS)
     if curve is not None:
         return measured_levels(top * np.asarray(curve(numbers), dtype=np.float64))
+    if floor >= top:
+        raise BadInput(f"light is {floor:g} mW/mm² at level 0 (dark) and {top:g} at 255; wanted more at 255")
     return measured_levels(floor + (top - floor) * numbers / (LEVELS - 1))
 
 

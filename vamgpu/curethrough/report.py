@@ -13,7 +13,7 @@ from vamgpu.curethrough.features import Feature
 from vamgpu.curethrough.job import Outcome
 from vamgpu.curethrough.printer import Printer
 from vamgpu.curethrough.score import Group, grouped, widest
-from vamgpu.storage.atomic import replacing
+from vamgpu.storage.atomic import page_path, replacing
 from vamgpu.units import hour
 
 PAPER = (
@@ -27,10 +27,11 @@ LACKING = 0.1
 
 def write_report(outcome: Outcome, path: str | Path, *, title: str = "", facts: dict[str, str] | None = None) -> Path:
     """Write the page. facts: more lines of the set-up. Raises `StorageError`."""
-    page = render(outcome, title or Path(path).stem, facts or {})
-    with replacing(path, overwrite=True) as draft:
+    place = page_path(path)
+    page = render(outcome, title or place.stem, facts or {})
+    with replacing(place, overwrite=True) as draft:
         draft.write_text(page, encoding="utf-8")
-    return Path(path)
+    return place
 
 
 def render(outcome: Outcome, title: str, facts: dict[str, str]) -> str:

@@ -156,20 +156,26 @@ def read_columns(path: str | Path) -> dict[str, np.ndarray]:
     file = Path(path)
     try:
         with file.open(newline="", encoding="utf-8-sig") as opened:
-            rows = [row for row in csv.reader(opened) if any(cell.strip() for cell in row)]
+            reader = csv.reader(opened)
+            rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise StorageError(f"cannot read {str(path)!r}: {error}; check the path") from error
     if len(rows) < 2:
         raise BadInput(f"{file.name} has {len(rows)} lines; wanted a header and numbers below it")
-    header = [cell.strip() for cell in rows[0]]
+    header = [cell.strip() for cell in rows[0][1]]
+    twice = [name for name in header if header.count(name) > 1]
+    if twice:
+        raise BadInput(f"{file.name} has the column {twice[0]!r} more than once; keep one of them")
     values = []
-    for number, row in enumerate(rows[1:], 2):
+    for number, row in rows[1:]:
         try:
             values.append([float(cell) for cell in row])
         except ValueError as error:
             raise BadInput(f"{file.name}, line {number}: {error}; wanted numbers below the header") from error
         if len(row) != len(header):
             raise BadInput(f"{file.name}, line {number} has {len(row)} values; wanted {len(header)}")
+        if not np.isfinite(values[-1]).all():
+            raise BadInput(f"{file.name}, line {number} holds NaN or infinity; correct it, or leave the line out")
     return dict(zip(header, np.array(values).T, strict=True))
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vamgpu.curethrough.resin import GrayFit, Range, WorkingCurve, read_gray
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import positive
 from vamgpu.quantity import parse
 from vamgpu.storage.atomic import replacing
@@ -65,9 +65,15 @@ class Fitted:
 
 
 def fit_files(
-    plugs: Path | None, irradiance: str | None, gray: Path | None, pieces: int | None, confidence: float, gels: float
-) -> Fitted:
-    """Fit a CSV file of plugs, one of gray levels, or both. Raises `BadInput`, `StorageError`."""
+    plugs: Path | None, irradiance: str | None, gray: Path | None, pieces: int | None, confidence: float, gels: float,
+    out: Path | None = None,
+) -> Fitted:  # fmt: skip
+    """Fit a CSV file of plugs, one of gray levels, or both; ``out`` is where it will be written, not over these.
+
+    Raises `BadInput`, `StorageError`.
+    """
+    if out is not None and out.resolve() in {path.resolve() for path in (plugs, gray) if path is not None}:
+        raise StorageError(f"{str(out)!r} holds the measurements; choose another path for what is fitted to them")
     if plugs is None and gray is None:
         raise BadInput("nothing to fit; wanted a CSV file of plugs, or --gray with one of gray levels")
     light = None

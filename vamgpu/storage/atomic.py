@@ -21,11 +21,20 @@ REMEDIES = {
     errno.EROFS: "the disk is read-only: choose another place",
 }
 
+PAGES = (".html", ".htm")
+
 
 def explained(action: str, path: Path, error: OSError) -> StorageError:
     """A `StorageError` that says what failed and what to do about it."""
     remedy = REMEDIES.get(error.errno or 0, "check the path and the disk")
     return StorageError(f"cannot {action} {str(path)!r}: {error.strerror or error}; {remedy}")
+
+
+def page_path(path: str | Path) -> Path:
+    """The path of a report, which replaces what stands there: only an .html. Raises `StorageError` for another."""
+    if Path(path).suffix.lower() not in PAGES:
+        raise StorageError(f"the report {str(path)!r} would be a page; wanted a path ending in .html: choose another")
+    return Path(path)
 
 
 @contextmanager
