@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,13 +23,12 @@ from vamgpu.hosts.rows import Rows
 from vamgpu.hosts.schedule import Schedule
 from vamgpu.hosts.state import State, States
 from vamgpu.hosts.stream import Pictures
+from vamgpu.hosts.supply import Dark, Motion, Supply
 
 log = logging.getLogger(__name__)
 SECOND = 1_000_000_000
 LOOK = 20_000_000
 """Between two looks at the machines [ns]."""
-WINDOW = SECOND
-"""Over which the motion's speed is judged [ns]."""
 TRIES = 200
 """Looks for the motion to come to its speed, or to rest."""
 
@@ -54,23 +52,6 @@ class Limits:
     tolerance: float = 0.5
     budget: float = 1.01
     resume: int = 30 * SECOND
-
-
-class Motion:
-    """Whether a motion keeps its speed: how far it is from where it should be after the last second, in poses."""
-
-    def __init__(self, schedule: Schedule, microsteps: float) -> None:
-        self._per_pose = float(schedule.advance) * microsteps
-        self._period = float(schedule.cadence.period)
-        self._seen: deque[tuple[int, int]] = deque()
-
-    def error(self, now: int, position: int) -> float:
-        """The error [poses] at a position [microsteps]."""
-        self._seen.append((now, position))
-        while now - self._seen[0][0] > WINDOW:
-            self._seen.popleft()
-        began, start = self._seen[0]
-        return (position - start) / self._per_pose - (now - began) / self._period
 
 
 class Print:
@@ -109,7 +90,7 @@ class Print:
         total = float(schedule.on.sum()) * 1e-9 * power
         self.guard = LightGuard(
             lamp, self.lease, tolerance=limits.tolerance, budget=Budget(total * limits.budget),
-            others={f"mirrors {number}": _Dark(dmd) for number, dmd in enumerate(machines.mirrors)}, told=self._told,
+            others={f"mirrors {number}": Dark(dmd) for number, dmd in enumerate(machines.mirrors)}, told=self._told,
         )  # fmt: skip
         self.next = 0
         self.asked: State | None = None
@@ -187,7 +168,7 @@ class Print:
         self.guard.look(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
         self.guard.on(self.power)
         machines.controller.go()
-        return Leg(self, first, streams, Motion(self.schedule, machines.microsteps), rows, sent)
+        return Leg(self, first, streams, Motion(self.schedule, machines.microsteps), rows, sent, machines.clock.now())
 
     def look(self, leg: Leg) -> bool:
         """See what the machines did, keep it, feed them; whether the light's last row is still to end."""
@@ -200,7 +181,8 @@ class Print:
         shown = next((each for low, each in zip(before, after, strict=True) if not low <= status.shown <= each), None)
         error = leg.motion.error(clock.now(), status.position)
         self.guard.look(motion=error, shown=status.shown if shown is None else shown, scheduled=status.shown)
-        self._keep(leg.first, status.shown, status.late)
+        self._keep(leg, status.shown, status.late)
+        leg.looked = clock.now()
         for stream in leg.streams:
             stream.fill()
         leg.sent = self._rows(leg.rows, leg.first, leg.sent, status.free)
@@ -219,14 +201,20 @@ class Print:
             stream.close()
         self.states.to(State.COMPLETE)
 
-    def _keep(self, first: int, shown: int, late: int) -> None:
-        """Write down the pictures shown since the last look."""
-        for slot in range(self.next, min(first + shown, len(self.schedule))):
-            on = int(self.schedule.on[slot])
-            frame = int(self.schedule.frame[slot])
-            for engine in range(self.schedule.engines):
-                self.folder.shown(Shown(slot, frame, int(self.schedule.pose[slot]), int(self.schedule.light[slot]), on,
-                                        engine=engine, dark=slot - first < late))  # fmt: skip
+    def _keep(self, leg: Leg, shown: int, late: int) -> None:
+        """Write down the pictures shown since the last look.
+
+        How late one was, is told as at most: from the last look before its trigger to when it was at the mirrors.
+        """
+        first, table = leg.first, self.schedule
+        for slot in range(self.next, min(first + shown, len(table))):
+            on = int(table.on[slot])
+            for engine, stream in enumerate(leg.streams):
+                behind = stream.arrived(slot) - leg.looked
+                self.folder.shown(
+                    Shown(slot, int(table.frame[slot]), int(table.pose[slot]), int(table.light[slot]), on,
+                          late=behind, engine=engine, dark=slot - first < late)
+                )  # fmt: skip
             self.next = slot + 1
             self.guard.spend(self.power, on)
 
@@ -236,14 +224,15 @@ class Print:
             self.machines.controller.row(rows.row(slot, slot - first))
         return max(sent, stop)
 
-    def _primed(self, first: int) -> list[Feed]:
+    def _primed(self, first: int) -> list[Supply]:
         """Mirrors with both their sequences full."""
-        on = int(self.schedule.on[0]) // 1000
+        machines, on = self.machines, int(self.schedule.on[0]) // 1000
         feeds = []
-        for dmd, pictures in zip(self.machines.mirrors, self.pictures, strict=True):
+        for dmd, pictures in zip(machines.mirrors, self.pictures, strict=True):
             dmd.halt()
             dmd.slave()
-            feeds.append(Feed(PlaneStream(dmd, self.depth, pictures.bits, SlotTiming(on, on)), pictures, self, first))
+            stream = PlaneStream(dmd, self.depth, pictures.bits, SlotTiming(on, on))
+            feeds.append(Supply(stream, pictures, self.schedule.frame, machines.clock, first))
             feeds[-1].fill()
         return feeds
 
@@ -280,7 +269,7 @@ class Print:
         self.lease.beat()
         self.lease.keep()
 
-    def halt(self, streams: list[Feed]) -> None:
+    def halt(self, streams: list[Supply]) -> None:
         """Dark, then at rest; what was shown until then is kept."""
         asked, self.asked = self.asked or State.PAUSED, None
         self.guard.off(asked.value)
@@ -291,7 +280,7 @@ class Print:
         self.paused_at = self.machines.clock.now()
         self.states.to(asked, self.guard.fault or "")
 
-    def _show(self, position: int, streams: list[Feed]) -> None:
+    def _show(self, position: int, streams: list[Supply]) -> None:
         slot = max(self.next - 1, 0)
         frame, focus = int(self.schedule.frame[slot]), float(self.schedule.focus[slot])
         budget = self.guard.budget
@@ -316,14 +305,18 @@ class Print:
 
 @dataclass
 class Leg:
-    """A stretch of a print without a rest. first: its first slot.  sent: slots whose rows the controller has."""
+    """A stretch of a print without a rest.
+
+    first: its first slot.  sent: slots whose rows the controller has.  looked: when the last look was [ns].
+    """
 
     run: Print
     first: int
-    streams: list[Feed]
+    streams: list[Supply]
     motion: Motion
     rows: Rows
     sent: int
+    looked: int
 
     def step(self) -> bool:
         """One look at the machines; False once the leg is over."""
@@ -334,39 +327,3 @@ class Leg:
             return True
         self.run.complete(self)
         return False
-
-
-class _Dark:
-    """Mirrors as a way to make it dark."""
-
-    def __init__(self, dmd: Dmd) -> None:
-        self._dmd = dmd
-
-    def off(self) -> None:
-        """Halt: the mirrors turn away."""
-        self._dmd.halt()
-
-
-class Feed:
-    """Pictures of one projector on their way to its mirrors."""
-
-    def __init__(self, stream: PlaneStream, pictures: Pictures, run: Print, first: int) -> None:
-        self._stream, self._pictures, self._frames = stream, pictures, run.schedule.frame
-        self._first, self._length = first, stream.length
-        self.ahead, self.share = 0, 0.0
-
-    def fill(self) -> None:
-        """Upload and queue as much as there is room for."""
-        while self._stream.room() and self._first + self._stream.queued < len(self._frames):
-            start = self._first + self._stream.queued
-            self._stream.put(self._pictures.planes(self._frames[start : start + self._length]))
-        self.ahead = self._stream.queued - self.shown()
-        self.share = min(1.0, self.ahead / (2 * self._length))
-
-    def shown(self) -> int:
-        """Pictures since the leg began."""
-        return self._stream.shown()
-
-    def close(self) -> None:
-        """Give the mirrors' memory back."""
-        self._stream.close()

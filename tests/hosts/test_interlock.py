@@ -203,8 +203,9 @@ class Printing(RuleBasedStateMachine):
 WRITE = os.write
 TestPrinting = Printing.TestCase
 TestPrinting.settings = settings(
-    max_examples=80, stateful_step_count=10, deadline=None, suppress_health_check=(HealthCheck.too_slow, HealthCheck.filter_too_much)
-)
+    max_examples=80, stateful_step_count=10, deadline=None,
+    suppress_health_check=(HealthCheck.too_slow, HealthCheck.filter_too_much),
+)  # fmt: skip
 
 
 def test_a_print_that_nothing_happens_to_is_completed() -> None:

@@ -55,6 +55,7 @@ def test_a_rehearsal_shows_every_byte(job: Path, tmp_path: Path) -> None:
     state, _ = carry_out(wanted, machines, tmp_path / "run", board)
     assert state is State.COMPLETE and np.array_equal(seen(wanted, bench).images.numpy(), wanted.frames.images.numpy())
     run = read_run(tmp_path / "run")
+    assert (run.shown["late"] < 0).all(), "every picture was at the mirrors before its trigger"
     assert run.shown["frame"].tolist() == [*range(36), *range(36)] and run.asked["rig"] == "emulated"
     assert (run.path / "rig.toml").read_text() == EMULATED
     assert [event["to"] for event in run.events if event["event"] == "light"] == ["on", "off"]

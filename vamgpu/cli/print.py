@@ -97,8 +97,8 @@ def _printed(screen: Console, planned: Plan, place: Path, dry: bool, board: Boar
     finally:
         machines.controller.close()
     run = read_run(place)
-    late = timing(run.shown)["late_ns"]
-    screen.print(f"{state.value}: {len(run.shown)} pictures, latest by {late['max'] * 1e-6:.3f} ms")
+    early = -timing(run.shown)["late_ns"]["max"] * 1e-6
+    screen.print(f"{state.value}: {len(run.shown)} pictures, at the mirrors {early:.1f} ms early or more")
     screen.print(f"run     [bold]{escape(str(place))}[/]")
     if bench is not None:
         _report(screen, planned, bench, place)
