@@ -28,7 +28,7 @@ MAGIC = b"VAMSHOWN\x01\x00\x00\x00"
 _RECORD = struct.Struct("<6q2HI")
 _FIELDS = ("slot", "frame", "position", "start", "on_time", "late", "engine", "dark")
 SHOWN = np.dtype([(name, "<i8") for name in _FIELDS[:6]] + [("engine", "<u2"), ("dark", "<u2"), ("check", "<u4")])
-"""A record: slot and frame numbers, position as a pose running on over turns, start, on_time and lateness [ns] (negative:
+"""A record: slot and frame numbers, position as a pose that runs on over turns, start, on_time, lateness [ns] (below 0:
 in time by so much), which projector, and 1 where black was shown instead."""
 
 
