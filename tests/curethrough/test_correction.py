@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,7 +15,8 @@ from vamgpu.curethrough.correction import Correction, Corrector, correct
 from vamgpu.curethrough.dose import column_dose, column_doses
 from vamgpu.curethrough.feasibility import fastest, feasibility, least_void
 from vamgpu.curethrough.features import column_features, survey
-from vamgpu.curethrough.leastsquares import least_squares, refine
+from vamgpu.curethrough.layers import LayerPrinter
+from vamgpu.curethrough.leastsquares import heights, least_squares, refine
 from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.curethrough.profile import Flat, Parallel
 from vamgpu.errors import BadInput
@@ -127,14 +130,31 @@ def test_speeds_of_the_map_are_the_limit() -> None:
         assert fastest(PRINTER, feature, 100) == pytest.approx(limits.speed[0, 1])
 
 
-def test_shortest_void_that_opens() -> None:
-    void = least_void(PRINTER, 0.5)
-    for slices, closed in ((int(void) - 1, 1), (int(void) + 2, 0)):
-        part = column([(60, slices), (60, 1)], 5)
-        corrector = Corrector(Correction(PRINTER, open_dose=0.5), (len(part), 1, 1), "numpy")
-        for _ in corrector.run(part[:, None, None]):
-            pass
-        assert corrector.closed[0, 0] == closed
+def closed(printer: Printer, void: int, open_dose: float | None) -> int:
+    """Voids that the correction itself finds closed, of one between two features."""
+    part = column([(60, void), (60, 1)], 5)
+    corrector = Corrector(Correction(printer, open_dose=open_dose), (len(part), 1, 1), "numpy")
+    for _ in corrector.run(part[:, None, None]):
+        pass
+    return int(corrector.closed[0, 0])
+
+
+@pytest.mark.parametrize("printer", [PRINTER, GAMMA, PRINTER.at_speed(0.8)], ids=["paper", "gamma", "fast"])
+@pytest.mark.parametrize("open_dose", [None, 0.9, 0.5])
+def test_the_shortest_void_that_opens_is_the_kernels(printer: Printer, open_dose: float | None) -> None:
+    least = int(least_void(printer, open_dose))
+    assert least >= 2
+    # front and back side lie within half a level of the critical dose, which may take a slice more
+    assert closed(printer, 1, open_dose) == 1 and closed(printer, least - 1, open_dose) == 1
+    assert closed(printer, least + (open_dose is not None), open_dose) == 0
+
+
+def test_a_void_of_one_slice_opens_at_no_speed() -> None:
+    first, second = column_features(column([(20, 1), (20, 1)], 5))
+    assert fastest(PRINTER, first, 50) == 0.0 and fastest(PRINTER, second, 50) > 0.0
+    wider = column_features(column([(20, 6), (20, 1)], 5))[0]
+    speed = fastest(PRINTER, wider, 55, 0.9)
+    assert speed > 0 and least_void(PRINTER.at_speed(speed), 0.9) <= 6 < least_void(PRINTER.at_speed(1.03 * speed), 0.9)
 
 
 def test_least_squares_is_equal_where_feasible_and_better_elsewhere() -> None:
@@ -162,8 +182,13 @@ def test_refine_replaces_columns_in_place() -> None:
     for block in corrector.run(part):
         shown[block.start : block.start + block.table.shape[0]] = block.levels
     before = shown.copy()
-    assert refine(correction, corrector, part, shown) <= 2
-    assert (corrector.closed[0, 0] > 0) and (shown.shape == before.shape)
+    def error(levels: np.ndarray) -> np.ndarray:
+        wanted = np.concatenate([part[:, 0], np.zeros((len(levels) - len(part), 2), np.uint8)])
+        return np.sum(heights(PRINTER, levels[:, 0], wanted), axis=0)
+
+    changed = refine(correction, corrector, part, shown)
+    assert corrector.closed[0, 0] == 2 and changed == (shown != before).any(axis=(0, 1)).sum()
+    assert changed and error(shown)[0] < error(before)[0] and error(shown)[1] <= error(before)[1]
 
 
 def test_survey_counts_features() -> None:
@@ -177,6 +202,20 @@ def test_survey_counts_features() -> None:
                 key = (f.upper, f.lower, f.void, f.last)
                 wanted[key] = wanted.get(key, 0) + 1
     assert found == wanted
+
+
+@pytest.mark.parametrize(("make", "told"), [
+    (lambda: Correction(None), "wanted a Printer"),  # type: ignore[arg-type]
+    (lambda: Correction(PRINTER, tail=1.5), "tail is 1.5"),  # type: ignore[arg-type]
+    (lambda: Correction(PRINTER, tail=10**8), "0 to 65,536"),
+    (lambda: Correction(PRINTER, threshold="x"), "threshold is 'x'"),  # type: ignore[arg-type]
+    (lambda: correct(Correction(PRINTER), [[[0]]]), "slices are list"),  # type: ignore[arg-type]
+    (lambda: Printer(1e-3, 0.5, 5.0, 1.0, PRINTER.light), "5000 absorption heights; wanted 30 at the most"),
+    (lambda: LayerPrinter(1e-3, 0.5, 5.0, 1.0, PRINTER.light), "5000 absorption heights; wanted 30 at the most"),
+])  # fmt: skip
+def test_bad_input_is_named(make: Callable[[], object], told: str) -> None:
+    with pytest.raises(BadInput, match=told):
+        make()
 
 
 def test_hopeless_printers_are_refused() -> None:

@@ -7,12 +7,12 @@ between features is open where the dose falls low enough between two back sides 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from math import log10
+from dataclasses import dataclass
+from math import ceil, log10
 
 import numpy as np
 
-from vamgpu.curethrough.correction import Correction, Corrector
+from vamgpu.curethrough.correction import Corrector
 from vamgpu.curethrough.dose import Stack
 from vamgpu.curethrough.features import Feature
 from vamgpu.curethrough.printer import Printer
@@ -65,30 +65,31 @@ def feasibility(corrector: Corrector, stack: Stack) -> Feasibility:
     return Feasibility(corrector.missed, corrector.closed, speed, power)
 
 
-def least_void(printer: Printer, open_dose: float) -> float:
-    """Slices of the shortest void between features in which Ω falls to ``open_dose`` < 1 and rises to 1 again."""
-    if not printer.phi_min < open_dose < 1.0 < printer.phi_max:
+def least_void(printer: Printer, open_dose: float | None = None) -> float:
+    """Whole slices of the shortest void between features in which Ω falls to ``open_dose`` and rises to 1 again.
+
+    open_dose: by default the printer's own. Light changes at borders alone, so fall and rise take whole slices each, and
+    a void of one slice, whose borders are sides of features both, never opens. Infinite where none does.
+    """
+    wanted = printer.opened if open_dose is None else open_dose
+    if wanted >= 1.0:
+        return 1.0
+    if not printer.phi_min < wanted < printer.phi_max or printer.phi_max <= 1.0:
         return float("inf")
-    fall = log10((1.0 - printer.phi_min) / (open_dose - printer.phi_min))
-    return (fall + log10((printer.phi_max - open_dose) / (printer.phi_max - 1.0))) / printer.eta
+    fall = log10((1.0 - printer.phi_min) / (wanted - printer.phi_min)) / printer.eta
+    rise = log10((printer.phi_max - wanted) / (printer.phi_max - 1.0)) / printer.eta
+    return float(ceil(fall - 1e-9) + ceil(rise - 1e-9))
 
 
 def fastest(printer: Printer, feature: Feature, shown: int, open_dose: float | None = None) -> float:
     """Fastest speed [mm/s] for a feature in a stack of ``shown`` slices, tail included; 0 where none will do.
 
-    open_dose: Ω to which the void between it and the next feature must fall as well.
+    The void between it and the next feature must open too, see `least_void`.
     """
     speed = printer.fastest((shown - feature.lower) * printer.slice_height)
-    if open_dose is None or feature.last or least_void(printer.at_speed(speed), open_dose) <= feature.void:
+    if feature.last or least_void(printer.at_speed(speed), open_dose) <= feature.void:
         return speed
     # slower: quicker build-up, but level 0 weighs more; the shortest void has one least between the two
     choices = [printer.at_speed(s) for s in np.geomspace(1e-3 * speed, speed, 400)]
     able = [one.speed for one in choices if least_void(one, open_dose) <= feature.void]
     return max(able, default=0.0)
-
-
-def slower(correction: Correction, speed: float) -> Correction:
-    """The same correction at another speed [mm/s]; raises `BadInput` for a printer that stops."""
-    if not isinstance(correction.machine, Printer):
-        raise BadInput("only continuous printers have a speed")
-    return replace(correction, machine=correction.machine.at_speed(speed))

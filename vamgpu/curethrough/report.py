@@ -139,11 +139,8 @@ def _fastest(group: Group, outcome: Outcome) -> str:
     machine, correction = outcome.machine, outcome.correction
     if correction is None or not isinstance(machine, Printer):
         return "–"
-    if group.behind < 2 and not group.last:  # both borders of such a void are sides of features
-        return "none"
-    opened = machine.opened if correction.open_dose is None else correction.open_dose
     feature = Feature(group.front, group.back, group.behind, group.last)
-    speed = fastest(machine, feature, outcome.shape[0] + correction.added, opened)
+    speed = fastest(machine, feature, outcome.shape[0] + correction.added, correction.open_dose)
     return f"{speed * hour:.4g} mm/h" if speed > 0 else "none"
 
 
