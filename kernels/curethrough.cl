@@ -84,6 +84,18 @@ PACKED(whole, int, Whole, 0)
 PACKED(word, uint, Word, 0)
 PACKED(bytes, uchar, Bytes, 0)
 
+// A whole pack that is not read again soon: past the caches, which would fetch the old values first.
+static inline void stream_real(__global float *at, Real value) {
+#ifdef CPU
+#if __has_builtin(__builtin_nontemporal_store)
+    if (((size_t)at & (sizeof(Real) - 1)) == 0) { __builtin_nontemporal_store(value, (__global Real *)at); return; }
+#endif
+    vstore16(value, 0, at);
+#else
+    *at = value;
+#endif
+}
+
 // The strip of this item: pixels x_begin to x_end of row y.
 #define STRIP \
     const int y = get_global_id(1), strip = get_global_id(0); \
@@ -175,7 +187,7 @@ CURE_KERNEL expose_slices(__global const uchar *restrict levels, __global const 
             UNROLL for (int v = 0; v < PACKS; v++) change[v] -= decay * dose[v];
             if (n < n_kept)
                 UNROLL for (int v = 0; v < PACKS; v++)
-                    store_real(doses + n * plane + row, x + v * PACK, n_x, (dose[v] + part * change[v]) * fade);
+                    stream_real(doses + n * plane + row + x + v * PACK, (dose[v] + part * change[v]) * fade);
             UNROLL for (int v = 0; v < PACKS; v++) {
                 add(&dose[v], &rest[v], change[v]);
                 peak = fmax(peak, dose[v]);

@@ -36,6 +36,15 @@ def test_streamed_doses_are_the_closed_sum(device: Device, eta: float) -> None:
         assert np.abs(found[n] - wanted).max() <= 1e-5 * wanted.max()
 
 
+@pytest.mark.parametrize("width", [64, 71, 144])
+def test_rows_of_any_place_in_memory(device: Device, width: int) -> None:
+    one = printer()
+    stack = np.random.default_rng(4).integers(0, 256, (33, 3, width)).astype(np.uint8)
+    wanted = column_doses(one, stack)
+    for start, block in doses(one, stack, device):
+        np.testing.assert_allclose(block, wanted[start : start + len(block)], rtol=0, atol=1e-5 * wanted.max())
+
+
 @pytest.mark.parametrize("fraction", [0.0, 0.25, 0.9, 1.0])
 def test_doses_between_borders(device: Device, fraction: float) -> None:
     one, stack = printer(0.3), random_stack(40)
