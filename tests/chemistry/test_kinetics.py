@@ -152,6 +152,10 @@ def test_pairing_in_the_dark_is_second_order(device: Device) -> None:
     (lambda: Light([1.0, 2.0], 0.0, [1.0, 1.0, 1.0]), "sources, intervals"),
     (lambda: advance(resins(), STARTS, Light(np.ones((2, 1)), 0.0, 1.0), device="numpy"), "2 sources of light for 3"),
     (lambda: advance([], STARTS, STEADY, device="numpy"), "wanted Rates"),
+    (lambda: advance(None, STARTS, STEADY, device="numpy"), "wanted Rates"),  # type: ignore[arg-type]
+    (lambda: advance(resins(), (1, 0, 5), STEADY, device="numpy"), "wanted a State"),  # type: ignore[arg-type]
+    (lambda: advance(resins(), STARTS, 1.0, device="numpy"), "and a Light"),  # type: ignore[arg-type]
+    (lambda: advance(resins(), STARTS, STEADY, first=0.5, device="numpy"), "first is 0.5"),  # type: ignore[arg-type]
 ])  # fmt: skip
 def test_bad_input_is_named(make: object, told: str) -> None:
     with pytest.raises(BadInput, match=told):

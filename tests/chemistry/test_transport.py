@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -168,3 +171,22 @@ def test_bad_input_is_refused_with_the_limit_it_broke(device: Device) -> None:
         Reaction(1.0, 1.0, 1.0, 1.0, order=2)
     with pytest.raises(BadInput, match="three edges"):
         Box((4, 4, 4), 0.1)  # type: ignore[arg-type]
+
+
+def still(box: Any, diffusivities: Any = (1e-3, 1e-3, 1e-3), **rest: Any) -> Any:
+    return Transport(box, diffusivities, device=rest.pop("device", "numpy"), **rest)
+
+
+@pytest.mark.parametrize(("make", "told"), [
+    (lambda box: still((4, 4, 4)), "wanted a Box"),
+    (lambda box: still(box, 1e-3), "one for each of A, B, C"),
+    (lambda box: still(box, boundaries=Boundary()), "one for each of A, B, C"),
+    (lambda box: still(box, boundaries=(1, 2, 3)), "wanted a Boundary"),
+    (lambda box: still(box, reaction="fast"), "wanted a Reaction"),
+    (lambda box: still(box).start("much"), "A is 'much'; wanted numbers"),
+    (lambda box: still(box).advance(None, 1.0), "wanted Concentrations"),
+    (lambda box: Boundary(1), "wanted six"),  # type: ignore[arg-type]
+])  # fmt: skip
+def test_what_is_no_number_and_no_box_is_named(make: Callable[[Box], object], told: str) -> None:
+    with pytest.raises(BadInput, match=told):
+        make(Box((4, 4, 4), PITCH))

@@ -32,7 +32,8 @@ class Boundary:
     faces: tuple[Face, Face, Face, Face, Face, Face] = (None, None, None, None, None, None)
 
     def __post_init__(self) -> None:
-        if len(self.faces) != 6 or not all(face is None or isinstance(face, Fixed) for face in self.faces):
+        known = isinstance(self.faces, (tuple, list)) and len(self.faces) == 6
+        if not known or not all(face is None or isinstance(face, Fixed) for face in self.faces):
             raise BadInput(f"faces are {self.faces!r}; wanted six of None or Fixed: {', '.join(FACES)}")
 
     @classmethod

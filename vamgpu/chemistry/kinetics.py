@@ -69,9 +69,13 @@ def advance(
     Raises:
         BadInput: values that cannot be used, or an item that needs more than 20,000 steps in one interval.
     """
-    resins = (rates,) if isinstance(rates, Rates) else tuple(rates)
+    resins = (rates,) if isinstance(rates, Rates) else tuple(rates) if isinstance(rates, Sequence) else ()
     if not resins or not all(isinstance(resin, Rates) for resin in resins):
         raise BadInput(f"rates are {rates!r}; wanted Rates, or several")
+    if not isinstance(state, State) or not isinstance(light, Light):
+        raise BadInput(f"got {type(state).__name__} and {type(light).__name__}; wanted a State and a Light")
+    if not isinstance(first, (int, np.integer)):
+        raise BadInput(f"first is {first!r}; wanted the number of an interval")
     if light.sources not in (1, len(state)):
         raise BadInput(f"{light.sources} sources of light for {len(state)} items; wanted 1 or {len(state)}")
     (count,) = counts("intervals", (light.intervals if intervals is None else intervals,), 1)

@@ -68,8 +68,15 @@ class Transport:
     device: Device = field(default=None)  # type: ignore[assignment] - the default device
 
     def __post_init__(self) -> None:
-        if len(self.diffusivities) != 3 or len(self.boundaries) != 3:
-            raise BadInput(f"wanted a diffusivity and a boundary for each of {', '.join(SPECIES)}")
+        for name in ("diffusivities", "boundaries"):
+            given = getattr(self, name)
+            if not isinstance(given, (tuple, list, np.ndarray)) or len(given) != 3:
+                raise BadInput(f"{name} are {given!r}; wanted one for each of {', '.join(SPECIES)}")
+        if not all(isinstance(boundary, Boundary) for boundary in self.boundaries):
+            raise BadInput(f"boundaries are {self.boundaries!r}; wanted a Boundary for each of {', '.join(SPECIES)}")
+        for name, wanted in (("box", Box), ("reaction", Reaction | None)):
+            if not isinstance(getattr(self, name), wanted):
+                raise BadInput(f"{name} is {getattr(self, name)!r}; wanted a {name.capitalize()}")
         named = zip(SPECIES, self.diffusivities, strict=True)
         checked = tuple(positive(f"diffusivity of {name} [mm²/s]", value) for name, value in named)
         object.__setattr__(self, "diffusivities", checked)
@@ -114,7 +121,10 @@ class Transport:
         return Concentrations(*fields, self.device.upload(np.zeros(shape, np.float32)), *never)  # pyright: ignore[reportCallIssue]
 
     def _field(self, name: str, value: Any) -> DeviceArray:
-        values = np.asarray(value, np.float64)
+        try:
+            values = np.asarray(value, np.float64)
+        except (TypeError, ValueError) as error:
+            raise BadInput(f"{name} is {value!r}; wanted numbers") from error
         if values.shape not in ((), self.box.shape):
             raise ShapeMismatch(f"{name} has shape {values.shape}; wanted a number or {self.box.shape}")
         if not np.isfinite(values).all() or values.min() < 0:
@@ -135,6 +145,8 @@ class Transport:
         zero at any step, but their error is of its first order: where diffusion is slow, ask for more.
         Raises `UnstableStep`, `BadInput`.
         """
+        if not isinstance(state, Concentrations):
+            raise BadInput(f"state is {state!r}; wanted Concentrations, as start() makes them")
         span = positive("seconds", seconds)
         count = self.steps(span) if steps is None else counts("steps", (steps,), 1)[0]
         step = span / count

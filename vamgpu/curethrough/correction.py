@@ -21,6 +21,7 @@ from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.kernels.curethrough import BITS, NEVER, correct_slices, pack_slices
 
 BINS = 1024
+MOST_TAIL = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -42,10 +43,12 @@ class Correction:
     open_dose: float | None = None
 
     def __post_init__(self) -> None:
-        if not 1 <= self.threshold <= 255:
+        if not isinstance(self.threshold, (int, np.integer)) or not 1 <= self.threshold <= 255:
             raise BadInput(f"threshold is {self.threshold!r}; wanted a gray level from 1 to 255")
-        if self.tail is not None and self.tail < 0:
-            raise BadInput(f"tail is {self.tail!r}; wanted a number of slices ≥ 0")
+        if self.tail is not None and not (isinstance(self.tail, (int, np.integer)) and 0 <= self.tail <= MOST_TAIL):
+            raise BadInput(f"tail is {self.tail!r}; wanted a whole number of slices, 0 to {MOST_TAIL:,}")
+        if not hasattr(self.machine, "targets"):
+            raise BadInput(f"machine is {self.machine!r}; wanted a Printer or a LayerPrinter")
         self.machine.targets(self.profile)
 
     @property
@@ -152,6 +155,8 @@ class Corrector:
 
 def correct(correction: Correction, levels: np.ndarray, device: str | Device | None = None) -> np.ndarray:
     """The slices to show for a whole stack in memory, uint8 [slice + tail, y, x]. Raises `BadInput`."""
+    if not isinstance(levels, np.ndarray):
+        raise BadInput(f"slices are {type(levels).__name__}; wanted a NumPy array, uint8 [slice, y, x]")
     corrector = Corrector(correction, levels.shape, device)
     out = np.empty((corrector.slices, *levels.shape[1:]), np.uint8)
     for block in corrector.run(levels):

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from vamgpu.curethrough.printer import measured_levels
+from vamgpu.curethrough.printer import check_eta, measured_levels
 from vamgpu.curethrough.profile import Flat, Profile
 from vamgpu.curethrough.targets import NEVER, Targets
 from vamgpu.errors import BadInput
@@ -43,6 +43,7 @@ class LayerPrinter:
                            ("exposure", "s")):  # fmt: skip
             object.__setattr__(self, name, positive(f"{name} [{unit}]", getattr(self, name)))
         object.__setattr__(self, "light", measured_levels(self.light))
+        check_eta(self.slice_height, self.absorption_height)
 
     layered = True
     tail = 0

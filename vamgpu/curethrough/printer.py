@@ -17,6 +17,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
 LEVELS = 256
+MOST_ETA = 30
 
 
 def measured_levels(light: Any) -> tuple[float, ...]:
@@ -37,6 +38,16 @@ def measured_levels(light: Any) -> tuple[float, ...]:
     if values[-1] <= values[0]:
         raise BadInput(f"light is {values[0]:g} mW/mm² at level 0 and {values[-1]:g} at 255; wanted more at 255")
     return tuple(values.tolist())
+
+
+def check_eta(slice_height: float, absorption_height: float) -> None:
+    """Raise `BadInput` for slices so high [mm], or light that falls so fast, that 10^η leaves float32."""
+    eta = slice_height / absorption_height
+    if eta > MOST_ETA:
+        raise BadInput(
+            f"a slice is {slice_height:g} mm high, {eta:g} absorption heights; wanted {MOST_ETA} at the most: "
+            "check both and their units"
+        )
 
 
 def levels_of(full: float, dark: float = 0.0, curve: Callable[[Any], Any] | None = None) -> tuple[float, ...]:
@@ -77,6 +88,7 @@ class Printer:
             object.__setattr__(self, name, positive(f"{name} [{unit}]", getattr(self, name)))
         object.__setattr__(self, "dead_zone", positive("dead_zone [mm]", self.dead_zone, zero=True))
         object.__setattr__(self, "light", measured_levels(self.light))
+        check_eta(self.slice_height, self.absorption_height)
 
     layered = False
 
