@@ -13,7 +13,7 @@ from PIL import Image
 from vamgpu.errors import BadInput
 from vamgpu.gallery import CATALOG, Fact, draw, names, parameters, write_index, write_page
 from vamgpu.gallery.projection import Ellipse
-from vamgpu.gallery.write import contents
+from vamgpu.gallery.write import _rows, contents
 
 PAGES = Path(__file__).parents[2] / "docs"
 
@@ -72,6 +72,10 @@ def test_measured_numbers_keep_their_bounds(name: str) -> None:
 def test_unknown_names_and_parameters_are_refused(name: str, values: dict[str, Any]) -> None:
     with pytest.raises(BadInput, match="it has"):
         draw(name, None, quick=True, **values)
+
+
+def test_bars_within_cells_do_not_end_them() -> None:
+    assert _rows([("bin", "greatest |I′|"), ("1", "2")]).splitlines()[0] == "| bin | greatest \\|I′\\| |"
 
 
 def test_a_fact_states_value_expectation_and_difference() -> None:

@@ -196,8 +196,9 @@ def gallery(
     if pairs and name in (None, "all"):
         raise BadInput("--set is for one picture; name it, such as: vam gallery vial --set key=value")
     if name is None:
+        wide = max(map(len, pictures.CATALOG)) + 2
         for entry, title in pictures.CATALOG.items():
-            console().print(f"[bold]{entry:<12}[/]{title}")
+            console().print(f"[bold]{entry:<{wide}}[/]{title}")
         return
     values = {key.strip(): toml_value(text.strip()) for key, _, text in pairs}
     place, screen = open_device(device), console()

@@ -99,7 +99,7 @@ def _table(table: Table) -> str:
 
 
 def _rows(rows: list[Any]) -> str:
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
     lines.insert(1, "|" + "|".join(["---", *["---:"] * (len(rows[0]) - 1)]) + "|")
     return "\n".join(lines)
 
