@@ -68,8 +68,8 @@ def feasibility(corrector: Corrector, stack: Stack) -> Feasibility:
 def least_void(printer: Printer, open_dose: float | None = None) -> float:
     """Whole slices of the shortest void between features in which Ω falls to ``open_dose`` and rises to 1 again.
 
-    open_dose: by default the printer's own. Light changes at borders alone, so fall and rise take whole slices each, and
-    a void of one slice, whose borders are sides of features both, never opens. Infinite where none does.
+    open_dose: by default the printer's own. Light changes at borders alone, so fall and rise take whole slices each,
+    and a void of one slice, whose borders are sides of features both, never opens. Infinite where none does.
     """
     wanted = printer.opened if open_dose is None else open_dose
     if wanted >= 1.0:
