@@ -14,13 +14,16 @@ log = logging.getLogger(__name__)
 
 def _axis(uri: str) -> Any:
     """The maker's axis at an address such as ``xi-com:///dev/ttyACM0``."""
-    if sys.platform != "win32":
-        # Some releases of the package import this Windows module everywhere, and use it on Windows alone.
-        sys.modules.setdefault("winreg", types.ModuleType("winreg"))
+    stands_in = sys.platform != "win32" and "winreg" not in sys.modules
+    if stands_in:  # some releases of the package import this Windows module everywhere, and use it on Windows alone
+        sys.modules["winreg"] = types.ModuleType("winreg")
     try:
         from libximc import highlevel  # type: ignore[import-not-found]
     except ImportError as error:
         raise DeviceNotFound("Standa stages need the maker's package: pip install libximc") from error
+    finally:
+        if stands_in:  # the standard library asks whether there is one
+            del sys.modules["winreg"]
     return highlevel.Axis(uri)
 
 

@@ -210,6 +210,7 @@ def test_signals_are_dark_first(number: signal.Signals) -> None:
     """The process says when the lamp went off and when the signal's own effect came."""
     script = """
         import os, signal, sys, time
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have told its children to ignore it
         from vamgpu.hosts.emulators.clock import VirtualClock
         from vamgpu.hosts.lease import Lease
         from vamgpu.hosts.light import LightGuard
