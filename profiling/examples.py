@@ -377,7 +377,7 @@ def _bent(n: int, *shape: int) -> Example:
 
 
 def _transported(n: int) -> Example:
-    """One step in a box with open and closed columns, fixed values at some faces, and radicals left over here and there."""
+    """One step in a box: open and closed columns, fixed values at some faces, radicals left over here and there."""
     walls = np.zeros((3, 6, 2))
     walls[..., 1] = 1.0
     walls[0, 1], walls[1, 4], walls[2, 5], walls[0, 2] = (0.6, -1.0), (1.4, -1.0), (0.8, -1.0), (0.2, -1.0)

@@ -81,7 +81,8 @@ def main() -> None:
     found = []
     for length in given.lengths:
         command = [sys.executable, __file__, "--one", "--lengths", str(length), "--core", str(given.core)]
-        command += ["--limit", str(given.limit), "--iterations", str(given.iterations)] + (["--device", given.device] if given.device else [])
+        command += ["--limit", str(given.limit), "--iterations", str(given.iterations)]
+        command += ["--device", given.device] if given.device else []
         done = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
         found.append(done | {"limit_gib": given.limit, "machine": machine()})
         print(json.dumps(done, indent=1))
