@@ -92,7 +92,7 @@ class DeviceBusy(DeviceError):
 
 
 class WrongDevice(DeviceError):
-    """A machine answers, but is not the one the configuration names, or runs a firmware that cannot do what is asked."""
+    """A machine answers, but is not the one the configuration names, or its firmware cannot do what is asked."""
 
 
 class DeviceRefused(DeviceError):
