@@ -14,17 +14,23 @@ from vamgpu.hosts.clock import RealClock
 from vamgpu.hosts.config import RigConfig
 from vamgpu.hosts.limits import MirrorTiming
 from vamgpu.hosts.moving import turned
+from vamgpu.hosts.preflight import Preflight, fits, measure, preflight
 from vamgpu.hosts.record import RunFolder
 from vamgpu.hosts.run import Limits, Machines, Print
 from vamgpu.hosts.schedule import Schedule
 from vamgpu.hosts.state import State
 from vamgpu.hosts.stream import FramePictures, Mirrors
+from vamgpu.hosts.supply import BUFFERS
 from vamgpu.printing.frames import Frames
 
 GUARD = 0.02
 """Share of a pose that stays dark at its end, so that no light falls into the next."""
 EMULATED_STEPS = 1000
 """Microsteps of an emulated motion in a pose."""
+MEASURED = 8
+"""Pictures at once while the wire to the mirrors is measured."""
+UPLOAD = 0.25
+"""Share of a lease that the upload of one sequence may last: the thread that uploads also renews."""
 
 
 @dataclass(frozen=True)
@@ -111,17 +117,61 @@ def rehearsal(planned: Plan) -> tuple[Machines, Any]:
     return bench.machines(EMULATED_STEPS / float(planned.schedule.advance)), bench
 
 
+@dataclass(frozen=True)
+class Checked:
+    """What a look at the machines found. depth: pictures in each of the two sequences of the mirrors."""
+
+    found: Preflight
+    depth: int
+
+    def __str__(self) -> str:
+        found = self.found
+        if np.isfinite(found.measured):
+            return f"{found}; {self.depth} pictures a sequence"
+        return (
+            f"{found.planes} planes, {found.memory} fit: {found.residence.value}; {1e-6 * found.demand:.3g} MB/s, "
+            f"emulated mirrors have no wire to measure; {self.depth} pictures a sequence"
+        )
+
+
+def check(planned: Plan, machines: Machines, seconds: float = 2.0) -> Checked:
+    """Judge a plan on opened machines, in the dark. seconds: how long the wire is measured, on real machines alone.
+
+    Raises `WrongDevice` for other mirrors than planned, and `TimingInfeasible` with what binds.
+    """
+    table, bits, dmd = planned.schedule, planned.frames.bits, machines.mirrors[0]
+    wanted = planned.mirrors
+    timing = MirrorTiming(pixels=(wanted.columns, wanted.rows), row_bytes=wanted.row_bytes)
+    fits((dmd.height, dmd.width), timing)
+    measured = float("inf")
+    if isinstance(machines.clock, RealClock):
+        sequence = dmd.sequence(MEASURED, bits)
+        try:
+            black = np.zeros((MEASURED, bits, *dmd.plane_shape), np.uint8)
+            measured = measure(sequence.put, black, machines.clock, seconds)
+        finally:
+            sequence.free()
+    most = measured * planned.rig.wanted.safety.lease * UPLOAD / timing.nbytes(bits)
+    depth = max(2, int(min(round(table.rate), most)))
+    memory = min(dmd.free_planes(), 2 * depth * bits)
+    found = preflight(table, timing, measured, bits=bits, batch=depth, depth=BUFFERS, memory=memory)
+    return Checked(found, depth)
+
+
 def carry_out(
-    planned: Plan, machines: Machines, folder: str | Path, board: Board | None = None
+    planned: Plan, machines: Machines, folder: str | Path, board: Board | None = None, depth: int | None = None
 ) -> tuple[State, Print]:
-    """Print a plan into the folder of a run. Raises what went wrong, after it is dark and written down."""
+    """Print a plan into the folder of a run. Raises what went wrong, after it is dark and written down.
+
+    depth: see `Print`; that of `check` lets no upload outlast the lease.
+    """
     table = planned.schedule
     asked = {"job": planned.job, "rig": planned.rig.source, "slots": len(table), "unit": table.unit}
     with RunFolder.begin(folder, asked, planned.rig.text) as record:
         pictures = FramePictures(planned.frames, planned.mirrors)
         job = Print(
             planned.schedule, machines, [pictures], record, limits=limits(planned.rig), board=board,
-            power=planned.rig.wanted.light.power,
+            depth=depth, power=planned.rig.wanted.light.power,
         )  # fmt: skip
         return job.run(), job
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from vamgpu.errors import BadInput, VamError
+from vamgpu.errors import BadInput, DeviceError, VamError
 from vamgpu.hosts.board import Board
-from vamgpu.hosts.clock import Clock
+from vamgpu.hosts.clock import Clock, RealClock
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream, SlotTiming
 from vamgpu.hosts.drivers.lens import TunableLens
@@ -24,6 +24,7 @@ from vamgpu.hosts.schedule import Schedule
 from vamgpu.hosts.state import State, States
 from vamgpu.hosts.stream import Pictures
 from vamgpu.hosts.supply import Dark, Motion, Supply
+from vamgpu.hosts.underrun import WebUnderrun
 
 log = logging.getLogger(__name__)
 SECOND = 1_000_000_000
@@ -31,6 +32,8 @@ LOOK = 20_000_000
 """Between two looks at the machines [ns]."""
 TRIES = 200
 """Looks for the motion to come to its speed, or to rest."""
+PRIMING = 60 * SECOND
+"""Longest wait for mirrors and buffers to be full before the light opens [ns]."""
 
 
 @dataclass
@@ -58,7 +61,8 @@ class Print:
     """One print on one rig.
 
     schedule: see `vamgpu.hosts.schedule`.  pictures: of each projector.  folder: keeps what happens.  depth: pictures
-    in each of the two sequences of the mirrors; by default a second's. Raises `BadInput`.
+    in each of the two sequences of the mirrors; by default a second's.  policy: of each projector, decides on pictures
+    that are late. Raises `BadInput`.
     """
 
     def __init__(
@@ -72,6 +76,7 @@ class Print:
         board: Board | None = None,
         depth: int | None = None,
         power: float = 1.0,
+        policy: Callable[[], WebUnderrun] = WebUnderrun,
     ) -> None:
         if len(pictures) != schedule.engines or len(machines.mirrors) != schedule.engines:
             raise BadInput(
@@ -92,6 +97,8 @@ class Print:
             lamp, self.lease, tolerance=limits.tolerance, budget=Budget(total * limits.budget),
             others={f"mirrors {number}": Dark(dmd) for number, dmd in enumerate(machines.mirrors)}, told=self._told,
         )  # fmt: skip
+        self.policies = tuple(policy() for _ in pictures)
+        self.streams: list[Supply] = []
         self.next = 0
         self.asked: State | None = None
         self.paused_at: int | None = None
@@ -141,7 +148,9 @@ class Print:
     def _ended(self, error: BaseException) -> None:
         wanted = self.asked is State.CANCELLED or isinstance(error, KeyboardInterrupt)
         state = State.CANCELLED if wanted else State.ERROR
-        for act in (lambda: self.machines.controller.stop(), lambda: self._event("ended", error=repr(error))):
+        stops = (stream.stop for stream in self.streams)
+        told = lambda: self._event("ended", error=repr(error))  # noqa: E731
+        for act in (self.machines.controller.stop, told, *stops):
             try:
                 act()
             except Exception as second:  # the first error is the one to tell
@@ -181,7 +190,10 @@ class Print:
         shown = next((each for low, each in zip(before, after, strict=True) if not low <= status.shown <= each), None)
         error = leg.motion.error(clock.now(), status.position)
         self.guard.look(motion=error, shown=status.shown if shown is None else shown, scheduled=status.shown)
+        kept = self.next
         self._keep(leg, status.shown, status.late)
+        if self.next == kept:  # a look that writes nothing would not see a full disk
+            self._event("look", shown=status.shown)
         leg.looked = clock.now()
         for stream in leg.streams:
             stream.fill()
@@ -213,7 +225,7 @@ class Print:
                 behind = stream.arrived(slot) - leg.looked
                 self.folder.shown(
                     Shown(slot, int(table.frame[slot]), int(table.pose[slot]), int(table.light[slot]), on,
-                          late=behind, engine=engine, dark=slot - first < late)
+                          late=behind, engine=engine, dark=slot - first < late or stream.black(slot))
                 )  # fmt: skip
             self.next = slot + 1
             self.guard.spend(self.power, on)
@@ -225,16 +237,26 @@ class Print:
         return max(sent, stop)
 
     def _primed(self, first: int) -> list[Supply]:
-        """Mirrors with both their sequences full."""
+        """Mirrors with both their sequences full, and buffers with the pictures after those."""
         machines, on = self.machines, int(self.schedule.on[0]) // 1000
-        feeds = []
-        for dmd, pictures in zip(machines.mirrors, self.pictures, strict=True):
+        threaded, self.streams = isinstance(machines.clock, RealClock), []
+        for dmd, pictures, policy in zip(machines.mirrors, self.pictures, self.policies, strict=True):
             dmd.halt()
             dmd.slave()
             stream = PlaneStream(dmd, self.depth, pictures.bits, SlotTiming(on, on))
-            feeds.append(Supply(stream, pictures, self.schedule.frame, machines.clock, first))
-            feeds[-1].fill()
-        return feeds
+            self.streams.append(
+                Supply(stream, pictures, self.schedule, machines.clock, first, policy=policy, threaded=threaded)
+            )
+        end = machines.clock.now() + PRIMING
+        while not all(stream.primed for stream in self.streams):
+            for stream in self.streams:
+                stream.prime()
+                self._alive()
+            if machines.clock.now() > end:
+                raise DeviceError(f"mirrors and buffers are not full after {PRIMING // SECOND} s; check their source")
+            if threaded:
+                machines.clock.sleep_until(machines.clock.now() + LOOK)
+        return self.streams
 
     def _approach(self, first: int) -> Rows:
         """Bring the motion to its speed ahead of the first slot, and say where pose 0 is."""

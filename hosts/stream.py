@@ -9,6 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from vamgpu.errors import BadInput
+from vamgpu.hosts.schedule import NONE
+from vamgpu.hosts.sources import FrameSource, Source
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.frames import Frames
 
@@ -54,6 +56,35 @@ class Mirrors:
         return np.packbits((full[:, None] >> shifts) & 1, axis=-1)
 
 
+class PackedSource:
+    """Pictures that are packed by the host when they are read.
+
+    shape: of one picture's bytes [plane, row, byte].  frames: how many pictures there are.
+    """
+
+    def __init__(self, pictures: Pictures, shape: tuple[int, ...], frames: int) -> None:
+        self._pictures, self.shape, self.frames = pictures, shape, frames
+
+    def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """See `vamgpu.hosts.sources.Source`."""
+        lit = np.flatnonzero(frames != NONE)
+        if len(lit) < len(out):
+            out[:] = 0
+        if lit.size:
+            out[lit] = self._pictures.planes(frames[lit])
+        ones = np.bitwise_count(out[: len(frames)]).sum(axis=(2, 3), dtype=np.int64)
+        return ones @ (1 << np.arange(ones.shape[1] - 1, -1, -1, dtype=np.int64))
+
+
+def source(pictures: Pictures, shape: tuple[int, ...], frames: int, batch: int) -> Source:
+    """Where a feed reads pictures: made on their device where its kernels can, else packed by the host."""
+    if isinstance(pictures, FramePictures):
+        made = pictures.source(batch)
+        if made is not None and made.shape == shape:
+            return made
+    return PackedSource(pictures, shape, frames)
+
+
 class FramePictures:
     """The frames of a vial's job: number k is frame k."""
 
@@ -61,6 +92,16 @@ class FramePictures:
         self.bits, self.count = frames.bits, frames.shape[0]
         mirrors.place(*frames.shape[1:])
         self._levels, self._mirrors, self._full = frames.levels(), mirrors, 255 if frames.bits == 1 else 1
+        self._frames = frames
+
+    def source(self, batch: int) -> FrameSource | None:
+        """The frames as their device packs them; None for mirrors whose rows its kernels do not write."""
+        frames, mirrors = self._frames, self._mirrors
+        step = mirrors.row_bytes if frames.bits == 8 else (mirrors.columns - frames.shape[2]) // 2
+        if step % 8:
+            return None
+        size = (mirrors.rows, mirrors.columns)
+        return FrameSource(frames, row_bytes=mirrors.row_bytes, batch=batch, size=size)
 
     def planes(self, numbers: np.ndarray) -> np.ndarray:
         """See `Pictures`."""

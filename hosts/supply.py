@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import logging
+import math
 from collections import deque
+from typing import cast
 
-import numpy as np
-
+from vamgpu.errors import Underrun
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream
+from vamgpu.hosts.feed import Feed, Sink
 from vamgpu.hosts.schedule import Schedule
-from vamgpu.hosts.stream import Pictures
+from vamgpu.hosts.stream import Pictures, source
+from vamgpu.hosts.underrun import Action, WebUnderrun
 
+log = logging.getLogger(__name__)
+BUFFERS = 2
+"""Of pictures made ahead, each as long as a sequence of the mirrors."""
+GUARD = 0.06
+"""How far ahead of the counter [s] a missing picture is given up: three looks of the print."""
 WINDOW = 1_000_000_000
 """Over which the motion's speed is judged [ns]."""
 
@@ -43,33 +52,82 @@ class Dark:
         self._dmd.halt()
 
 
-class Supply:
-    """Pictures of one projector on their way to its mirrors."""
+class _Ahead(Feed):
+    """A feed whose thread makes pictures; uploads stay with the thread that prints, which alone talks to mirrors."""
 
-    def __init__(self, stream: PlaneStream, pictures: Pictures, frames: np.ndarray, clock: Clock, first: int) -> None:
-        self._stream, self._pictures, self._frames = stream, pictures, frames
-        self._first, self._length, self._clock = first, stream.length, clock
-        self._arrived: list[int] = []
+    def _uploading(self) -> None:
+        pass
+
+
+class Supply:
+    """Pictures of one projector on their way to its mirrors, made ahead in a thread of their own.
+
+    first: slot they begin with.  policy: decides on pictures that are late.  threaded: False on a clock that a program
+    sets, where pictures are made when they are wanted, so that a print repeats exactly.
+    """
+
+    def __init__(
+        self, stream: PlaneStream, pictures: Pictures, schedule: Schedule, clock: Clock, first: int, *,
+        policy: WebUnderrun, threaded: bool,
+    ) -> None:  # fmt: skip
+        self._stream, self._schedule, self._first, self._policy = stream, schedule, first, policy
+        order, shape = schedule.frame[first:], (pictures.bits, *stream.dmd.plane_shape)
+        made = source(pictures, shape, int(schedule.frame.max()) + 1, stream.length)
+        self._feed = _Ahead(made, order, cast(Sink, stream), clock, batch=stream.length, depth=BUFFERS)
+        self._guard = max(2, math.ceil(GUARD * schedule.rate))
         self.ahead, self.share = 0, 0.0
+        if threaded:
+            self._feed.start()
+
+    @property
+    def primed(self) -> bool:
+        """Whether mirrors and buffers hold all they can."""
+        return self._feed.primed
+
+    def prime(self) -> None:
+        """Upload what is ready, before the light; raises what the making of pictures raised."""
+        self._feed.check()
+        if self._feed.threaded:
+            self._feed.upload()
+        else:
+            self._feed.pump()
+        self.ahead = self._feed.uploaded - self.shown()
+        self.share = min(1.0, self.ahead / (2 * self._stream.length))
 
     def fill(self) -> None:
-        """Upload and queue as much as there is room for."""
-        while self._stream.room() and self._first + self._stream.queued < len(self._frames):
-            start = self._first + self._stream.queued
-            before = self._stream.queued
-            self._stream.put(self._pictures.planes(self._frames[start : start + self._length]))
-            self._arrived += [self._clock.now()] * (self._stream.queued - before)
-        self.ahead = self._stream.queued - self.shown()
-        self.share = min(1.0, self.ahead / (2 * self._length))
+        """Upload what is ready and has room; where nothing is and time is short, ask the policy. Raises `Underrun`."""
+        self.prime()
+        while self.ahead < self._guard and not self._feed.done and self._stream.room():
+            if self._feed.upload():
+                self.ahead = self._feed.uploaded - self.shown()
+                continue
+            slot = self._first + self._feed.black()
+            pose = int(self._schedule.pose[slot])
+            log.warning("slot %d (pose %d) is black: its picture is not there", slot, pose)
+            if self._policy.lost(pose) is Action.STOP:
+                raise Underrun(
+                    f"more than {self._policy.allowed} of {self._policy.window} poses were lost, the last at slot "
+                    f"{slot} (pose {pose}): the light is off; print slower, or make pictures faster"
+                )
+            self.ahead = self._feed.uploaded - self.shown()
 
     def arrived(self, slot: int) -> int:
         """When a slot's picture was at the mirrors [ns]."""
-        return self._arrived[slot - self._first]
+        return int(self._feed.arrived[slot - self._first])
+
+    def black(self, slot: int) -> bool:
+        """Whether a slot's picture was late, and black instead."""
+        return slot - self._first in self._feed.late
 
     def shown(self) -> int:
         """Pictures since the leg began."""
         return self._stream.shown()
 
+    def stop(self) -> None:
+        """Make no more pictures; mirrors are left as they are."""
+        self._feed.stop()
+
     def close(self) -> None:
-        """Give the mirrors' memory back."""
+        """Give the mirrors' memory back, and make no more pictures."""
         self._stream.close()
+        self.stop()

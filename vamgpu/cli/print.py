@@ -88,12 +88,14 @@ def _demo(screen: Console, place: Path) -> Path:
 
 def _printed(screen: Console, planned: Plan, place: Path, dry: bool, board: Board | None) -> None:
     from vamgpu.hosts.record import read_run, timing
-    from vamgpu.hosts.rig import carry_out, opened, rehearsal
+    from vamgpu.hosts.rig import carry_out, check, opened, rehearsal
 
     emulated = dry or planned.rig.wanted.emulated
     machines, bench = rehearsal(planned) if emulated else (opened(planned.rig), None)
     try:
-        state, _ = carry_out(planned, machines, place, board)
+        checked = check(planned, machines)
+        screen.print(f"  {'preflight':<27} [bold]{escape(str(checked))}[/]")
+        state, _ = carry_out(planned, machines, place, board, checked.depth)
     finally:
         machines.controller.close()
     run = read_run(place)

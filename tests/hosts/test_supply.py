@@ -1,0 +1,128 @@
+"""Pictures on their way: packed by another thread than prints, the same bytes either way, and late ones are judged."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vamgpu.errors import Underrun, WrongDevice
+from vamgpu.hosts.clock import RealClock
+from vamgpu.hosts.config import read_rig
+from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream
+from vamgpu.hosts.emulators.array import ArrayModel
+from vamgpu.hosts.emulators.clock import VirtualClock
+from vamgpu.hosts.emulators.dmd import FakeAlp
+from vamgpu.hosts.limits import MirrorTiming
+from vamgpu.hosts.moving import turned
+from vamgpu.hosts.rig import check, plan, rehearsal
+from vamgpu.hosts.schedule import NONE
+from vamgpu.hosts.sources import FrameSource
+from vamgpu.hosts.stream import FramePictures, Mirrors, PackedSource, source
+from vamgpu.hosts.supply import Supply
+from vamgpu.hosts.underrun import WebUnderrun
+from vamgpu.printing.folder import save_frames
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+
+MIRRORS = Mirrors(12, 64, 8)
+SHAPE = (8, 12, 8)
+SCHEDULE = turned(40, speed=40, engines=MirrorTiming(pixels=(64, 12), row_bytes=8, dark=3e-3))
+
+
+def frames_of(device: str) -> Frames:
+    levels = np.random.default_rng(5).integers(0, 256, (40, 8, 30), dtype=np.uint8)
+    return Frames.from_bytes(levels, device, bits=8, gray=GrayCurve.linear(), scale=1.0, columns=30)
+
+
+class Watched:
+    """Pictures that keep which threads packed them, and may wait."""
+
+    bits = 8
+
+    def __init__(self, allowed: int) -> None:
+        self._pictures, self.threads, self.allowed = FramePictures(frames_of("numpy"), MIRRORS), set(), allowed
+        self.go = threading.Event()
+
+    def planes(self, numbers: np.ndarray) -> np.ndarray:
+        self.threads.add(threading.get_ident())
+        if self.allowed <= 0:
+            self.go.wait(10)
+        self.allowed -= 1
+        return self._pictures.planes(numbers)
+
+    def picture(self, number: int) -> np.ndarray:
+        return self._pictures.picture(number)
+
+
+def supply(pictures: Any, policy: WebUnderrun) -> tuple[Supply, FakeAlp, VirtualClock]:
+    clock = VirtualClock()
+    alp = FakeAlp(clock, ArrayModel(height=12, width=64))
+    dmd = Dmd(alp.library)
+    dmd.slave()
+    stream = PlaneStream(dmd, 4, 8)
+    return Supply(stream, pictures, SCHEDULE, RealClock(), 0, policy=policy, threaded=True), alp, clock
+
+
+def until(done: Any, act: Any) -> None:
+    end = time.monotonic() + 20
+    while not done():
+        act()
+        assert time.monotonic() < end, "what was waited for never came"
+        time.sleep(0.001)
+
+
+def test_device_and_host_pack_the_same_bytes() -> None:
+    packed = PackedSource(FramePictures(frames_of("numpy"), MIRRORS), SHAPE, 40)
+    made = source(FramePictures(frames_of("opencl:pocl:0"), MIRRORS), SHAPE, 40, 4)
+    assert isinstance(made, FrameSource)
+    numbers, one, two = np.array([7, NONE, 39]), np.full((4, *SHAPE), 9, np.uint8), np.full((4, *SHAPE), 9, np.uint8)
+    sums = packed.read(numbers, one)
+    assert np.array_equal(sums, made.read(numbers, two)) and np.array_equal(one, two)
+    levels = frames_of("numpy").levels().astype(int)
+    assert sums.tolist() == [levels[7].sum(), 0, levels[39].sum()] and not one[[1, 3]].any()
+
+
+def test_the_thread_that_prints_packs_nothing() -> None:
+    pictures = Watched(100)
+    mirrors, _, _ = supply(pictures, WebUnderrun())
+    until(lambda: mirrors.primed, mirrors.prime)
+    assert mirrors.ahead == 8 and mirrors.share == 1.0 and mirrors.arrived(7) > 0
+    mirrors.close()
+    assert pictures.threads and threading.get_ident() not in pictures.threads
+
+
+def test_late_pictures_are_black_and_the_third_pose_ends_the_print() -> None:
+    pictures = Watched(2)  # eight pictures come, the rest hangs
+    mirrors, alp, clock = supply(pictures, WebUnderrun())
+    until(lambda: mirrors.ahead == 8, mirrors.prime)
+
+    def step() -> None:
+        clock.sleep(30_000_000)
+        alp.trigger(clock.now())
+        mirrors.fill()
+
+    with pytest.raises(Underrun, match="more than 2 of 360 poses"):
+        until(lambda: False, step)
+    assert [mirrors.black(slot) for slot in range(7, 12)] == [False, True, True, True, False]
+    pictures.go.set()
+    mirrors.close()
+
+
+def test_a_plan_is_checked_before_the_light(tmp_path: Path) -> None:
+    place = save_frames(tmp_path / "part.vam", frames_of("numpy")).path
+    planned = plan(place, read_rig("emulated"), speed=40)
+    machines, bench = rehearsal(planned)
+    assert check(planned, machines).depth == round(planned.schedule.rate)
+    assert "no wire to measure" in str(check(planned, machines))
+    free = machines.mirrors[0].free_planes()
+    found = check(planned, replace(machines, clock=RealClock()), 0.02)
+    assert np.isfinite(found.found.measured) and found.depth >= 2 and "MB/s of" in str(found)
+    assert machines.mirrors[0].free_planes() == free and not bench.controller.light
+    with pytest.raises(WrongDevice, match="another device"):
+        check(replace(planned, mirrors=MIRRORS), machines)
