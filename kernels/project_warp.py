@@ -58,7 +58,7 @@ def length(pitch: float, c: float, s: float):
     return pitch / wp.max(wp.abs(c), wp.abs(s))
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 2))  # fewer registers, so that more threads hide the loads
 def forward_joseph(
     volume: wp.array2d(dtype=wp.vec4),
     directions: wp.array2d(dtype=float),

@@ -46,7 +46,7 @@ def overlap(distance: float, reach: float, inverse: float):
     return wp.clamp(reach - wp.abs(distance), 0.0, 1.0) * inverse
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 3))  # fewer registers, so that more threads hide the loads
 def back_refracted(
     sinogram: wp.array2d(dtype=wp.vec4),
     directions: wp.array2d(dtype=float),
@@ -107,7 +107,7 @@ def line(
     return wp.vec2(p / c - planes_middle * s / c + cells_middle, s / c)
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 3))  # fewer registers, so that more threads hide the loads
 def forward_refracted(
     volume: wp.array2d(dtype=wp.vec4),
     directions: wp.array2d(dtype=float),
