@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from vamgpu.errors import JobError
+from vamgpu.jobs.curethrough import parse_curethrough
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.lines import key_lines, line_of
 from vamgpu.jobs.read import parse_job, read_job, toml_value
@@ -119,7 +120,6 @@ def test_what_is_no_job_file_is_refused(tmp_path: Path) -> None:
 
 def test_the_readme_shows_a_job_that_reads() -> None:
     readme = Path(__file__).resolve().parents[2] / "README.md"
-    blocks = re.findall(r"```toml\n(.*?)```", readme.read_text(encoding="utf-8"), re.DOTALL)
-    assert blocks
-    for block in blocks:
-        assert parse_job(block, source="README.md").wanted.vial is not None
+    vial, slices = re.findall(r"```toml\n(.*?)```", readme.read_text(encoding="utf-8"), re.DOTALL)
+    assert parse_job(vial, source="README.md").wanted.vial is not None
+    assert parse_curethrough(slices, source="README.md").given["slices"] == {"path": "slices"}
