@@ -64,14 +64,20 @@ def demo(out: str | Path, settings: Iterable[str] = (), *, told: Told = _quietly
     place = Path(out)
     job = parse_job(JOB, settings, source="the demo's job", folder=place, name="boat")
     file, folder, report = place / "boat.toml", place / "boat.vam", place / "report.html"
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-        report.unlink(missing_ok=True)
-        file.write_text(JOB, encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"cannot write in {str(out)!r}: {error.strerror}; choose another folder (--out)") from error
+    lay_out(file, JOB, report)
     solve(job, folder, overwrite=True, told=told)
     told("proof", 0.0)
     proven = prove(folder, job.wanted.solve.device)
     told("report", 0.0)
     return Demo(file, folder, proven.report(report), proven)
+
+
+def lay_out(file: Path, text: str, report: Path) -> None:
+    """Write a demo's job file into its folder, and remove the report of an earlier one. Raises `StorageError`."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        report.unlink(missing_ok=True)
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        where = str(file.parent)
+        raise StorageError(f"cannot write in {where!r}: {error.strerror}; choose another folder (--out)") from error

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vamgpu.errors import StorageError
+from vamgpu.jobs.demo import lay_out
 from vamgpu.jobs.run import Told, _quietly
 from vamgpu.jobs.web import contrasts, parse_web, solve_web
 
@@ -68,12 +68,7 @@ def demo_web(out: str | Path, settings: Iterable[str] = (), *, told: Told = _qui
     place = Path(out)
     job = parse_web(JOB, settings, source="the demo's job", folder=place, name="gyroid")
     file, folder, report = place / "gyroid.toml", place / "gyroid.vam", place / "web.html"
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-        report.unlink(missing_ok=True)
-        file.write_text(JOB, encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"cannot write in {str(out)!r}: {error.strerror}; choose another folder (--out)") from error
+    lay_out(file, JOB, report)
     solve_web(job, folder, overwrite=True, told=told)
     told("proof", 0.0)
     proof = prove_web(folder, job.wanted.solve.device)
