@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from vamgpu.curethrough.job import Outcome
 from vamgpu.curethrough.printer import Printer
 from vamgpu.curethrough.score import Group, grouped, widest
 from vamgpu.storage.atomic import page_path, replacing
+from vamgpu.storage.page import filled
 from vamgpu.units import hour
 
 PAPER = (
@@ -36,11 +36,7 @@ def write_report(outcome: Outcome, path: str | Path, *, title: str = "", facts: 
 
 def render(outcome: Outcome, title: str, facts: dict[str, str]) -> str:
     """The page as text."""
-    from jinja2 import Environment
-
-    text = resources.files("vamgpu.curethrough").joinpath("templates", "curethrough.html").read_text(encoding="utf-8")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(text).render(title=title, **_content(outcome, facts))
+    return filled("vamgpu.curethrough", "curethrough.html", title=title, **_content(outcome, facts))
 
 
 def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:

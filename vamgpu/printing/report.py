@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from vamgpu.optimize.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
 from vamgpu.printing import charts, pictures, surface
 from vamgpu.printing.proof import Proof
 from vamgpu.storage.atomic import explained
+from vamgpu.storage.page import filled, template
 
 PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
 MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
@@ -39,11 +40,8 @@ def write_report(proof: Proof, path: str | Path, plan: Any = None) -> Path:
 
 def render(proof: Proof, plan: Any = None) -> str:
     """The page as text."""
-    from jinja2 import Environment
-
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    css, js = _template("report.css"), _template("report.js")
-    return environment.from_string(_template("report.html")).render(css=css, js=js, **_content(proof, plan))
+    css, js = (template("vamgpu.printing", name) for name in ("report.css", "report.js"))
+    return filled("vamgpu.printing", "report.html", css=css, js=js, **_content(proof, plan))
 
 
 def _content(proof: Proof, plan: Any) -> dict[str, Any]:
@@ -195,7 +193,3 @@ def _versions(proof: Proof) -> list[tuple[str, str]]:
 def _papers(proof: Proof, plan: Any) -> list[str]:
     own = (*MEASURES, VIAL if proof.operator.vessel else JOSEPH)
     return list(dict.fromkeys([*(str(paper) for paper in getattr(plan, "papers", ())), *own]))
-
-
-def _template(name: str) -> str:
-    return resources.files("vamgpu.printing").joinpath("templates", name).read_text(encoding="utf-8")

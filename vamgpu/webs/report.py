@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from vamgpu.optics.roller import Roller
 from vamgpu.optimize.papers import BAND, RAMP, ROLL_TO_ROLL
 from vamgpu.printing import pictures, surface
 from vamgpu.storage.atomic import replacing
+from vamgpu.storage.page import filled, template
 from vamgpu.webs import views
 
 if TYPE_CHECKING:
@@ -36,12 +36,8 @@ def write_report(
 
 def render(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]] = ()) -> str:
     """The page as text."""
-    from jinja2 import Environment
-
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    css, js = (_template("vamgpu.printing", name) for name in ("report.css", "report.js"))
-    page = environment.from_string(_template("vamgpu.webs", "web.html"))
-    return page.render(css=css, js=js, title=title, **_content(proof, contrast))
+    css, js = (template("vamgpu.printing", name) for name in ("report.css", "report.js"))
+    return filled("vamgpu.webs", "web.html", css=css, js=js, title=title, **_content(proof, contrast))
 
 
 def _content(proof: WebProof, contrast: Sequence[tuple[float, float]]) -> dict[str, Any]:
@@ -160,7 +156,3 @@ def _setup(proof: WebProof) -> list[tuple[str, str]]:
         ("method", ", ".join(f"{name} {value}" for name, value in details["method"].items())),
         ("device", proof.device.description),
     ]
-
-
-def _template(package: str, name: str) -> str:
-    return resources.files(package).joinpath("templates", name).read_text(encoding="utf-8")
