@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
 
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch, WrongDevice
 from vamgpu.hosts.schedule import NONE
 from vamgpu.kernels.planes import pick_pictures, split_planes
@@ -64,67 +67,121 @@ class ArraySource:
         return sums
 
 
-class FrameSource:
-    """Frames on a device, cut by focus plane and split into bit planes there; only finished bytes cross the bus.
+class Maker:
+    """Makes on a device what mirrors are loaded with, of pictures that are there; only finished bytes cross the bus.
 
-    frames: of 8 bits, or of 1.  masks: focus planes; frame number = pose · planes + plane.  row_bytes: of a row in the
-    mirrors' memory, a multiple of 8 for 8-bit frames; None: what is needed.  batch: pictures at once.  whole: leave
-    8-bit pictures as bytes [row, column], for a video cable.  Pictures are uint8 [plane, row, byte] otherwise, the most
-    significant plane first.  size: rows and columns of the mirrors, in whose middle smaller pictures go; None for those
-    of the pictures. Raises `BadInput`, `ShapeMismatch`; `WrongDevice` for pictures larger than the mirrors.
+    own: rows and columns of the pictures, of 8 bits or of 1.  shown: which columns each focus plane shows, bool
+    (planes, columns).  row_bytes: of a row in the mirrors' memory, a multiple of 8 for 8-bit pictures; None: what is
+    needed.  batch: pictures at once.  whole: leave 8-bit pictures as bytes [row, column], for a video cable.  Pictures
+    are uint8 [plane, row, byte] otherwise, the most significant plane first.  size: rows and columns of the mirrors, in
+    whose middle smaller pictures go; None for those of the pictures. Raises `BadInput`; `WrongDevice` for pictures
+    larger than the mirrors.
     """
 
     def __init__(
-        self, frames: Frames, *, masks: FocusMasks | None = None, row_bytes: int | None = None, batch: int = 8,
-        whole: bool = False, size: tuple[int, int] | None = None,
+        self, device: Device, own: tuple[int, int], bits: int, shown: np.ndarray, *, row_bytes: int | None = None,
+        batch: int = 8, whole: bool = False, size: tuple[int, int] | None = None,
     ) -> None:  # fmt: skip
-        self._frames, self._device, self.batch = frames, frames.device, batch
-        count, *own = frames.shape
+        self.device, self.batch, self._bits = device, batch, bits
         rows, columns = size or own
-        self._top, self._left = _middle((own[0], own[1]), (rows, columns), 8 if frames.bits == 1 else 1)
-        self._kernel, step = (split_planes, 8) if frames.bits == 8 and not whole else (pick_pictures, 1)
-        needed = columns if whole and frames.bits == 8 else -(-columns // (8 * step)) * step
+        self._top, self._left = _middle(own, (rows, columns), 8 if bits == 1 else 1)
+        self.kernel, step = (split_planes, 8) if bits == 8 and not whole else (pick_pictures, 1)
+        needed = columns if whole and bits == 8 else -(-columns // (8 * step)) * step
         width = needed if row_bytes is None else row_bytes
         if width < -(-columns // 8) or width % step or (whole and width != columns):
             raise BadInput(f"row_bytes is {row_bytes!r}; wanted {needed} or more, in steps of {step}")
-        self.planes = 1 if masks is None else masks.bins
-        shown = np.ones((1, own[1]), bool) if masks is None else masks.of_frames(frames)
+        self.planes = len(shown)
         shown = np.concatenate([shown, np.zeros((1, own[1]), bool)])  # the last shows nothing
-        bits = shown.astype(np.uint8) * np.uint8(255) if frames.bits == 8 else np.packbits(shown, axis=1)
-        self._masks = self._device.upload(bits, table=True)
+        masks = shown.astype(np.uint8) * np.uint8(255) if bits == 8 else np.packbits(shown, axis=1)
+        self._masks = device.upload(masks, table=True)
         self._chosen = np.empty((batch, 2), np.int32)
-        shape = (8, rows, width) if self._kernel is split_planes else (rows, width)
-        self._staged = self._device.empty((batch, *shape), np.uint8, table=True)
-        self._sent = self._device.empty((batch, min(STRIPS, rows)), np.int32, table=True)
-        self.shape = (1, *shape) if frames.bits == 1 else shape
+        shape = (8, rows, width) if self.kernel is split_planes else (rows, width)
+        self._staged = device.empty((batch, *shape), np.uint8, table=True)
+        self._sent = device.empty((batch, min(STRIPS, rows)), np.int32, table=True)
+        self.shape = (1, *shape) if bits == 1 else shape
+
+    def fits(self, frames: np.ndarray, out: np.ndarray) -> None:
+        """Raise `ShapeMismatch` for more pictures than at once, or another shape to write to."""
+        if len(frames) > self.batch or out.shape != (self.batch, *self.shape):
+            raise ShapeMismatch(f"{len(frames)} pictures into {out.shape}; wanted at most {(self.batch, *self.shape)}")
+
+    def make(self, images: DeviceArray, places: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """Write pictures to ``out``, uint8 (batch, …), C contiguous; those beyond the last are black.
+
+        images: uint8 table [image, row, column or byte].  places: image · planes + plane of each; `NONE` is black.
+        Returns the sums of their levels, int64.
+        """
+        self._chosen[:] = (0, self.planes)
+        lit = np.flatnonzero(places != NONE)
+        self._chosen[lit, 0], self._chosen[lit, 1] = np.divmod(places[lit], self.planes)
+        bindings = {"images": images, "masks": self._masks, "chosen": self.device.upload(self._chosen, table=True)}
+        bindings |= {"top": self._top, "left": self._left}
+        if self.kernel is split_planes:
+            self.device.launch(split_planes, **bindings, packed=self._staged, sent=self._sent)
+        else:
+            self.device.launch(pick_pictures, **bindings, picked=self._staged)
+        self._staged.numpy(out.reshape(self._staged.shape))
+        if self.kernel is split_planes:
+            return self._sent.numpy().sum(axis=1, dtype=np.int64)[: len(places)]
+        levels = np.bitwise_count(out) if self._bits == 1 else out
+        return levels.reshape(self.batch, -1).sum(axis=1, dtype=np.int64)[: len(places)]
+
+
+class FrameSource:
+    """Frames that lie on a device, cut by focus plane and split into bit planes there.
+
+    masks: focus planes; frame number = pose · planes + plane.  options: row_bytes, batch, whole, size of `Maker`.
+    Raises `BadInput`, `ShapeMismatch`; `WrongDevice` for pictures larger than the mirrors.
+    """
+
+    def __init__(self, frames: Frames, *, masks: FocusMasks | None = None, **options: Any) -> None:
+        count, *own = frames.shape
+        shown = np.ones((1, own[1]), bool) if masks is None else masks.of_frames(frames)
+        self._images, self.device = frames.images, frames.device
+        self._maker = Maker(frames.device, (own[0], own[1]), frames.bits, shown, **options)
+        self.shape, self.planes, self.batch = self._maker.shape, self._maker.planes, self._maker.batch
         self.frames = count * self.planes
 
     @property
     def kernel(self) -> Kernel:
         """What makes the bytes."""
-        return self._kernel
+        return self._maker.kernel
 
     def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
         """Make pictures on the device and bring them to ``out``, uint8 (batch, …), C contiguous."""
-        if len(frames) > self.batch or out.shape != (self.batch, *self.shape):
-            raise ShapeMismatch(f"{len(frames)} pictures into {out.shape}; wanted at most {(self.batch, *self.shape)}")
-        self._chosen[:] = (0, self.planes)
-        lit = np.flatnonzero(frames != NONE)
-        self._chosen[lit, 0], self._chosen[lit, 1] = np.divmod(frames[lit], self.planes)
-        if lit.size and not 0 <= frames[lit].min() <= frames[lit].max() < self.frames:
-            raise BadInput(f"pictures {frames[lit].min()} to {frames[lit].max()}; there are {self.frames}")
-        chosen = self._device.upload(self._chosen, table=True)
-        place = {"top": self._top, "left": self._left}
-        bindings = {"images": self._frames.images, "masks": self._masks, "chosen": chosen, **place}
-        if self._kernel is split_planes:
-            self._device.launch(split_planes, **bindings, packed=self._staged, sent=self._sent)
-        else:
-            self._device.launch(pick_pictures, **bindings, picked=self._staged)
-        self._staged.numpy(out.reshape(self._staged.shape))
-        if self._kernel is split_planes:
-            return self._sent.numpy().sum(axis=1, dtype=np.int64)[: len(frames)]
-        levels = np.bitwise_count(out) if self._frames.bits == 1 else out
-        return levels.reshape(self.batch, -1).sum(axis=1, dtype=np.int64)[: len(frames)]
+        self._maker.fits(frames, out)
+        lit = frames[frames != NONE]
+        if lit.size and not 0 <= lit.min() <= lit.max() < self.frames:
+            raise BadInput(f"pictures {lit.min()} to {lit.max()}; there are {self.frames}")
+        return self._maker.make(self._images, frames, out)
+
+
+class RunSource:
+    """Pictures of 8 bits that are read in runs of poses when they are wanted, and cut and split on a device.
+
+    read: images of poses, uint8 [pose, row, column], of poses in rising order.  frames: how many pictures there are,
+    pose · planes + plane.  shown, options: of `Maker`.  Holds the images of one batch, however long the web is.
+    """
+
+    def __init__(
+        self, read: Callable[[np.ndarray], np.ndarray], frames: int, own: tuple[int, int], device: Device,
+        shown: np.ndarray, **options: Any,
+    ) -> None:  # fmt: skip
+        self._read, self.frames, self.device = read, frames, device
+        self._maker = Maker(device, own, 8, shown, **options)
+        self.shape, self.planes, self.batch = self._maker.shape, self._maker.planes, self._maker.batch
+        self._own = own
+
+    def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """See `Source`."""
+        self._maker.fits(frames, out)
+        lit = frames != NONE
+        poses, planes = np.divmod(frames[lit], self.planes)
+        wanted, place = np.unique(poses, return_inverse=True)
+        images = self._read(wanted) if wanted.size else np.zeros((1, *self._own), np.uint8)
+        places = np.full(len(frames), NONE, np.int64)
+        places[lit] = place * self.planes + planes
+        return self._maker.make(self.device.borrow(images), places, out)
 
 
 def _middle(own: tuple[int, int], size: tuple[int, int], step: int) -> tuple[int, int]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.hosts.schedule import NONE
-from vamgpu.hosts.sources import FrameSource, Source
+from vamgpu.hosts.sources import FrameSource, RunSource, Source
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.frames import Frames
 
@@ -26,6 +28,15 @@ class Pictures(Protocol):
 
     def picture(self, number: int) -> np.ndarray:
         """One picture for people, uint8 [row, column]."""
+        ...
+
+
+@runtime_checkable
+class MadePictures(Protocol):
+    """Pictures that a device can make."""
+
+    def source(self, batch: int) -> Source | None:
+        """Pictures as their device makes them, ``batch`` at once; None for mirrors that its kernels do not write."""
         ...
 
 
@@ -78,7 +89,7 @@ class PackedSource:
 
 def source(pictures: Pictures, shape: tuple[int, ...], frames: int, batch: int) -> Source:
     """Where a feed reads pictures: made on their device where its kernels can, else packed by the host."""
-    if isinstance(pictures, FramePictures):
+    if isinstance(pictures, MadePictures):
         made = pictures.source(batch)
         if made is not None and made.shape == shape:
             return made
@@ -115,26 +126,53 @@ class FramePictures:
 class WebPictures:
     """The frames of a web, cut by columns among its focus planes: number pose · planes + plane.
 
-    read: frames from one pose to another, uint8 [pose, row, column].  masks: which plane shows which column; None for
-    one focus.
+    read: frames from one pose to another, uint8 [pose, row, column], never by two threads at once.  masks: which
+    plane shows which column; None for one focus.  device: that cuts and splits them; None for the host.  Frames are
+    read in runs when they are wanted, and only those of a batch are held, however long the web is.
     """
 
     bits = 8
 
     def __init__(
-        self, read: Callable[[int, int], np.ndarray], poses: int, mirrors: Mirrors, masks: FocusMasks | None = None
-    ) -> None:
-        shape = read(0, 1).shape[1:]
-        mirrors.place(*shape)
-        self._read, self._mirrors = read, mirrors
-        self._masks = np.ones((1, shape[1]), bool) if masks is None else masks.masks
+        self, read: Callable[[int, int], np.ndarray], poses: int, mirrors: Mirrors, masks: FocusMasks | None = None,
+        device: Device | None = None,
+    ) -> None:  # fmt: skip
+        rows, columns = read(0, 1).shape[1:]
+        mirrors.place(rows, columns)
+        self._read, self._mirrors, self._own, self._device = read, mirrors, (rows, columns), device
+        self._masks = np.ones((1, columns), bool) if masks is None else masks.masks
+        self._reading = threading.Lock()
         self.count = poses * len(self._masks)
+
+    def source(self, batch: int) -> RunSource | None:
+        """See `MadePictures`."""
+        mirrors = self._mirrors
+        if self._device is None or mirrors.row_bytes % 8:
+            return None
+        size = (mirrors.rows, mirrors.columns)
+        return RunSource(
+            self._poses, self.count, self._own, self._device, self._masks, row_bytes=mirrors.row_bytes, batch=batch,
+            size=size,
+        )  # fmt: skip
 
     def planes(self, numbers: np.ndarray) -> np.ndarray:
         """See `Pictures`."""
-        return self._mirrors.packed(np.stack([self.picture(int(number)) for number in numbers]), self.bits)
+        poses, planes = np.divmod(np.asarray(numbers), len(self._masks))
+        wanted, place = np.unique(poses, return_inverse=True)
+        levels = self._poses(wanted)[place]
+        levels *= self._masks[planes][:, None, :]
+        return self._mirrors.packed(levels, self.bits)
 
     def picture(self, number: int) -> np.ndarray:
         """See `Pictures`."""
         pose, plane = divmod(number, len(self._masks))
-        return np.where(self._masks[plane], self._read(pose, pose + 1)[0], np.uint8(0))
+        return np.where(self._masks[plane], self._poses(np.array([pose]))[0], np.uint8(0))
+
+    def _poses(self, poses: np.ndarray) -> np.ndarray:
+        """Frames of rising poses, uint8 [pose, row, column], each run of neighbors read at once."""
+        out = np.empty((len(poses), *self._own), np.uint8)
+        cuts = [0, *(1 + np.flatnonzero(np.diff(poses) != 1)).tolist(), len(poses)]
+        with self._reading:
+            for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+                out[low:high] = self._read(int(poses[low]), int(poses[high - 1]) + 1)
+        return out

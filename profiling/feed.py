@@ -129,8 +129,9 @@ def packing(device: Device, frames: Frames) -> dict[str, float]:
     source, order = FrameSource(frames, row_bytes=ROW_BYTES, batch=BATCH), np.arange(BATCH)
     out, times = np.empty((BATCH, *source.shape), np.uint8), ([], [])
     source.read(order, out)
-    tables = source._frames.images, source._masks, source._staged, source._sent
-    chosen = device.upload(source._chosen, table=True)
+    maker = source._maker
+    tables = frames.images, maker._masks, maker._staged, maker._sent
+    chosen = device.upload(maker._chosen, table=True)
     pictures = frames.levels()
     for turn in range(24):  # both meet pictures that no cache holds any more
         begin = time.perf_counter()
