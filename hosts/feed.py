@@ -120,18 +120,22 @@ class Feed:
         self.ring.release()
         return True
 
-    def black(self) -> int:
-        """Show black in the next slot in place of a picture that is not there; returns the slot."""
-        with self._sending:
+    def black(self) -> int | None:
+        """Show black in the next slot in place of a picture that is not there; returns the slot.
+
+        None where pictures are ready, are being uploaded, or have no room: this waits for nobody.
+        """
+        if self.ring.fill or not self._sending.acquire(blocking=False):
+            return None
+        try:
+            if not self._sink.room():
+                return None
             slot = self.uploaded
             self._put(self._black, np.zeros(1, np.int64))
             self.late[slot] = Late(slot, int(self._order[slot]), self._clock.now())
             return slot
-
-    def blank(self, count: int) -> None:
-        """Put black pictures before the first, which no slot shows."""
-        for _ in range(count):
-            self._sink.put(self._black)
+        finally:
+            self._sending.release()
 
     def _put(self, pictures: np.ndarray, sent: np.ndarray) -> None:
         self._sink.put(pictures)
@@ -165,12 +169,13 @@ class Feed:
         if self._error is not None:
             raise self._error
 
-    def stop(self, timeout: float = 1.0) -> None:
-        """End the threads; one that hangs in a driver is left behind."""
+    def stop(self, timeout: float = 1.0) -> bool:
+        """End the threads; False where one hangs in a driver and is left behind."""
         self._stop.set()
         self.ring.close()
         for thread in self._threads:
             thread.join(timeout)
+        return not any(thread.is_alive() for thread in self._threads)
 
     def _kept(self, job: Callable[[], None]) -> None:
         try:

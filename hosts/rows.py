@@ -52,3 +52,7 @@ class Rows:
             lens = self.code(float(table.focus[slot]))
         delay = (int(table.light[slot]) - acts) // MICRO
         return Row(index, self.at(acts), lens, delay, int(table.on[slot]) // MICRO, self.channels)
+
+    def dark(self, slot: int, before: int, index: int) -> Row:
+        """A row that shows a picture without light, ``before`` a slot [ns]."""
+        return Row(index, self.at(self.acts(slot) - before), None, 0, 0, 0)

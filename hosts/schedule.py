@@ -96,6 +96,23 @@ class Schedule:
         """Slots first to last − 1 alone, at the times they have."""
         return replace(self, **{name: getattr(self, name)[first:last].copy() for name in (*COLUMNS, "power")})
 
+    def turned_again(self, frames: set[int]) -> Schedule:
+        """With one more turn of a vial at the end, lit for some frames alone; the rest of it is black."""
+        turn, count = self.window(0, self.frames), int(self.pose[-1]) + 1 - int(self.pose[0])
+        if self.unit != "deg" or count % self.frames:
+            raise BadInput("only whole turns of a vial can be turned again; a web does not come round")
+        beats = turn.pose - turn.pose[0]
+        late = np.array([self.cadence.at(count + k) - self.cadence.at(k) for k in beats.tolist()], np.int64)
+        wanted = np.isin(turn.frame, list(frames))
+        shifted = {name: getattr(turn, name) + late for name in ("trigger", "light", "dark")}
+        shifted |= {
+            "command": np.where(turn.command == NONE, NONE, turn.command + late), "on": np.where(wanted, turn.on, 0),
+            "frame": np.where(wanted, turn.frame, NONE), "pose": turn.pose + count,
+            "position": turn.position + count * float(self.advance),
+        }  # fmt: skip
+        both = {name: (getattr(self, name), shifted.get(name, getattr(turn, name))) for name in (*COLUMNS, "power")}
+        return replace(self, **{name: np.concatenate(parts) for name, parts in both.items()})
+
     @property
     def engines(self) -> int:
         """Projectors in step."""

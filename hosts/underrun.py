@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from enum import Enum
+from typing import Protocol
 
 from vamgpu.geometry import counts
 
@@ -13,6 +14,23 @@ class Action(Enum):
 
     BLACK = "show black in its place"
     STOP = "light off, then stop the web"
+
+
+class Underruns(Protocol):
+    """Decides on pictures that are late."""
+
+    @property
+    def stopped(self) -> str:
+        """Why `lost` said stop."""
+        ...
+
+    def lost(self, pose: int) -> Action:
+        """Count a pose whose picture is late; poses come in rising order."""
+        ...
+
+    def owes(self) -> Counter[int]:
+        """How often each frame is to be shown again."""
+        ...
 
 
 class WebUnderrun:
@@ -37,6 +55,15 @@ class WebUnderrun:
             self._recent.popleft()
         return Action.STOP if len(self._recent) > self.allowed else Action.BLACK
 
+    @property
+    def stopped(self) -> str:
+        """Why `lost` said stop."""
+        return f"more than {self.allowed} of {self.window} poses were lost"
+
+    def owes(self) -> Counter[int]:
+        """Nothing: a web does not come round again."""
+        return Counter()
+
 
 class VialUnderrun:
     """A vial comes round again: what was missed is dropped, the current angle is shown, and later turns make amends.
@@ -49,6 +76,7 @@ class VialUnderrun:
         self.missed = 0
         self._owed: Counter[int] = Counter()
         self._last, self._choice = -1, False
+        self._row = range(0)
 
     def show(self, pose: int, ready: bool) -> bool:
         """Whether to show the image of the pose at the stage, which is ready or not; the rest is black.
@@ -67,6 +95,22 @@ class VialUnderrun:
         elif not ready:
             self._owe(pose)
         return self._choice
+
+    def lost(self, pose: int) -> Action:
+        """Count a pose that black was shown for; a whole turn of them without a break ends the print."""
+        self._row = range(self._row.start if pose == self._row.stop else pose, pose + 1)
+        self._owe(pose)
+        return Action.STOP if len(self._row) >= self.images else Action.BLACK
+
+    @property
+    def stopped(self) -> str:
+        """Why `lost` said stop."""
+        return f"the pictures of a whole turn of {self.images} were lost"
+
+    def owes(self) -> Counter[int]:
+        """How often each frame is to be shown again; asking settles it."""
+        owed, self._owed = self._owed, Counter()
+        return +owed
 
     def _owe(self, pose: int) -> None:
         self.missed += 1

@@ -18,6 +18,7 @@ from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedule import Schedule
 from vamgpu.hosts.state import State
 from vamgpu.hosts.stream import FramePictures, Mirrors, Pictures, WebPictures
+from vamgpu.hosts.triggered import TriggeredPlayer
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.web import WebProjection
 from vamgpu.optics.film import Film
@@ -56,7 +57,7 @@ def printed(path: Path, schedule: Schedule, pictures: list[Any], powers: tuple[f
     bench = Bench(STEPS, MODEL, schedule.engines, powers)
     machines = bench.machines(STEPS / float(schedule.advance))
     with RunFolder.begin(path, {}, "") as folder:
-        assert Print(schedule, machines, pictures, folder).run() is State.COMPLETE
+        assert Print(TriggeredPlayer(schedule, machines, pictures), folder).run() is State.COMPLETE
     run = read_run(path)
     assert run.state is State.COMPLETE and not run.shown["dark"].any()
     assert len(run.shown) == len(schedule) * schedule.engines
@@ -112,7 +113,7 @@ def test_a_stage_that_turns_the_other_way_is_seen(tmp_path: Path, vial: tuple[Pr
     bench.chamber._position = lambda now: -bench.controller.web.position(now) / STEPS
     machines = bench.machines(STEPS / float(schedule.advance))
     with RunFolder.begin(tmp_path / "run", {}, "") as folder:
-        Print(schedule, machines, [FramePictures(frames, MIRRORS)], folder).run()
+        Print(TriggeredPlayer(schedule, machines, [FramePictures(frames, MIRRORS)]), folder).run()
     light = seen(bench.chamber.seconds(0, 40, turn=40)[0], schedule, frames.shape)
     assert off(shone(A, light), A.T(frames.irradiance()).numpy()) > 0.01
 

@@ -1,0 +1,108 @@
+"""Motion of a controller's own motor: brought to its speed ahead of a slot, and watched from then on."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from vamgpu.hosts.clock import Clock
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.interlock import InterlockOpen
+from vamgpu.hosts.rows import Rows
+from vamgpu.hosts.schedule import Schedule
+
+LOOK = 20_000_000
+"""Between two looks at the machines [ns]."""
+TRIES = 400
+"""Looks for the motion to come to its speed."""
+AHEAD = 0.2
+"""How long before its first row a motion must have its speed [s]."""
+RUN_UPS = 4
+"""How often a longer run-up is tried."""
+WINDOW = 1_000_000_000
+"""Over which the motion's speed is judged [ns]."""
+
+
+class Motion:
+    """Whether a motion keeps its speed: how far it is from where it should be after the last second, in poses."""
+
+    def __init__(self, schedule: Schedule, microsteps: float) -> None:
+        self._per_pose = float(schedule.advance) * microsteps
+        self._period = float(schedule.cadence.period)
+        self._seen: deque[tuple[int, int]] = deque()
+
+    def error(self, now: int, position: int) -> float:
+        """The error [poses] at a position [microsteps]."""
+        self._seen.append((now, position))
+        while now - self._seen[0][0] > WINDOW:
+            self._seen.popleft()
+        began, start = self._seen[0]
+        return (position - start) / self._per_pose - (now - began) / self._period
+
+
+class Approach:
+    """Brings a motor to its speed ahead of a slot's row, with ``AHEAD`` seconds to spare.
+
+    microsteps: of the motion, in a unit of the schedule's positions. A web goes back as far as it must; a vial never
+    turns back, which would stir the resin: pose 0 moves on by whole turns.
+    """
+
+    def __init__(self, schedule: Schedule, controller: Controller, clock: Clock, microsteps: float) -> None:
+        self._schedule, self._controller, self._clock = schedule, controller, clock
+        self._microsteps, self._speed = microsteps, float(schedule.speed)
+        self._per_mm = controller.microsteps_per_mm / microsteps
+        self._run_up = 4 * float(schedule.advance) + 1.6 * self._speed
+
+    def fresh(self, time: int) -> float:
+        """Where pose 0 is, if a motor at 0 is to be at a run-up's distance from a time of the schedule [ns]."""
+        return self._run_up * (1 + 1e-9) - float(self._schedule.position_at(time))
+
+    def to(self, time: int, origin: float, alive: Callable[[], None]) -> float:
+        """Run at the speed so that ``time`` of the schedule [ns] is still ahead; returns where pose 0 is then.
+
+        Raises `InterlockOpen` for a motion that does not come to its speed.
+        """
+        run_up = self._run_up
+        for _ in range(RUN_UPS):
+            origin = self._back(time, origin, run_up, alive)
+            self._controller.move(self._speed / self._per_mm)
+            self._at_speed(alive)
+            if self._before(time, origin) >= AHEAD * self._speed:
+                return origin
+            run_up *= 2
+        raise InterlockOpen(
+            f"the motion has its speed of {self._speed:.4g} {self._schedule.unit}/s too late, after a run-up of "
+            f"{run_up / 2:.4g} {self._schedule.unit}: let the controller ramp faster"
+        )
+
+    def _row(self, time: int, origin: float) -> int:
+        return Rows(self._schedule, self._microsteps, origin).at(time)
+
+    def _before(self, time: int, origin: float) -> float:
+        """How far it is to a time of the schedule, in its unit."""
+        return (self._row(time, origin) - self._controller.status().position) / self._microsteps
+
+    def _back(self, time: int, origin: float, run_up: float, alive: Callable[[], None]) -> float:
+        """Come to rest where there is room for a run-up."""
+        if self._schedule.unit == "deg":
+            short = run_up - self._before(time, origin)
+            return origin + 360.0 * max(0, -int(-short // 360))
+        while self._before(time, origin) < run_up:
+            self._controller.move(-max(self._speed, 1e-3) * 4 / self._per_mm)
+            self._look(LOOK, alive)
+        self._controller.move(0.0)
+        return origin
+
+    def _at_speed(self, alive: Callable[[], None]) -> None:
+        goal = round(self._speed * self._microsteps * 1000)
+        for _ in range(TRIES):
+            if abs(self._controller.status().speed - goal) <= 1 + 1e-3 * abs(goal):
+                return
+            self._look(LOOK // 10, alive)
+        raise InterlockOpen(
+            f"the motion did not reach {self._speed:.4g} {self._schedule.unit}/s; check motor and load"
+        )
+
+    def _look(self, pause: int, alive: Callable[[], None]) -> None:
+        self._clock.sleep_until(self._clock.now() + pause)
+        alive()

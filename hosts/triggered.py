@@ -1,0 +1,242 @@
+"""Plays a schedule on triggered mirrors: a controller moves, triggers and gates the light row by row, on its own.
+
+The mirrors show the next picture at each trigger, so what is shown follows from how many triggers were counted, never
+from a host's time; this side keeps pictures and rows ahead of the counter, and compares both counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, DeviceError, Underrun
+from vamgpu.hosts.approach import LOOK, Approach, Motion
+from vamgpu.hosts.clock import Clock, RealClock
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream, SlotTiming
+from vamgpu.hosts.drivers.lens import TunableLens
+from vamgpu.hosts.lamp import ControllerLamp, Renewal
+from vamgpu.hosts.light import Switch
+from vamgpu.hosts.player import Look
+from vamgpu.hosts.record import Shown
+from vamgpu.hosts.rows import Rows
+from vamgpu.hosts.schedule import NONE, Schedule
+from vamgpu.hosts.stream import Pictures
+from vamgpu.hosts.supply import Dark, Supply
+from vamgpu.hosts.timing import SECOND
+from vamgpu.hosts.underrun import Underruns, VialUnderrun, WebUnderrun
+
+PRIMING = 60 * SECOND
+"""Longest wait for mirrors and buffers to be full before the light opens [ns]."""
+PREROLL = 2
+"""Black pictures that are triggered before the first slot: some mirrors show an unpredictable first picture, and both
+counts must agree before there is light."""
+APART = SECOND // 7
+"""Least time between them, and to the first slot [ns]: some looks."""
+TURNS = 2
+"""Most turns of a vial that are added for what was missed."""
+
+
+@dataclass
+class Machines:
+    """The machines of a rig, opened. microsteps: of the motion, in a unit of the schedule's positions."""
+
+    clock: Clock
+    controller: Controller
+    mirrors: Sequence[Dmd]
+    microsteps: float
+    lens: TunableLens | None = None
+
+
+def usual(schedule: Schedule) -> Underruns:
+    """What decides on late pictures: of a web or of a vial."""
+    return VialUnderrun(schedule.frames, len(schedule)) if schedule.unit == "deg" else WebUnderrun()
+
+
+class TriggeredPlayer:
+    """Plays a schedule on mirrors behind a controller; see `vamgpu.hosts.player.Player`.
+
+    pictures: of each projector.  depth: pictures of a sequence of the mirrors, by default a second's.  sequences: of
+    them; enough for all pictures make them resident.  policy: decides on late pictures, one for each projector.
+    threaded: whether pictures are made and uploaded in threads; by default where time is real.  origin: of pose 0 on
+    the motor, where an earlier host began the print. Raises `BadInput`.
+    """
+
+    def __init__(
+        self, schedule: Schedule, machines: Machines, pictures: Sequence[Pictures], *, depth: int | None = None,
+        sequences: int = 2, policy: Callable[[Schedule], Underruns] = usual, threaded: bool | None = None,
+        origin: float | None = None,
+    ) -> None:  # fmt: skip
+        if len(pictures) != schedule.engines or len(machines.mirrors) != schedule.engines:
+            raise BadInput(
+                f"the schedule is for {schedule.engines} projectors, the rig has {len(machines.mirrors)} and pictures "
+                f"are for {len(pictures)}; choose the rig that the job was made for"
+            )
+        if len(set(schedule.on.tolist())) != 1:
+            raise BadInput("pictures differ in how long they are lit; the mirrors take one time for all")
+        self.schedule, self.machines, self.clock = schedule, machines, machines.clock
+        self.lamp = ControllerLamp(machines.controller, tuple(range(schedule.engines)))
+        self.switches: Mapping[str, Switch] = {f"mirrors {k}": Dark(dmd) for k, dmd in enumerate(machines.mirrors)}
+        self.renew = Renewal(machines.controller)
+        self._pictures, self._depth = tuple(pictures), depth or max(2, round(schedule.rate))
+        self._sequences, self._apart = sequences, APART + int(schedule.on[0])
+        self._threaded = isinstance(machines.clock, RealClock) if threaded is None else threaded
+        self._policies = tuple(policy(schedule) for _ in pictures)
+        self._orders = [schedule.frame] * schedule.engines
+        self._origin, self._added = origin, 0
+        self._supplies: list[Supply] = []
+        self._first = self._kept = self._shown = self._sent = self._looked = 0
+
+    # ---- before the light ------------------------------------------------------------------------------------
+    def prime(self, first: int, alive: Callable[[], None]) -> None:
+        """Mirrors and buffers full, the motion at its speed, black pictures and first rows queued."""
+        controller = self.machines.controller
+        self._first = self._kept = first
+        self._fill(first, alive)
+        controller.mode("steps")
+        start = Rows(self.schedule).acts(first) - PREROLL * self._apart
+        approach = Approach(self.schedule, controller, self.clock, self.machines.microsteps)
+        if self._origin is None:
+            controller.zero()
+            self._origin = approach.fresh(start)
+        self._origin = approach.to(start, self._origin, alive)
+        code = None if self.machines.lens is None else self.machines.lens.code
+        channels = (1 << self.schedule.engines) - 1
+        self._rows = Rows(self.schedule, self.machines.microsteps, self._origin, code, channels)
+        self._motion = Motion(self.schedule, self.machines.microsteps)
+        self._sent = 0
+        self._send(controller.capacity)
+        controller.end(len(self.schedule) - first + PREROLL)
+
+    def _fill(self, first: int, alive: Callable[[], None]) -> None:
+        on = int(self.schedule.on[0]) // 1000
+        self._close()
+        for engine, (dmd, pictures) in enumerate(zip(self.machines.mirrors, self._pictures, strict=True)):
+            dmd.halt()
+            dmd.slave()
+            stream = PlaneStream(dmd, self._depth, pictures.bits, SlotTiming(on, on), self._sequences)
+            self._supplies.append(
+                Supply(stream, pictures, self._orders[engine][first:], self.schedule.pose[first:], self.clock,
+                       self.schedule.rate, policy=self._policies[engine], preroll=PREROLL,
+                       threaded=self._threaded)
+            )  # fmt: skip
+        end = self.clock.now() + PRIMING
+        while not all(supply.primed for supply in self._supplies):
+            for supply in self._supplies:
+                supply.prime()
+            alive()
+            if self.clock.now() > end:
+                raise DeviceError(f"mirrors and buffers are not full after {PRIMING // SECOND} s; check their source")
+            if self._threaded:
+                self.wait()
+
+    def facts(self) -> dict[str, Any]:
+        """Where pose 0 is on the motor."""
+        return {"origin": self._origin, "preroll": PREROLL}
+
+    # ---- in the light ----------------------------------------------------------------------------------------
+    def start(self) -> None:
+        """Let the controller play its rows."""
+        self._looked = self.clock.now()
+        self.machines.controller.go()
+
+    def look(self) -> Look:
+        """Compare what the controller triggered with what the mirrors counted."""
+        before = [supply.shown() for supply in self._supplies]
+        status = self.machines.controller.status()
+        after = [supply.shown() for supply in self._supplies]
+        fault = f"the controller closed the light: {status.fault}" if status.state == "fault" else None
+        if status.late:
+            fault = f"{status.late} rows came to the controller after their time; look at what holds up the host"
+        counts = (each for low, each in zip(before, after, strict=True) if not low <= status.shown <= each)
+        error = self._motion.error(self.clock.now(), status.position)
+        pictures = self._since(status.shown)
+        self._looked, self._free = self.clock.now(), status.free
+        return Look(
+            status.state == "running", error, next(counts, status.shown), status.shown, pictures,
+            status.position / self.machines.microsteps - (self._origin or 0.0),
+            min(supply.share for supply in self._supplies),
+            min(supply.ahead for supply in self._supplies) / self.schedule.rate, fault,
+        )  # fmt: skip
+
+    def _since(self, shown: int) -> tuple[Shown, ...]:
+        """The pictures shown since the last look.
+
+        How late one was, is told as at most: from the last look before its trigger to when it was at the mirrors.
+        """
+        first, table, found = self._first, self.schedule, []
+        stop = max(self._kept, min(first + shown - PREROLL, len(table)))
+        for slot in range(self._kept, stop):
+            for engine, supply in enumerate(self._supplies):
+                frame, dark = int(self._orders[engine][slot]), supply.black(slot - first)
+                found.append(
+                    Shown(slot, frame, int(table.pose[slot]), int(table.light[slot]), int(table.on[slot]),
+                          late=supply.arrived(slot - first) - self._looked, engine=engine, dark=dark)
+                )  # fmt: skip
+        self._kept = stop
+        return tuple(found)
+
+    def feed(self) -> None:
+        """Black for what is late, and rows onward."""
+        for supply in self._supplies:
+            supply.fill()
+        self._send(self._free)
+
+    def _send(self, free: int) -> None:
+        """Send rows while there is room: the black pictures before the first slot, then slots."""
+        stop = min(self._sent + free, len(self.schedule) - self._first + PREROLL)
+        for number in range(self._sent, stop):
+            if number < PREROLL:
+                row = self._rows.dark(self._first, (PREROLL - number) * self._apart, number)
+            else:
+                row = self._rows.row(self._first + number - PREROLL, number)
+            self.machines.controller.row(row)
+        self._sent = max(self._sent, stop)
+
+    def wait(self) -> None:
+        """Return when the next look is due."""
+        self.clock.sleep_until(self.clock.now() + LOOK)
+
+    # ---- after the light -------------------------------------------------------------------------------------
+    def finish(self) -> None:
+        """End after the picture on its way, so that none is cut."""
+        self.machines.controller.end(self.machines.controller.status().shown + 1)
+
+    def halt(self) -> None:
+        """The motion to rest, rows dropped, mirrors dark; each whatever the one before it did."""
+        failed: list[Exception] = []
+        for act in (self.machines.controller.stop, self._close):
+            try:
+                act()
+            except Exception as error:
+                failed.append(error)
+        if failed:
+            raise failed[0]
+
+    def _close(self) -> None:
+        supplies, self._supplies = self._supplies, []
+        for supply in supplies:
+            supply.close()
+
+    def amends(self) -> bool:
+        """Add a turn that shows again what was missed. Raises `Underrun` after `TURNS` of them."""
+        owed = [policy.owes() for policy in self._policies]
+        if not any(owed):
+            return False
+        if self._added == TURNS:
+            missed = max(each.total() for each in owed)
+            raise Underrun(f"{missed} pictures were not shown in {TURNS} added turns; make them faster, or turn slower")
+        self._added += 1
+        self.schedule = self.schedule.turned_again(set().union(*owed))
+        turn = self.schedule.frame[-self.schedule.frames :]
+        for engine, each in enumerate(owed):
+            frames = np.where(np.isin(turn, list(each)), turn, NONE)
+            self._orders[engine] = np.concatenate([self._orders[engine], frames])
+        return True
+
+    def picture(self, number: int) -> np.ndarray:
+        """A frame of the first projector for people."""
+        return self._pictures[0].picture(number)
