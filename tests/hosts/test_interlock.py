@@ -18,14 +18,16 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from vamgpu.hosts.approach import LOOK
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.bench import Bench
 from vamgpu.hosts.limits import MirrorTiming
 from vamgpu.hosts.moving import turned
 from vamgpu.hosts.record import RunFolder, read_run
-from vamgpu.hosts.run import LOOK, Leg, Print
+from vamgpu.hosts.run import Print
 from vamgpu.hosts.state import State
 from vamgpu.hosts.stream import FramePictures, Mirrors
+from vamgpu.hosts.triggered import TriggeredPlayer
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 
@@ -49,13 +51,14 @@ class Printing(RuleBasedStateMachine):
         self.bench = Bench(STEPS, MODEL)
         machines = self.bench.machines(STEPS / float(SCHEDULE.advance))
         self.folder = RunFolder.begin(Path(self.place.name) / "run", {}, "")
-        self.print = Print(SCHEDULE, machines, [FramePictures(FRAMES, Mirrors(4, 16, 2))], self.folder)
+        player = TriggeredPlayer(SCHEDULE, machines, [FramePictures(FRAMES, Mirrors(4, 16, 2))])
+        self.print = Print(player, self.folder)
         self.print.guard.__enter__()
         self.ended: int | None = None
         self.wrong: int | None = None
         self.looked = True
         self.faults = 0
-        self.leg: Leg = self.print.begin(0)
+        self.print.begin(0)
         self.anchor = (self.now, self.web.position(self.now))
         while not self.bench.controller.light:  # the run-up is dark
             self.look(1)
@@ -86,7 +89,7 @@ class Printing(RuleBasedStateMachine):
             act()
         except Exception as error:
             self.print.guard.__exit__(type(error), error, None)
-            self.print._ended(error)
+            self.print.ended(error)
             self.ended = self.now
 
     def pass_time(self, duration: int) -> None:
@@ -102,7 +105,7 @@ class Printing(RuleBasedStateMachine):
         for _ in range(looks):
             if self.ended is None:
                 self.pass_time(LOOK)
-                self.host(self.leg.step)
+                self.host(self.print.step)
                 self.looked = True
                 self.check()
                 self.looked = False

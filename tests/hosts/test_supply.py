@@ -66,7 +66,8 @@ def supply(pictures: Any, policy: WebUnderrun) -> tuple[Supply, FakeAlp, Virtual
     dmd = Dmd(alp.library)
     dmd.slave()
     stream = PlaneStream(dmd, 4, 8)
-    return Supply(stream, pictures, SCHEDULE, RealClock(), 0, policy=policy, threaded=True), alp, clock
+    slots = SCHEDULE.frame, SCHEDULE.pose
+    return Supply(stream, pictures, *slots, RealClock(), SCHEDULE.rate, policy=policy, threaded=True), alp, clock
 
 
 def until(done: Any, act: Any) -> None:
