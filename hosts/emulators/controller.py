@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import time
 from binascii import crc_hqx
 from pathlib import Path
@@ -21,6 +22,15 @@ from vamgpu.hosts.emulators.servers import PtyServer
 MILLI = 1_000_000
 LONGEST_LEASE_MS = 1000
 CAPACITY = 256
+LONGEST_LINE = 96
+GREATEST = 10**15
+"""The greatest count of microseconds or microsteps, some thirty years."""
+LONGEST_US = 2**31 - 1
+NUMBER = re.compile(r"-?[0-9]{1,18}")
+ARGUMENTS = {
+    "hello": 0, "lease": 1, "arm": 0, "disarm": 0, "power": 2, "light": 1, "mode": 1, "row": 6, "end": 1, "go": 0,
+    "move": 1, "ramp": 1, "zero": 0, "stop": 0, "stat": 0,
+}  # fmt: skip
 
 
 def line_check(data: bytes) -> int:
@@ -36,7 +46,7 @@ class EmulatedController(RowPlayer):
         self.capacity = capacity
         self._buffer = bytearray()
         self._out = Outbox(0, round(latency_us * 1000))
-        self._last: tuple[int, bytes] | None = None
+        self._last: tuple[bytes, bytes] | None = None
 
     def say(self, now: int, *words: object) -> None:
         self._send(" ".join(["!", *map(str, words)]), now)
@@ -52,12 +62,12 @@ class EmulatedController(RowPlayer):
         self.advance(now)
         self._buffer += data
         while (end := self._buffer.find(b"\n")) >= 0:
-            line = bytes(self._buffer[:end]).strip(b"\r")
+            line = bytes(self._buffer[:end]).replace(b"\r", b"")
             del self._buffer[: end + 1]
             if line:
+                self.advance(now)
                 self._line(line, now)
-        if len(self._buffer) > 96:
-            self._buffer.clear()
+        del self._buffer[LONGEST_LINE + 1 :]
 
     def take(self, now: int) -> bytes:
         """Give bytes that have left."""
@@ -69,27 +79,29 @@ class EmulatedController(RowPlayer):
 
     def _line(self, line: bytes, now: int) -> None:
         body, _, given = line.rpartition(b"*")
-        words = body.decode("ascii", "replace").split()
-        if given != b"%04X" % line_check(body) or len(words) < 2 or not words[0].isdigit():
+        words = [word for word in body.decode("ascii", "replace").split(" ") if word]
+        whole = len(line) <= LONGEST_LINE and given == b"%04X" % line_check(body)
+        if not whole or len(words) < 2 or not re.fullmatch("[0-9]{1,5}", words[0]):
             self._send("? line", now)
             return
-        number = int(words[0])
-        if words[1] != "hello" and self._last is not None and self._last[0] == number:
+        if self._last is not None and self._last[0] == line and words[1] not in ("hello", "stat"):
             self._out.put(self._last[1], now)
             return
-        try:
-            answer = self._do(words[1], [None if word == "-" else word for word in words[2:]], now)
-        except (ValueError, IndexError, TypeError):
-            answer = "no range"
-        self._last = (number, self._send(f"{number} {answer}", now))
+        self._last = (line, self._send(f"{words[0]} {self._do(words[1], words[2:], now)}", now))
 
-    def _do(self, verb: str, arguments: list[str | None], now: int) -> str:
-        action = getattr(self, f"_do_{verb}", None)
-        if action is None:
+    def _do(self, verb: str, words: list[str], now: int) -> str:
+        if verb not in ARGUMENTS:
             return "no verb"
+        if len(words) != ARGUMENTS[verb]:
+            return "no range"
         if verb == "mode":
-            return self._do_mode(arguments[0])
-        return action(now, *(None if word is None else int(word) for word in arguments))
+            return self._do_mode(now, words[0])
+        lens = verb == "row" and words[2] == "-"
+        numbers = ["0" if lens and place == 2 else word for place, word in enumerate(words)]
+        if not all(NUMBER.fullmatch(word) for word in numbers):
+            return "no range"
+        values = [None if lens and place == 2 else int(word) for place, word in enumerate(numbers)]
+        return getattr(self, f"_do_{verb}")(now, *values)
 
     def _do_hello(self, now: int) -> str:
         self.close("hello", now)
@@ -117,10 +129,7 @@ class EmulatedController(RowPlayer):
     def _do_power(self, now: int, channel: int, drive: int) -> str:
         if not 0 <= channel < self.channels or not 0 <= drive <= 65535:
             return "no range"
-        light = self.light
-        self.set_light(0, now)
-        self.powers[channel] = drive
-        self.set_light(light, now)
+        self.set_power(channel, drive, now)
         return "ok"
 
     def _do_light(self, now: int, on: int) -> str:
@@ -130,11 +139,11 @@ class EmulatedController(RowPlayer):
             return "no range"
         self._steady = on
         if self._pulse_end is None or not on:
-            self._pulse_end = None
+            self._pulse_end, self._judge_at = None, now
             self.set_light(on, now)
         return "ok"
 
-    def _do_mode(self, mode: str | None) -> str:
+    def _do_mode(self, _: int, mode: str) -> str:
         if self.running:
             return "no state"
         if mode not in ("time", "steps"):
@@ -149,18 +158,23 @@ class EmulatedController(RowPlayer):
             return "no full"
         if min(at, delay, on, channels) < 0 or channels >= 2**self.channels or abs(code or 0) > 32767:
             return "no range"
+        if at > GREATEST or max(delay, on) > LONGEST_US:
+            return "no range"
         if self.running and self._passed(at, now):
             self.late += 1
             on = 0
+        if not self.rows:
+            self._floor = max(self._floor, now)
         self.rows.append((index, at, code, delay, on, channels))
-        self.advance(now)
         return f"ok {self.capacity - len(self.rows)} {index + 1}"
 
     def _passed(self, at: int, now: int) -> bool:
-        return self.web.position(now) > at if self.steps_mode else now > self.started + at * MICRO
+        return self.microsteps(now) > at if self.steps_mode else now > self.started + at * MICRO
 
-    def _do_end(self, _: int, count: int) -> str:
-        self.total = count
+    def _do_end(self, now: int, count: int) -> str:
+        if count < 0:
+            return "no range"
+        self.total, self._judge_at = count, now
         return "ok"
 
     def _do_go(self, now: int) -> str:
@@ -168,6 +182,7 @@ class EmulatedController(RowPlayer):
             return "no state"
         self.running, self.done, self.started, self._floor = True, False, now, now
         self.shown = self.late = 0
+        self._judge_at = now
         return "ok"
 
     def _do_move(self, now: int, speed: int) -> str:
@@ -199,7 +214,7 @@ class EmulatedController(RowPlayer):
             state = "armed"
         lease = max((self.lease_end or now) - now, 0) // MILLI
         numbers = (
-            self.next_row, self.shown, self.late, self.capacity - len(self.rows), int(self.web.position(now) // 1),
+            self.next_row, self.shown, self.late, self.capacity - len(self.rows), self.microsteps(now),
             round(self.web.velocity(now) * 1000), lease, self.light, int(self.armed), int(self.interlock_closed),
         )  # fmt: skip
         return " ".join(["ok", state, *map(str, numbers), self.fault])

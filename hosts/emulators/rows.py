@@ -45,6 +45,7 @@ class RowPlayer:
         self.started = self._floor = 0
         self._pulse: tuple[int, int, int] | None = None
         self._pulse_end: int | None = None
+        self._judge_at: int | None = None
         self._steady = 0
 
     def say(self, now: int, *words: object) -> None:
@@ -52,23 +53,34 @@ class RowPlayer:
 
     def due(self) -> int | None:
         """When it acts next."""
-        times = [self._pulse_end, self._pulse[0] if self._pulse else None, self._row_due()]
+        times = [self._judge_at, self._pulse_end, self._pulse[0] if self._pulse else None, self._row_due()]
         if self.lease_end is not None and (self.light or self.armed):
             times.append(self.lease_end)
         return min((at for at in times if at is not None), default=None)
 
     def _row_due(self) -> int | None:
-        if not self.running or not self.rows or self._pulse is not None:
+        if not self.running or not self.rows or self._pulse is not None or self._all_acted():
             return None
         at = self.rows[0][1]
         after = max(self.started, self._floor)
         return self.web.reaches(at, after) if self.steps_mode else max(self.started + at * MICRO, after)
+
+    def _all_acted(self) -> bool:
+        return self.total is not None and self.next_row >= self.total
+
+    def microsteps(self, now: int) -> int:
+        """The whole microsteps the web has gone; a rounding short of one counts."""
+        position = self.web.position(now)
+        return int(position + (1e-6 if position > 0 else -1e-6))
 
     def advance(self, now: int) -> None:
         """Do all that is due."""
         while (at := self.due()) is not None and at <= now:
             if self.lease_end is not None and at >= self.lease_end and (self.light or self.armed):
                 self.close("lease", at)
+            elif self._judge_at is not None and at >= self._judge_at:
+                self._judge_at = None
+                self._finish(at)
             elif self._pulse_end is not None and at >= self._pulse_end:
                 self._pulse_end = None
                 self.set_light(self._steady, at)
@@ -105,7 +117,7 @@ class RowPlayer:
             self._finish(at)
 
     def _finish(self, at: int) -> None:
-        if self.running and self.total is not None and self.next_row >= self.total and self._pulse is None:
+        if self.running and self._all_acted() and self._pulse is None and self._pulse_end is None:
             self.running, self.done = False, True
             self.say(at, "done", self.shown)
 
@@ -118,6 +130,13 @@ class RowPlayer:
         if self.on_light is not None:
             self.on_light(channels, at)
 
+    def set_power(self, channel: int, drive: int, at: int) -> None:
+        """Change a drive; light that is on stays on, and is remembered with the drives it had until now."""
+        if self.light:
+            self.intervals.append((self._lit_at, at, self.light, tuple(self.powers)))
+            self._lit_at = at
+        self.powers[channel] = drive
+
     def lit(self, now: int) -> int:
         """The channels that were lit at a time [ns]."""
         if self.light and now >= self._lit_at:
@@ -126,7 +145,7 @@ class RowPlayer:
 
     def close(self, reason: str, at: int) -> None:
         """The light goes off and stays off until the host arms again."""
-        self._pulse = self._pulse_end = None
+        self._pulse = self._pulse_end = self._judge_at = None
         self._steady = 0
         self.set_light(0, at)
         self.armed = self.running = False

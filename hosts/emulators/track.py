@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 SECOND = 1_000_000_000
@@ -59,8 +59,11 @@ class Track:
         self.settled_at = pieces[-1].start
 
     def set_position(self, now: int, position: float) -> None:
-        """Call where the axis is ``position``; its speed stays."""
-        self._replan(now, [Piece(now, position, self.velocity(now))])
+        """Call where the axis is ``position``; its motion, planned or under way, stays."""
+        under_way = self._piece(now)
+        shift = position - under_way.at(now)[0]
+        later = [replace(piece, position=piece.position + shift) for piece in self._pieces if piece.start > now]
+        self._replan(now, [Piece(now, position, under_way.at(now)[1], under_way.acceleration), *later])
 
     def run(self, now: int, velocity: float) -> None:
         """Change to a velocity [1/s] with the axis's acceleration, and keep it."""
@@ -102,12 +105,13 @@ class Track:
         """When the axis first is at or beyond ``target`` [ns], moving up, from ``after`` on; None if it will not be."""
         if self.position(after) >= target:
             return after
-        pieces = [piece for piece in self._pieces if piece.start > after]
-        pieces = [self._piece(after), *pieces]
+        pieces = [self._piece(after), *(piece for piece in self._pieces if piece.start > after)]
         for index, piece in enumerate(pieces):
+            if piece.start > after and piece.position >= target:  # it was called so, or a rounding short of a crossing
+                return piece.start
             end = pieces[index + 1].start if index + 1 < len(pieces) else None
             found = self._crossing(piece, target)
-            if found is not None and found >= after and (end is None or found <= end):
+            if found is not None and found >= after and (end is None or found < end):
                 return found
         return None
 
