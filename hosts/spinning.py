@@ -1,112 +1,190 @@
-"""Runs a vial before a video projector: the stage's angle chooses the picture of every slot, not the clock."""
+"""Plays a vial's schedule on a video projector: the stage's angle chooses the picture of every slot, never the clock.
+
+The light is steady and black pictures make the dark, so the lamp may open a little before the first picture. What a
+slot showed, or did not, is known once the stage is past it: what is missing is owed, and shown in a turn more.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from fractions import Fraction
-from math import floor
-from typing import Protocol
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
-from vamgpu.errors import BadInput
-from vamgpu.hosts.executor import Light, Motion
+from vamgpu.errors import Underrun
+from vamgpu.hosts.cable import Blackout, VideoMachines, VideoPictures
+from vamgpu.hosts.lamp import ControllerLamp, Renewal
+from vamgpu.hosts.light import Switch
 from vamgpu.hosts.limits import HdmiTiming
-from vamgpu.hosts.schedule import NONE, Schedule
+from vamgpu.hosts.lit import Lit
+from vamgpu.hosts.player import Look
+from vamgpu.hosts.record import Shown
+from vamgpu.hosts.schedule import Schedule
 from vamgpu.hosts.timing import SECOND
-from vamgpu.hosts.underrun import VialUnderrun
+from vamgpu.hosts.turning import Turning
+from vamgpu.hosts.underrun import Action, VialUnderrun
 
+STATUS = 6
+"""After so many video frames the controller is asked what it does; what it says by itself is heard at each."""
 
-class Stage(Motion, Protocol):
-    """A stage that turns and says where it is."""
+class SpinningPlayer:
+    """Plays the schedule of `vamgpu.hosts.video.vial`; see `vamgpu.hosts.player.Player`.
 
-    def degrees(self) -> Fraction:
-        """The angle from pose 0, running on over turns, from its encoder."""
-        ...
-
-
-class Projector(Protocol):
-    """A projector on a video cable."""
-
-    def show(self, pictures: list[np.ndarray]) -> int:
-        """Put the pictures of the next video frame on the cable; returns at that refresh."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Spun:
-    """How a run went.
-
-    slots: frame that each slot of the cable showed, `NONE` for black.  missed: images that were not shown in their
-    turn.  owed: those of them that no added turn showed.
-    """
-
-    slots: np.ndarray
-    missed: int
-    owed: int
-
-
-class VialExecutor:
-    """One print of a turning vial.
-
-    picture: gives a frame's picture [row, column], or None where it is not there yet, which is black and owed.
-    turns: most that are added at the end to show what was missed.  watch: called before every video frame with the
-    pose; what it raises ends the print. Raises `BadInput`.
+    display: that the schedule was made for.  turns: most that are added for what was missed. Pose 0 is at the stage's
+    zero and the vial turns on forward, so a print that is resumed, by whichever host, meets every pose at its angle.
+    Raises `BadInput`, and `WrongDevice` for another projector.
     """
 
     def __init__(
-        self, schedule: Schedule, display: HdmiTiming, picture: Callable[[int], np.ndarray | None],
-        projector: Projector, stage: Stage, light: Light, *, turns: int = 1, watch: Callable[[int], None] | None = None,
+        self, schedule: Schedule, display: HdmiTiming, machines: VideoMachines, pictures: VideoPictures, *,
+        turns: int = 1,
     ) -> None:  # fmt: skip
-        if schedule.unit != "deg":
-            raise BadInput(f"the schedule moves in {schedule.unit}; wanted that of a vial")
-        self._schedule, self._display, self._picture = schedule, display, picture
-        self._projector, self._stage, self._light = projector, stage, light
-        self._watch = watch or (lambda pose: None)
+        machines.check(schedule, display)
+        self.schedule, self.display, self.machines, self.clock = schedule, display, machines, machines.clock
+        self.lamp = ControllerLamp(machines.controller, steady=True)
+        self._blackout = Blackout(machines.projector)
+        self.switches: Mapping[str, Switch] = {"projector": self._blackout}
+        self.renew = Renewal(machines.controller)
+        self._pictures, self._turns, self._planned = pictures, turns, len(schedule)
         self._repeats = int(schedule.cadence.period * display.slot_rate / SECOND)
-        columns, rows = display.pixels
-        self._black = np.zeros((rows, columns), np.uint8)
-        self._end = len(schedule) + turns * schedule.frames
-        self.policy = VialUnderrun(schedule.frames, len(schedule))
+        self._on = int(schedule.on[0]) // self._repeats
+        self._turning = Turning(machines.stage, machines.clock, schedule, display, self._repeats)
+        self._policy = VialUnderrun(schedule.frames * self._repeats, len(schedule) * self._repeats)
+        self._black = np.zeros(machines.projector.size, np.uint8)
+        self._owed: Counter[int] = Counter()
+        self._amended: frozenset[int] = frozenset()
+        self._added = self._refreshed = 0
+        self._begin(0)
 
-    def run(self) -> Spun:
-        """Turn and show until every image had its turns. However it ends, the light goes off first, then the stage."""
-        shown: list[int] = []
-        try:
-            self._stage.start()
-            self._light.on(float(self._schedule.power.max()))
-            while not self._over(poses := self.ahead()):
-                self._watch(poses[0])
-                chosen = [self._frame(pose) for pose in poses]
-                shown += chosen
-                self._projector.show([self._shown(frame) for frame in chosen])
-        except BaseException as error:
-            self._light.off(f"{type(error).__name__}: {error}")
-            raise
-        finally:
-            self._light.off("the end")
-            self._stage.stop()
-        return Spun(np.array(shown, np.int64), self.policy.missed, self.policy.owed)
+    def _begin(self, first: int) -> None:
+        self._first, self._kept, self._limit = first, first, len(self.schedule)
+        self._sent, self._looks, self._stopped = first * self._repeats - 1, 0, False
+        self._lit = Lit(self.display)
 
-    def ahead(self) -> tuple[int, ...]:
-        """The poses at which the slots of the next video frame will be lit, from where the stage is at a refresh.
+    # ---- before the light ------------------------------------------------------------------------------------
+    def prime(self, first: int, alive: Callable[[], None]) -> None:
+        """Black, and the stage at its speed, in step with the cable and a little before the angle of a slot."""
+        self._begin(first)
+        self._blackout.own()
 
-        The frame goes out at the next refresh and is lit ``latency`` later.
-        """
-        here = self._stage.degrees() / self._schedule.advance * self._repeats
-        first = floor(here + Fraction(1, 2)) + (1 + self._display.latency) * self._display.patterns
-        return tuple((first + slot) // self._repeats for slot in range(self._display.patterns))
+        def refresh() -> int:
+            self._show([self._black] * self.display.patterns)
+            alive()
+            return self._refreshed
 
-    def _over(self, poses: tuple[int, ...]) -> bool:
-        return poses[-1] >= len(self._schedule) and (poses[-1] >= self._end or not self.policy.owed)
+        self._turning.up(first, refresh)
 
-    def _frame(self, pose: int) -> int:
-        if pose < 0:
-            return NONE
-        frame = pose % self._schedule.frames
-        return frame if self.policy.show(pose, self._picture(frame) is not None) else NONE
+    def facts(self) -> dict[str, Any]:
+        """Where pose 0 is on the stage [deg]: whole turns."""
+        return {"origin": self._turning.origin}
 
-    def _shown(self, frame: int) -> np.ndarray:
-        picture = None if frame == NONE else self._picture(frame)
+    # ---- in the light ----------------------------------------------------------------------------------------
+    def start(self) -> None:
+        """Listen to the controller from here on; pictures follow the stage."""
+        self.machines.controller.poll()
+
+    def look(self) -> Look:
+        """Where the stage is, and what was lit before it."""
+        seen = self._turning.read(self._refreshed)
+        self._lit.saw(seen.slots, seen.since)
+        pictures, done = self._passed(), self._kept - self._first
+        margin = self.display.latency * self.display.patterns / float(self.display.slot_rate)
+        running = self._kept < self._limit
+        return Look(running, seen.error, done, done, pictures, seen.degrees, 1.0, margin, self._fault())
+
+    def _fault(self) -> str | None:
+        """Why the controller closed the light by itself."""
+        reasons = [words[2] for words in self.machines.controller.poll() if words[:2] == ("light", "off")]
+        if self._looks % STATUS == 0 and not reasons:
+            status = self.machines.controller.status()
+            reasons = [] if status.light else [status.fault]
+        self._looks += 1
+        return f"the controller closed the light: {reasons[0]}" if reasons else None
+
+    def _passed(self) -> tuple[Shown, ...]:
+        """What the poses showed that the stage is past."""
+        found = []
+        while self._kept < self._limit and (self._kept + 1) * self._repeats <= (self._lit.begins or 0):
+            found.append(self._shown(self._kept))
+            self._kept += 1
+        return tuple(found)
+
+    def _shown(self, pose: int) -> Shown:
+        wanted = self._wanted(pose)
+        light = self._lit.take(wanted)
+        for slot in light.missing:
+            self._stopped |= self._policy.lost(slot) is Action.STOP
+        dark = bool(wanted) and not light.times
+        on = self._on * (len(wanted) if dark else light.times)
+        frame, start = int(self.schedule.frame[pose]), int(self.schedule.light[pose])
+        return Shown(pose, frame, pose, start, on, late=light.late, dark=dark)
+
+    def _wanted(self, pose: int) -> list[int]:
+        """Slots of the cable in which a pose is to be lit: in an added turn those that were missed."""
+        slots = range(pose * self._repeats, (pose + 1) * self._repeats)
+        return [slot for slot in slots if pose < self._planned or slot in self._amended]
+
+    def feed(self) -> None:
+        """Show the pictures of the next video frame; returns at its refresh. Raises `Underrun`, `DeviceLost`."""
+        if self._stopped:
+            raise Underrun(f"{self._policy.stopped}: the light is off; turn slower, or look at what holds up the host")
+        slots = self._lit.next()
+        pictures = {slot: picture for slot in slots if (picture := self._at(slot)) is not None}
+        self._show([pictures.get(slot, self._black) for slot in slots])
+        self._lit.sent(slots[0], list(pictures))
+        self._sent = max(self._sent, min(slots[-1], self._limit * self._repeats - 1))
+
+    def _at(self, slot: int) -> np.ndarray | None:
+        """The picture of a slot; None where it is dark, not there yet, or was shown before the stage came back."""
+        pose = slot // self._repeats
+        if slot <= self._sent or pose >= self._limit or slot not in self._wanted(pose):
+            return None
+        return self._pictures.picture(int(self.schedule.frame[pose]))
+
+    def _show(self, pictures: list[np.ndarray]) -> None:
+        if self._blackout.dark:
+            pictures = [self._black] * len(pictures)
+        self.machines.projector.show(pictures)
+        self._refreshed = self.clock.now()
+
+    def wait(self) -> None:
+        """At once: a video frame was waited for."""
+
+    # ---- after the light -------------------------------------------------------------------------------------
+    def finish(self) -> None:
+        """End after the picture on its way, in all its slots."""
+        self._limit = min(self._limit, self._sent // self._repeats + 1)
+
+    def halt(self) -> None:
+        """Black, and the stage to rest; each whatever the other did."""
+        failed: list[Exception] = []
+        for act in (self.machines.stage.stop, self._blackout.off, self.machines.stage.wait):
+            try:
+                act()
+            except Exception as error:
+                failed.append(error)
+        if failed:
+            raise failed[0]
+
+    def amends(self) -> bool:
+        """Add a turn that shows again what was missed. Raises `Underrun` where the added turns did not show it."""
+        self._owed += self._policy.owes()
+        if not self._owed:
+            return False
+        if self._added == self._turns:
+            raise Underrun(
+                f"{self._owed.total()} slots of pictures were missed, and {self._turns} added turns did not show them; "
+                "turn slower, or look at what holds up the host"
+            )
+        self._added += 1
+        begin = len(self.schedule) * self._repeats
+        self._amended = frozenset(begin + slot for slot in self._owed)
+        self.schedule = self.schedule.turned_again({slot // self._repeats for slot in self._owed})
+        self._owed -= Counter(list(self._owed))
+        return True
+
+    def picture(self, number: int) -> np.ndarray:
+        """A frame for people."""
+        picture = self._pictures.picture(number)
         return self._black if picture is None else picture

@@ -7,7 +7,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from vamgpu.errors import BadInput, DeviceNotFound, WrongDevice
+from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, VamError, WrongDevice
 from vamgpu.hosts.protocols.slots import SlotLayout, compose
 
 log = logging.getLogger(__name__)
@@ -67,6 +67,8 @@ class PygletWindow:
     def show(self, frame: np.ndarray, /) -> int:
         """Show a frame from the next refresh on; returns when it is on the screen."""
         rows, columns = self.size
+        if self._window.has_exit:
+            raise DeviceLost("the projector's window was closed; leave it open while a print runs")
         image = self._pyglet.image.ImageData(columns, rows, "RGB", frame.tobytes(), pitch=-3 * columns)
         self._window.switch_to()
         self._window.dispatch_events()
@@ -102,15 +104,26 @@ class HdmiProjector:
         return self.layout.slots * self.window.rate_hz
 
     def show(self, pictures: list[np.ndarray]) -> int:
-        """Show the next frame's pictures ``[row, column]`` (uint8); the number of the first slot they are lit in."""
+        """Show the next frame's pictures ``[row, column]`` (uint8); the number of the first slot they are lit in.
+
+        Raises `DeviceLost` where the screen is gone.
+        """
         if any(picture.shape != self.size for picture in pictures):
             raise BadInput(f"pictures must have {self.size[0]} x {self.size[1]} pixels, as the projector has")
-        refresh = self.window.show(compose(pictures, self.layout))
+        refresh = self._send(compose(pictures, self.layout))
         return (refresh + self.latency) * self.layout.slots
 
     def black(self) -> None:
         """Show black; light ends some refreshes later, so switch the lamp off where that is too late."""
-        self.window.show(np.zeros((*self.size, 3), np.uint8))
+        self._send(np.zeros((*self.size, 3), np.uint8))
+
+    def _send(self, frame: np.ndarray) -> int:
+        try:
+            return self.window.show(frame)
+        except VamError:
+            raise
+        except Exception as error:  # whatever a system raises for a screen that was pulled out
+            raise DeviceLost(f"the projector's screen is gone ({error}); check its cable and its power") from error
 
     def close(self) -> None:
         """Go dark, and away; more than once does no harm."""

@@ -23,7 +23,7 @@ class Chamber:
     """Light in the resin, by engine, plane and pose: seconds of full drive on each mirror.
 
     position: of the motion at a time [ns], in poses.  power: of the lens [1/m] at a time.  planes: their powers.
-    mirrors: rows and columns of the arrays.
+    mirrors: rows and columns of the arrays.  first: where pose 0 begins; None for where the first light falls.
     """
 
     def __init__(
@@ -33,12 +33,13 @@ class Chamber:
         engines: int = 1,
         power: Callable[[int], float] | None = None,
         planes: Sequence[float] = (0.0,),
+        first: float | None = None,
     ) -> None:
         self._position, self._power, self._planes = position, power, np.asarray(planes, float)
         self.mirrors, self.engines = mirrors, engines
         self.light: dict[tuple[int, int, int], np.ndarray] = {}
         self.astray = 0.0
-        self.first: float | None = None
+        self.first = first
         self._changes: list[tuple[int, int]] = [(0, 0)]
 
     def lamp(self, channels: int, now: int) -> None:
@@ -52,8 +53,12 @@ class Chamber:
     def shown(self, engine: int, shown: Shown) -> None:
         """Mirrors have shown a picture."""
         for plane, (start, end) in enumerate(zip(shown.starts, shown.ends, strict=True)):
-            for begin, stop in self._lit(engine, start, end):
-                self._add(engine, shown.mirrors(plane, self.mirrors[1]), begin, stop)
+            self.lit(engine, shown.mirrors(plane, self.mirrors[1]), start, end)
+
+    def lit(self, engine: int, mirrors: np.ndarray, start: int, end: int) -> None:
+        """Mirrors [row, column] were on, or on for a share of the time, from one time to another [ns]."""
+        for begin, stop in self._lit(engine, start, end):
+            self._add(engine, mirrors, begin, stop)
 
     def _lit(self, engine: int, start: int, end: int) -> list[tuple[int, int]]:
         """When the engine's lamp shone between two times."""

@@ -29,7 +29,8 @@ class EmulatedScreen:
 
     ``order`` lists the colors of a frame whose planes are shown, as the letters of its setting, and ``bits`` how many
     planes of each. Refresh k is at k / rate; a slot is lit for ``share`` of its length. A frame that is not replaced
-    is shown again, as screens do: ``repeated`` counts such refreshes.
+    is shown again, as screens do: ``repeated`` counts such refreshes.  ``hitches`` maps the number of a frame, as they
+    come, to refreshes that its host lets pass before it is there; ``unplug`` pulls the cable out.
     """
 
     def __init__(
@@ -42,37 +43,48 @@ class EmulatedScreen:
         latency_refreshes: int = 1,
         share: float = 1.0,
     ) -> None:
-        self.clock, self.size, self.rate_hz = clock, size, rate_hz
+        self.clock, self.size, self._rate = clock, size, rate_hz
+        self.rate_hz = float(rate_hz)
         self.order, self.bits, self.latency, self.share = order, bits, latency_refreshes, share
         self.on_slot: Callable[[Slot], None] | None = None
-        self.repeated = 0
+        self.repeated = self.frames = 0
+        self.hitches: dict[int, int] = {}
         self._frame = np.zeros((*size, 3), np.uint8)
         self._scanned: deque[tuple[int, np.ndarray, bool]] = deque()
         self._refresh = self._next_refresh(clock.now())
         self._slot = (self._refresh + latency_refreshes) * len(order)
         self._fresh = True
-        self.closed = False
+        self.closed = self.unplugged = False
         clock.attach(self)
 
     def _next_refresh(self, now: int) -> int:
-        return now * self.rate_hz // SECOND + 1
+        return now * self._rate // SECOND + 1
 
     def refresh_time(self, refresh: int) -> int:
         """When a refresh is [ns]."""
-        return -(-refresh * SECOND // self.rate_hz)
+        return -(-refresh * SECOND // self._rate)
 
     def slot_time(self, slot: int) -> int:
         """When a slot begins [ns]."""
-        return -(-slot * SECOND // (self.rate_hz * len(self.order)))
+        return -(-slot * SECOND // (self._rate * len(self.order)))
 
     def show(self, frame: np.ndarray, /) -> int:
         """Take a frame for the next refresh, and return once that is reached, as a window in step does."""
         if frame.shape != (*self.size, 3) or frame.dtype != np.uint8:
             raise ValueError(f"frames are {self.size} x 3 bytes, not {frame.shape} {frame.dtype}")
+        if self.unplugged:
+            raise OSError("no such screen")
+        wait, self.frames = self.hitches.get(self.frames, 0), self.frames + 1
+        if wait:
+            self.clock.sleep_until(self.refresh_time(self._refresh + wait - 1))
         self._frame, self._fresh = frame.copy(), True
         refresh = self._refresh
         self.clock.sleep_until(self.refresh_time(refresh))
         return refresh
+
+    def unplug(self) -> None:
+        """From now on nothing arrives; the projector shows its last frame again and again."""
+        self.unplugged = True
 
     def close(self) -> None:
         """Nothing is shown any more."""
