@@ -9,6 +9,8 @@ from vamgpu.hosts.emulators.lens import check_sum
 from vamgpu.hosts.emulators.track import Track
 
 MICRO = 1000
+TRIGGER_GAP = 50 * MICRO
+"""From trigger to trigger at least [ns]."""
 
 
 class RowPlayer:
@@ -43,6 +45,7 @@ class RowPlayer:
         self.next_row = self.shown = self.late = 0
         self.total: int | None = None
         self.started = self._floor = 0
+        self._fired = -TRIGGER_GAP
         self._pulse: tuple[int, int, int] | None = None
         self._pulse_end: int | None = None
         self._judge_at: int | None = None
@@ -98,12 +101,12 @@ class RowPlayer:
         if code is not None and self.on_lens is not None:
             frame = b"PwDA" + (code & 0xFFFF).to_bytes(2, "big") + b"\0\0"
             self.on_lens(frame + check_sum(frame).to_bytes(2, "little"), at)
-        self._pulse = (at + delay_us * MICRO, on_us, channels)
+        self._pulse = (max(at + delay_us * MICRO, self._fired + TRIGGER_GAP), on_us, channels)
 
     def _fire(self, at: int) -> None:
         assert self._pulse is not None
         _, on_us, channels = self._pulse
-        self._pulse = None
+        self._pulse, self._floor, self._fired = None, at, at
         if self._pulse_end is not None:
             self._pulse_end = None
             self.set_light(self._steady, at)

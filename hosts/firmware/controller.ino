@@ -1,7 +1,8 @@
 // Reference firmware of the controller of web, trigger, lens and light, for any 32-bit board with the Arduino core.
 //
 // It speaks the line protocol described in vamgpu.hosts.protocols.controller. Nothing here waits: loop() looks at
-// lease, interlock, pulses, steps and the line in turn, a few microseconds a turn.
+// lease, interlock, steps, pulses and the line in turn, a few microseconds a turn, and hands the line no more bytes
+// than it takes at once.
 //
 // Wiring that must hold when this program does not: a pull-down resistor on every GATE pin, so that the light is off
 // while the board starts, resets or hangs; the interlock switch in series with the light's supply as well as on its
@@ -26,9 +27,13 @@ static const uint8_t STEP_PIN = 7;
 static const uint8_t DIRECTION_PIN = 8;
 static const uint8_t INTERLOCK_PIN = 9;  // closed to ground while the enclosure is shut
 static const uint32_t TRIGGER_US = 20;
+static const uint32_t TRIGGER_GAP_US = 50;  // from pulse to pulse at least, so that two never look like one
 static const uint32_t LENS_BAUD = 38400;
 static const uint32_t LONGEST_LEASE_MS = 1000;
 static const uint16_t CAPACITY = 256;
+static const uint16_t OUTBOX = 512;  // bytes of answers on their way; what does not fit is dropped, and asked for again
+static const int64_t GREATEST = 1000000000000000;  // microseconds or microsteps: some thirty years
+static const int64_t LONGEST_US = 0x7FFFFFFF;
 static const uint8_t LONGEST_LINE = 96;
 #define HOST Serial
 #define LENS Serial1
@@ -49,7 +54,7 @@ static int64_t next_row, total, shown, late_rows;
 static bool armed, running, done, steps_mode, waiting, pulsing, triggering, closed = true;
 static const char *fault = "none";
 static uint8_t light, steady;
-static int64_t lease_end = -1, started, wait_until, pulse_end, trigger_end;
+static int64_t lease_end = -1, started, earliest, wait_until, pulse_end, trigger_end, fired = -1000;
 static Row current;
 
 static int64_t position;              // microsteps
@@ -62,6 +67,9 @@ static uint8_t length;
 static bool overlong;
 static char last_answer[LONGEST_LINE + 1];
 static int32_t last_number = -1;
+static uint16_t last_check;
+static uint8_t outbox[OUTBOX];
+static uint16_t outbox_first, outbox_used;
 
 // ---- time: 64 bits of microseconds ---------------------------------------------------------------------------------
 static int64_t now_us() {
@@ -105,13 +113,32 @@ static void add_number(char *out, int64_t value) {
   add(out, digits + i);
 }
 
+static void write_hex(char *out, uint16_t value) {
+  for (uint8_t i = 0; i < 4; i++) out[i] = "0123456789ABCDEF"[value >> (12 - 4 * i) & 15];
+}
+
+// A port whose buffer is full would keep the light waiting, so lines go through a buffer of this program's own.
+static void post(const char *text) {
+  uint16_t size = strlen(text);
+  if (outbox_used + size > OUTBOX) return;
+  for (uint16_t i = 0; i < size; i++) outbox[(outbox_first + outbox_used + i) % OUTBOX] = text[i];
+  outbox_used += size;
+}
+
+static void hand_over() {
+  int room = outbox_used ? HOST.availableForWrite() : 0;
+  while (room-- > 0 && outbox_used) {
+    HOST.write(&outbox[outbox_first], 1);
+    outbox_first = (outbox_first + 1) % OUTBOX;
+    outbox_used--;
+  }
+}
+
 static void send(char *out) {
-  static const char HEX_DIGITS[] = "0123456789ABCDEF";
-  uint16_t check = line_check(out, strlen(out));
-  char tail[7] = {'*', HEX_DIGITS[check >> 12], HEX_DIGITS[check >> 8 & 15], HEX_DIGITS[check >> 4 & 15],
-                  HEX_DIGITS[check & 15], '\n', 0};
+  char tail[7] = "*0000\n";
+  write_hex(tail + 1, line_check(out, strlen(out)));
   add(out, tail);
-  HOST.write((const uint8_t *)out, strlen(out));
+  post(out);
 }
 
 static void say(const char *text, int64_t value, bool has_value) {
@@ -144,8 +171,10 @@ static void close_light(const char *reason, bool is_fault) {
 // ---- rows ----------------------------------------------------------------------------------------------------------
 static bool reached(int64_t at, int64_t now) { return steps_mode ? position >= at : now >= started + at; }
 
+static bool all_acted() { return total >= 0 && next_row >= total; }
+
 static void finish() {
-  if (running && total >= 0 && next_row >= total && !waiting) {
+  if (running && all_acted() && !waiting && !pulsing) {
     running = false;
     done = true;
     say("done", shown, true);
@@ -165,11 +194,14 @@ static void act_row(int64_t now) {
     LENS.write(frame, sizeof frame);
   }
   waiting = true;
-  wait_until = (steps_mode ? now : started + current.at > now ? now : started + current.at) + current.delay_us;
+  int64_t due = started + current.at;
+  wait_until = (steps_mode ? now : due > earliest ? due : earliest) + current.delay_us;  // a turn's delay adds nothing
+  if (wait_until < fired + TRIGGER_GAP_US) wait_until = fired + TRIGGER_GAP_US;
 }
 
 static void fire(int64_t now) {
   waiting = false;
+  fired = earliest = wait_until;
   if (pulsing) {
     pulsing = false;
     set_light(steady);
@@ -182,8 +214,6 @@ static void fire(int64_t now) {
     set_light(steady | current.channels);
     pulsing = true;
     pulse_end = now + current.on_us;
-  } else {
-    finish();
   }
 }
 
@@ -195,20 +225,20 @@ static void play(int64_t now) {
   if (pulsing && now >= pulse_end) {
     pulsing = false;
     set_light(steady);
-    finish();
   }
   if (waiting && now >= wait_until) fire(now);
-  if (running && queued && !waiting && reached(rows[first_row].at, now)) act_row(now);
+  if (running && queued && !waiting && !all_acted() && reached(rows[first_row].at, now)) act_row(now);
+  finish();
 }
 
 // ---- web -----------------------------------------------------------------------------------------------------------
 static void step_web(int64_t now) {
   double seconds = (now - stepped) * 1e-6;
   stepped = now;
-  double change = accel * seconds;
+  double change = accel * seconds, before = speed;
   if (speed < wanted) speed = speed + change < wanted ? speed + change : wanted;
-  if (speed > wanted) speed = speed - change > wanted ? speed - change : wanted;
-  fraction += speed * seconds;
+  else if (speed > wanted) speed = speed - change > wanted ? speed - change : wanted;
+  fraction += (before + speed) / 2 * seconds;
   while (fraction >= 1.0 || fraction <= -1.0) {
     bool up = fraction > 0;
     digitalWrite(DIRECTION_PIN, up ? HIGH : LOW);
@@ -227,14 +257,14 @@ static void reset_rows() {
   total = -1;
 }
 
-static const char *add_row(int64_t *n, uint8_t count, bool has_code, int64_t now) {
-  if (count != 6) return "range";
+static const char *add_row(const int64_t *n, bool has_code, int64_t now) {
   if (n[0] != next_row + queued) return "order";
   if (queued >= CAPACITY) return "full";
   if (n[1] < 0 || n[3] < 0 || n[4] < 0 || n[5] < 0 || n[5] >= 1 << CHANNELS) return "range";
-  if (n[3] > 0x7FFFFFFF || n[4] > 0x7FFFFFFF || n[2] > 32767 || n[2] < -32767) return "range";
+  if (n[1] > GREATEST || n[3] > LONGEST_US || n[4] > LONGEST_US || n[2] > 32767 || n[2] < -32767) return "range";
   bool passed = running && (steps_mode ? position > n[1] : now > started + n[1]);
   if (passed) late_rows++;
+  if (!queued && !waiting) earliest = now;
   Row row = {n[1], (int32_t)n[2], (uint32_t)n[3], passed ? 0 : (uint32_t)n[4], (uint8_t)n[5], has_code};
   rows[(first_row + queued) % CAPACITY] = row;
   queued++;
@@ -255,35 +285,24 @@ static void add_status(char *out, int64_t now) {
   add(out, fault);
 }
 
-// Acts on a command; returns the reason of a refusal, or 0, with values of the answer in `values`.
-static const char *command(const char *verb, char **words, uint8_t count, char *values, int64_t now) {
-  int64_t n[6] = {0, 0, 0, 0, 0, 0};
-  bool dash = false;
-  bool text = !strcmp(verb, "mode");
-  if (count > 6) return "range";
-  for (uint8_t i = 0; i < count && !text; i++) {
-    char *end = words[i];
-    if (!strcmp(words[i], "-")) {
-      dash = true;
-    } else {
-      n[i] = strtoll(words[i], &end, 10);
-      if (*end || end == words[i]) return "range";
-    }
+static void answer_hello(char *values) {
+  close_light("hello", false);
+  reset_rows();
+  shown = late_rows = 0;
+  done = steps_mode = false;
+  fault = "none";
+  add(values, "vam-controller 1 ");
+  int64_t numbers[3] = {CAPACITY, LONGEST_LEASE_MS, CHANNELS};
+  for (uint8_t i = 0; i < 3; i++) {
+    if (i) add(values, " ");
+    add_number(values, numbers[i]);
   }
-  if (!strcmp(verb, "hello")) {
-    close_light("hello", false);
-    reset_rows();
-    shown = late_rows = 0;
-    done = steps_mode = false;
-    fault = "none";
-    add(values, "vam-controller 1 ");
-    add_number(values, CAPACITY);
-    add(values, " ");
-    add_number(values, LONGEST_LEASE_MS);
-    add(values, " ");
-    add_number(values, CHANNELS);
-  } else if (!strcmp(verb, "lease")) {
-    if (count != 1 || n[0] < 1 || n[0] > LONGEST_LEASE_MS) return "range";
+}
+
+// The commands of light; the reason of a refusal, or 0.
+static const char *command_light(const char *verb, const int64_t *n, int64_t now) {
+  if (!strcmp(verb, "lease")) {
+    if (n[0] < 1 || n[0] > LONGEST_LEASE_MS) return "range";
     lease_end = now + n[0] * 1000;
   } else if (!strcmp(verb, "arm")) {
     if (!closed) return "interlock";
@@ -293,40 +312,43 @@ static const char *command(const char *verb, char **words, uint8_t count, char *
   } else if (!strcmp(verb, "disarm")) {
     close_light("disarm", false);
   } else if (!strcmp(verb, "power")) {
-    if (count != 2 || n[0] < 0 || n[0] >= CHANNELS || n[1] < 0 || n[1] > 65535) return "range";
+    if (n[0] < 0 || n[0] >= CHANNELS || n[1] < 0 || n[1] > 65535) return "range";
     analogWrite(DRIVE_PINS[n[0]], n[1]);
   } else if (!strcmp(verb, "light")) {
     if (n[0] && !armed) return "armed";
-    if (count != 1 || n[0] < 0 || n[0] >= 1 << CHANNELS) return "range";
+    if (n[0] < 0 || n[0] >= 1 << CHANNELS) return "range";
     steady = n[0];
     if (!pulsing || !steady) {
       pulsing = false;
       set_light(steady);
     }
-  } else if (text) {
-    if (running) return "state";
-    if (count != 1 || (strcmp(words[0], "time") && strcmp(words[0], "steps"))) return "range";
-    steps_mode = words[0][0] == 's';
-  } else if (!strcmp(verb, "row")) {
-    const char *refusal = add_row(n, count, !dash, now);
+  } else {
+    return "verb";
+  }
+  return 0;
+}
+
+// The commands of rows and web, with values of the answer in `values`; the reason of a refusal, or 0.
+static const char *command_rows(const char *verb, const int64_t *n, bool dash, char *values, int64_t now) {
+  if (!strcmp(verb, "row")) {
+    const char *refusal = add_row(n, !dash, now);
     if (refusal) return refusal;
     add_number(values, CAPACITY - queued);
     add(values, " ");
     add_number(values, n[0] + 1);
   } else if (!strcmp(verb, "end")) {
-    if (count != 1) return "range";
+    if (n[0] < 0) return "range";
     total = n[0];
   } else if (!strcmp(verb, "go")) {
     if (running) return "state";
     running = true;
     done = false;
     shown = late_rows = 0;
-    started = now;
+    started = earliest = now;
   } else if (!strcmp(verb, "move")) {
-    if (count != 1) return "range";
     wanted = n[0] / 1000.0;
   } else if (!strcmp(verb, "ramp")) {
-    if (count != 1 || n[0] < 1) return "range";
+    if (n[0] < 1) return "range";
     accel = n[0];
   } else if (!strcmp(verb, "zero")) {
     if (running) return "state";
@@ -336,12 +358,70 @@ static const char *command(const char *verb, char **words, uint8_t count, char *
     close_light("stop", false);
     reset_rows();
     wanted = 0;
-  } else if (!strcmp(verb, "stat")) {
-    add_status(values, now);
   } else {
     return "verb";
   }
   return 0;
+}
+
+static const char *set_mode(const char *word) {
+  if (running) return "state";
+  if (strcmp(word, "time") && strcmp(word, "steps")) return "range";
+  steps_mode = word[0] == 's';
+  return 0;
+}
+
+struct Verb {
+  const char *name;
+  uint8_t words;
+};
+
+static const Verb VERBS[] = {{"hello", 0}, {"lease", 1}, {"arm", 0},   {"disarm", 0}, {"power", 2},
+                             {"light", 1}, {"mode", 1},  {"row", 6},   {"end", 1},    {"go", 0},
+                             {"move", 1},  {"ramp", 1},  {"zero", 0},  {"stop", 0},   {"stat", 0}};
+
+static const Verb *find_verb(const char *name) {
+  for (const Verb &verb : VERBS)
+    if (!strcmp(verb.name, name)) return &verb;
+  return 0;
+}
+
+// Reads a whole number of at most `longest` digits.
+static bool read_number(const char *word, uint8_t longest, int64_t *value) {
+  bool negative = *word == '-';
+  if (negative) word++;
+  size_t size = strlen(word);
+  if (size < 1 || size > longest) return false;
+  *value = 0;
+  for (; *word; word++) {
+    if (*word < '0' || *word > '9') return false;
+    *value = *value * 10 + (*word - '0');
+  }
+  if (negative) *value = -*value;
+  return true;
+}
+
+// Acts on a command; returns the reason of a refusal, or 0, with values of the answer in `values`.
+static const char *command(const char *name, char **words, uint8_t count, char *values, int64_t now) {
+  const Verb *verb = find_verb(name);
+  if (!verb) return "verb";
+  if (count != verb->words) return "range";
+  if (!strcmp(name, "mode")) return set_mode(words[0]);
+  bool row = !strcmp(name, "row");
+  bool dash = row && !strcmp(words[2], "-");
+  int64_t n[6] = {0, 0, 0, 0, 0, 0};
+  for (uint8_t i = 0; i < count; i++)
+    if (!(dash && i == 2) && !read_number(words[i], 18, &n[i])) return "range";
+  if (!strcmp(name, "hello")) {
+    answer_hello(values);
+    return 0;
+  }
+  if (!strcmp(name, "stat")) {
+    add_status(values, now);
+    return 0;
+  }
+  const char *refusal = command_light(name, n, now);
+  return refusal && !strcmp(refusal, "verb") ? command_rows(name, n, dash, values, now) : refusal;
 }
 
 static void complain() {
@@ -350,19 +430,19 @@ static void complain() {
 }
 
 static void read_line(int64_t now) {
-  char *star = strrchr(line, '*');
-  if (!star || strlen(star) != 5 || strtoul(star + 1, 0, 16) != line_check(line, star - line)) return complain();
+  char *star = strrchr(line, '*'), wanted_check[5] = "0000";
+  if (!star) return complain();
+  uint16_t check = line_check(line, star - line);
+  write_hex(wanted_check, check);
+  if (strcmp(star + 1, wanted_check)) return complain();
   *star = 0;
   char *words[9];
   uint8_t count = 0;
   for (char *word = strtok(line, " "); word && count < 9; word = strtok(0, " ")) words[count++] = word;
-  char *end = line;
-  long number = count ? strtol(words[0], &end, 10) : -1;
-  if (count < 2 || *end || number < 0) return complain();
-  if (strcmp(words[1], "hello") && number == last_number) {
-    HOST.write((const uint8_t *)last_answer, strlen(last_answer));
-    return;
-  }
+  int64_t number = 0;
+  if (count < 2 || *words[0] == '-' || !read_number(words[0], 5, &number)) return complain();
+  bool again = number == last_number && check == last_check;
+  if (again && strcmp(words[1], "hello") && strcmp(words[1], "stat")) return post(last_answer);
   char values[LONGEST_LINE + 1] = "";
   const char *refusal = command(words[1], words + 2, count - 2, values, now);
   last_answer[0] = 0;
@@ -371,6 +451,7 @@ static void read_line(int64_t now) {
   add(last_answer, refusal ? refusal : values);
   send(last_answer);
   last_number = number;
+  last_check = check;
 }
 
 static void listen(int64_t now) {
@@ -423,4 +504,5 @@ void loop() {
   step_web(now);
   play(now);
   listen(now);
+  hand_over();
 }
