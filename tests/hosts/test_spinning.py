@@ -1,0 +1,413 @@
+"""Vials before a video projector, printed on an emulated booth: every angle in place, and dark whatever goes wrong."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vamgpu.errors import BadInput, DeviceLost, Underrun, WrongDevice
+from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.hosts.cable import CablePictures, VideoPictures
+from vamgpu.hosts.drivers.zaber import ZaberStage
+from vamgpu.hosts.emulators.booth import MICROSTEPS, Booth
+from vamgpu.hosts.emulators.screen import Slot
+from vamgpu.hosts.interlock import InterlockOpen, OverDose
+from vamgpu.hosts.lease import DEFAULT_LENGTH
+from vamgpu.hosts.limits import HdmiTiming, MirrorTiming
+from vamgpu.hosts.moving import web
+from vamgpu.hosts.record import Run, RunFolder, read_run
+from vamgpu.hosts.run import Print
+from vamgpu.hosts.schedule import NONE, Schedule
+from vamgpu.hosts.spinning import SpinningPlayer
+from vamgpu.hosts.state import State
+from vamgpu.hosts.timing import SECOND
+from vamgpu.hosts.turning import LEAD
+from vamgpu.hosts.video import vial
+from vamgpu.operators.projection import Projection
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+
+SIZE, FRAME = (1, 4), SECOND / 60
+DISPLAY = HdmiTiming(pixels=(4, 1))
+SHARE = 0.94
+"""Of each slot in which the emulated screen is lit: between two slots there is time for what is rounded."""
+
+
+class Coded:
+    """Pictures that hold their number; things may happen when one is asked for."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+        self.happens: dict[int, Callable[[], object]] = {}
+        self.ready: Callable[[int], bool] = lambda number: True
+
+    def picture(self, number: int) -> np.ndarray | None:
+        self.asked += 1
+        self.happens.get(self.asked, lambda: None)()
+        code = [255, number % 256, number // 256, 0]
+        return np.array([code], np.uint8) if self.ready(number) else None
+
+
+class Room:
+    """A booth, a print in it, and what its resin saw: picture and true pose at the middle of each lit slot."""
+
+    def __init__(
+        self, path: Path, turns: int = 1, *, display: HdmiTiming = DISPLAY, speed: float = 40, added: int = 1
+    ) -> None:
+        self.booth, self.pictures, self.path = Booth(360, SIZE, share=SHARE), Coded(), path
+        self.schedule, self.display, self.added = vial(360, speed=speed, display=display, turns=turns), display, added
+        self.seen: list[tuple[int, float]] = []
+        integrate = self.booth.screen.on_slot
+        assert integrate is not None
+
+        def slot(slot: Slot) -> None:
+            integrate(slot)
+            levels, middle = slot.levels[0].tolist(), (slot.start + slot.end) // 2
+            if levels[0] and self.booth.controller.lit(middle):
+                self.seen.append((levels[1] + 256 * levels[2], self.booth.chamber._position(middle)))
+
+        self.booth.screen.on_slot = slot
+        self.machines = self.booth.machines()
+        self.folder = RunFolder.begin(path, {}, "")
+        self.print = Print(self.player(), self.folder)
+
+    def player(self) -> SpinningPlayer:
+        return SpinningPlayer(self.schedule, self.display, self.machines, self.pictures, turns=self.added)
+
+    def run(self) -> State:
+        try:
+            return self.print.run()
+        finally:
+            self.folder.close()
+
+    @property
+    def told(self) -> Run:
+        return read_run(self.path)
+
+    def slots(self) -> np.ndarray:
+        """Slots of light of each picture."""
+        return np.bincount([number for number, _ in self.seen], minlength=360)
+
+    def astray(self) -> np.ndarray:
+        """How far each lit picture was from its pose [poses]: 0 where the pose was its own."""
+        off = np.array([where - number for number, where in self.seen])
+        off = (off + 180) % 360 - 180
+        return np.where((off >= 0) & (off < 1), 0.0, np.minimum(np.abs(off), np.abs(off - 1)))
+
+    def dark_after(self, fault: int) -> int:
+        """When the lamp went off for good, after a time [ns]."""
+        controller = self.booth.controller
+        assert not controller.light
+        end = max((end for _, end, _, _ in controller.intervals), default=fault)
+        return end - fault
+
+
+def test_ten_minutes_at_40_degrees_a_second_show_every_angle_in_place(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run", turns=67)
+    assert room.run() is State.COMPLETE and room.booth.clock.now() > 600 * SECOND
+    assert not room.astray().any() and (room.slots() == 67 * 3).all()
+    numbers = np.array([number for number, _ in room.seen])
+    assert (np.diff(np.flatnonzero(np.diff(numbers))) == 3).all(), "the cadence is even"
+    shown = room.told.shown
+    assert shown["slot"].tolist() == list(range(67 * 360)) and not shown["dark"].any()
+    assert np.array_equal(shown["frame"], shown["position"] % 360)
+    assert np.abs(shown["late"]).max() < 0.05 * SECOND / 120, "the stage is in step with the cable"
+
+
+def test_the_lamp_opens_at_a_boundary_of_turns_and_closes_after_the_last(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run")
+    assert room.run() is State.COMPLETE
+    ((on, off, _, _),) = room.booth.controller.intervals
+    position = room.booth.chamber._position
+    assert -40 * LEAD <= position(on) - 360 * round(position(on) / 360) < 0
+    assert 0 < position(off) - 720 < 40 * 3 / 60, "dark within three video frames"
+    assert room.booth.stage.track.velocity(room.booth.clock.now()) == 0
+
+
+def test_a_slipped_refresh_drops_to_the_current_angle_and_makes_amends(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run", turns=2)
+    begin = 560
+    room.booth.screen.hitches = {begin + 50: 1, begin + 90: 3, begin + 300: 2}
+    assert room.run() is State.COMPLETE
+    astray, shown = room.astray(), room.told.shown
+    # of each slip the frame before it, shown again, and the one that waited
+    assert 0 < np.count_nonzero(astray) <= 2 * (1 + 1) + 2 * (3 + 1) + 2 * (2 + 1) and astray.max() < 2.1
+    repeats = 2 * (1 + 3 + 2)
+    assert (room.slots() >= 6).all() and room.slots().sum() == 360 * 6 + repeats, "no slot is missing, none twice"
+    told = shown["on_time"][shown["dark"] == 0].sum()
+    assert told == room.slots().sum() * (int(room.schedule.on[0]) // 3), "the record tells what was"
+    amends = shown[720:]
+    assert len(amends) == 360 and 0 < np.count_nonzero(amends["frame"] != NONE) < 12
+    assert shown["late"].max() > 2 * FRAME
+
+
+def test_a_host_that_stands_still_shows_the_current_angle_next(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run", turns=3)
+    room.pictures.happens = {300: lambda: room.booth.clock.sleep(90_000_000)}
+    read, reads = room.machines.stage.position, iter(range(10**6))
+
+    def slow() -> float:
+        if next(reads) == 1300:
+            room.booth.clock.sleep(70_000_000)
+        return read()
+
+    room.machines.stage.position = slow  # type: ignore[method-assign]
+    assert room.run() is State.COMPLETE
+    assert 0 < np.count_nonzero(room.astray()) <= 2 * (6 + 1) + 2 * (5 + 1) and (room.slots() >= 9).all()
+
+
+def test_light_that_a_screen_repeats_is_counted(tmp_path: Path) -> None:
+    """Six video frames of light that no plan wanted are more than a hundredth of a turn."""
+    room = Room(tmp_path / "run")
+    room.booth.screen.hitches = {800: 6}
+    with pytest.raises(OverDose):
+        room.run()
+    assert not room.booth.controller.light
+
+
+def test_a_screen_that_beats_otherwise_is_followed(tmp_path: Path) -> None:
+    """A screen of 60 Hz where 59.94 was told: the count of slots is corrected when it is a slot off."""
+    display = HdmiTiming(refresh=59.94, pixels=(4, 1))
+    room = Room(tmp_path / "run", turns=4, display=display, speed=39.96)
+    assert room.run() is State.COMPLETE
+    assert room.astray().max() < 0.3, "no farther than a slot"
+    assert (room.slots() == 12).all()
+
+
+def test_a_late_picture_is_black_and_shown_in_a_turn_that_is_added(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run")
+    room.pictures.ready = lambda number: number not in (100, 101) or room.pictures.asked > 1000
+    assert room.run() is State.COMPLETE
+    shown = room.told.shown
+    assert np.flatnonzero(shown["dark"]).tolist() == [100, 101]
+    assert [slot for slot in range(360, 720) if shown["frame"][slot] != NONE] == [460, 461]
+    assert (room.slots() == 3).all() and not room.astray().any()
+    assert len(room.booth.controller.intervals) == 2, "dark between the turns"
+
+
+def test_what_no_added_turn_shows_is_told(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run")
+    room.pictures.ready = lambda number: number != 100
+    with pytest.raises(Underrun, match="3 slots of pictures were missed, and 1 added turns"):
+        room.run()
+    assert room.told.state is State.ERROR and not room.booth.controller.light and room.slots().sum() == 359 * 3
+
+
+def test_a_turn_without_any_picture_ends_the_print(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run", turns=3)
+    room.pictures.ready = lambda number: room.pictures.asked < 600
+    with pytest.raises(Underrun, match="a whole turn"):
+        room.run()
+    shown = room.told.shown
+    assert 360 <= np.count_nonzero(shown["dark"]) <= 362 and not room.booth.controller.light
+
+
+POSE = SECOND // 40
+
+
+@pytest.mark.parametrize(
+    ("fault", "within"),
+    [
+        (lambda booth: booth.slip(-1.0), 2 * FRAME),
+        (lambda booth: booth.slip(1.0), 2 * FRAME),
+        (lambda booth: booth.turn(0.0), POSE / 2 + 2.7 * FRAME),  # the stage takes time too, 0.2 s from 40 deg/s
+        (lambda booth: booth.turn(-40.0), POSE / 2 + 2.7 * FRAME),
+        (lambda booth: booth.turn(60.0), 2 * POSE + 2 * FRAME),
+    ],
+    ids=["slips back", "slips on", "stops", "reverses", "races"],
+)
+def test_a_stage_that_is_elsewhere_is_dark(tmp_path: Path, fault: Callable[[Booth], None], within: float) -> None:
+    room, at = Room(tmp_path / "run"), []
+    room.booth.stage.track.acceleration = 2e6
+
+    def happens() -> None:
+        at.append(room.booth.clock.now())
+        fault(room.booth)
+
+    room.pictures.happens = {600: happens}
+    with pytest.raises(InterlockOpen, match="from where it should be"):
+        room.run()
+    assert 0 < room.dark_after(at[0]) <= within
+    assert room.told.state is State.ERROR and room.booth.stage.track.velocity(room.booth.clock.now()) == 0
+
+
+def test_a_vial_that_does_not_get_to_its_speed_gets_no_light(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run")
+    room.booth.stage.track.acceleration = 1000.0
+    with pytest.raises(InterlockOpen, match="does not turn"):
+        room.run()
+    assert not room.booth.controller.intervals and not room.seen
+
+
+def test_a_lost_screen_is_dark(tmp_path: Path) -> None:
+    room, at = Room(tmp_path / "run"), []
+
+    def pulled() -> None:
+        at.append(room.booth.clock.now())
+        room.booth.screen.unplug()
+
+    room.pictures.happens = {600: pulled}
+    with pytest.raises(DeviceLost, match="screen is gone"):
+        room.run()
+    assert room.dark_after(at[0]) <= FRAME and room.told.state is State.ERROR
+    room.booth.clock.sleep(SECOND)
+    assert len(room.seen) <= 600, "the frame it shows for good is dark"
+
+
+def test_a_screen_that_hangs_is_dark_by_the_lease(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run")
+    room.booth.screen.hitches = {800: 120}
+    with pytest.raises(InterlockOpen):
+        room.run()
+    assert room.booth.controller.fault == "lease" and room.told.state is State.ERROR
+    last = room.told.shown[-1]
+    on, off, _, _ = room.booth.controller.intervals[-1]
+    assert off - on - int(last["slot"]) * POSE < DEFAULT_LENGTH + int(LEAD * SECOND)
+
+
+def test_a_lost_stage_or_controller_is_dark(tmp_path: Path) -> None:
+    for name in ("stage_port", "port"):
+        room, at = Room(tmp_path / name), []
+
+        def pulled(room: Room = room, at: list[int] = at, name: str = name) -> None:
+            at.append(room.booth.clock.now())
+            getattr(room.booth, name).unplug()
+
+        room.pictures.happens = {600: pulled}
+        with pytest.raises(DeviceLost):
+            room.run()
+        room.booth.clock.sleep(DEFAULT_LENGTH)
+        assert room.dark_after(at[0]) <= (2 * FRAME if name == "stage_port" else DEFAULT_LENGTH)
+
+
+def test_an_opened_door_ends_the_print(tmp_path: Path) -> None:
+    room, at = Room(tmp_path / "run"), []
+
+    def opened() -> None:
+        at.append(room.booth.clock.now())
+        room.booth.controller.open_interlock(room.booth.clock.now())
+
+    room.pictures.happens = {600: opened}
+    with pytest.raises(InterlockOpen, match="interlock"):
+        room.run()
+    assert room.dark_after(at[0]) == 0 and room.booth.clock.now() - at[0] < SECOND
+
+
+def test_an_emergency_stop_from_another_thread_leaves_the_window_to_its_own(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run")
+
+    def stopped() -> None:
+        thread = threading.Thread(target=room.print.stop)
+        thread.start()
+        thread.join()
+        assert not room.booth.controller.light
+
+    room.pictures.happens = {600: stopped}
+    before = len(room.seen)
+    assert room.run() is State.CANCELLED
+    assert before <= len(room.seen) <= 600
+
+
+def test_a_pause_ends_with_a_whole_picture_and_the_next_meets_its_angle(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run", turns=2)
+    angles: list[float] = []
+    read = room.machines.stage.position
+    room.machines.stage.position = lambda: angles.append(read()) or angles[-1]  # type: ignore[method-assign]
+    room.pictures.happens = {500: room.print.pause}
+    assert room.print.run() is State.PAUSED
+    assert not room.booth.controller.light and room.booth.stage.track.velocity(room.booth.clock.now()) == 0
+    halves = len(room.seen)
+    assert halves == 3 * room.print.next and 470 < halves <= 500  # people look too
+    room.booth.clock.sleep(5 * SECOND)
+    assert room.run() is State.COMPLETE
+    assert (np.diff(angles) >= 0).all(), "a vial is never turned back"
+    assert (room.slots() == 6).all() and not room.astray().any()
+    assert room.told.shown["slot"].tolist() == list(range(720)) and not room.told.shown["dark"].any()
+
+
+def test_another_host_goes_on_at_the_true_angle(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run", turns=2)
+    room.pictures.happens = {500: room.print.pause}
+    assert room.print.run() is State.PAUSED
+    first = room.print.next
+    room.folder.close()
+    room.machines = room.booth.machines()
+    room.folder = RunFolder.again(room.path)
+    room.print = Print(room.player(), room.folder)
+    assert room.print.run(first) is State.COMPLETE
+    assert (room.slots() == 6).all() and not room.astray().any()
+
+
+# ---- what fits ---------------------------------------------------------------------------------------------
+def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
+    room = Room(tmp_path / "run")
+    mirrors = MirrorTiming(pixels=(4, 1), row_bytes=8)
+
+    def refused(schedule: Schedule, display: HdmiTiming = DISPLAY) -> None:
+        SpinningPlayer(schedule, display, room.machines, room.pictures)
+
+    with pytest.raises(BadInput, match="in mm"):
+        refused(web(9, advance=0.1, speed=0.8, engines=mirrors))
+    with pytest.raises(BadInput, match="2 engines"):
+        refused(vial(360, speed=40, display=DISPLAY, power=(1.0, 0.5)))
+    for other in (HdmiTiming(), HdmiTiming(pixels=(4, 1), bits=7), HdmiTiming(pixels=(4, 1), latency=2)):
+        with pytest.raises(WrongDevice, match="rig's file"):
+            refused(vial(360, speed=40 if other.bits == 8 else 60, display=other), other)
+    linear = ZaberStage(room.machines.stage._wire, MICROSTEPS, "mm")  # type: ignore[attr-defined]
+    room.machines.stage = linear
+    with pytest.raises(BadInput, match="moves in mm"):
+        refused(room.schedule)
+
+
+# ---- the round trip ----------------------------------------------------------------------------------------
+class Shifted:
+    """Pictures that come one pose late."""
+
+    def __init__(self, pictures: CablePictures, count: int) -> None:
+        self._pictures, self._count = pictures, count
+
+    def picture(self, number: int) -> np.ndarray:
+        return self._pictures.picture((number - 1) % self._count)
+
+
+def printed(path: Path, booth: Booth, pictures: VideoPictures, images: int, latency: int) -> np.ndarray:
+    """Light [pose, r, z] in shares of full-on, decoded here: the highest z is the top row, the least r the left."""
+    (rows, columns), share = booth.screen.size, booth.screen.share
+    display = HdmiTiming(pixels=(columns, rows), bits=booth.screen.bits, latency=latency)
+    schedule = vial(images, speed=45, display=display, turns=2)
+    player = SpinningPlayer(schedule, display, booth.machines(latency), pictures)
+    with RunFolder.begin(path, {}, "") as folder:
+        assert Print(player, folder).run() is State.COMPLETE
+    assert len(read_run(path).shown) == len(schedule)
+    seconds = booth.chamber.seconds(0, images, turn=images)[0]
+    shown = seconds[:, 4:12, 8:24]
+    assert shown.sum() == pytest.approx(seconds.sum(), rel=1e-12), "no light beside the pictures"
+    return shown[:, ::-1, :].transpose(0, 2, 1) / (2 * share * 360 / 45 / images)
+
+
+@pytest.mark.parametrize("bits", [8, 7])
+def test_the_dose_is_the_librarys_own_and_a_shift_or_a_wrong_turn_is_seen(tmp_path: Path, bits: int) -> None:
+    images, size, top = 120, (16, 32), 2**bits - 1
+    A = Projection(Grid((16, 16, 8), 0.5), Beam((16, 8), 0.5), Turntable(images), device="numpy")
+    levels = np.random.default_rng(1).integers(0, top + 1, (images, 8, 16))
+    bytes_ = ((levels * 255 + top // 2) // top).astype(np.uint8)
+    frames = Frames.from_bytes(bytes_, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=16)
+    irradiance = np.array(frames.irradiance().numpy())
+    if bits < 8:  # the cable carries fewer levels than the job has
+        irradiance = (levels / top)[:, ::-1].transpose(0, 2, 1)
+    wanted = A.T(A.device.upload(irradiance)).numpy()
+    pictures = CablePictures(frames, size)
+
+    def off(name: str, pictures: VideoPictures = pictures, told: int = 1, scale: float = 1.0) -> float:
+        booth = Booth(images, size, bits=bits, share=0.9, scale=scale)
+        light = printed(tmp_path / name, booth, pictures, images, told)
+        return float(np.abs(A.T(A.device.upload(light)).numpy() - wanted).max() / np.abs(wanted).max())
+
+    assert off("good") < 1e-4
+    assert off("shifted", Shifted(pictures, images)) > 0.01
+    assert off("inverted", scale=-1.0) > 0.01
+    assert off("a video frame earlier than told", told=2) > 0.01
