@@ -30,8 +30,8 @@ class Controller:
     """The controller; every command is answered, and repeated if the answer does not come or is garbled.
 
     ``microsteps_per_mm`` turns the web's distances into microsteps. ``before`` is what it last did for an earlier host,
-    which a print that is taken up again must know. What the controller says by itself is collected
-    in ``events`` as words.
+    which a print that is taken up again must know; a board that resets when its port is opened knows nothing of it.
+    What the controller says by itself is collected in ``events`` as words.
     """
 
     def __init__(self, wire: Wire, microsteps_per_mm: float = 1.0) -> None:
@@ -73,7 +73,6 @@ class Controller:
     def _before(self) -> Status | None:
         """What it did for an earlier host; None where it does not tell."""
         try:
-            self.ask("stat")  # the first number may be the earlier host's last, whose answer would be repeated
             return self.status()
         except (DeviceError, ProtocolError) as error:
             log.info("%s: no status before hello (%s)", self._wire.name, error)

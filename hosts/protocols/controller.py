@@ -2,8 +2,9 @@
 
 Lines of ASCII end in a line feed. Each carries, after ``*``, the CRC-16/CCITT-FALSE of what stands before it in four
 capital hexadecimal digits. The host sends ``<number> <verb> <arguments>``; the controller answers the same number with
-``ok`` and values, or ``no <reason>``. A number sent twice running is answered twice but acted on once, so a host that
-heard nothing may repeat itself. Lines that begin with ``!`` are events; ``?`` answers what could not be read.
+``ok`` and values, or ``no <reason>``. A line sent twice running is answered twice but acted on once, so a host that
+heard nothing may repeat itself; ``hello`` and ``stat`` are answered afresh. Lines that begin with ``!`` are events;
+``?`` answers what could not be read. Numbers of lines are 0..65535, other numbers have at most 18 digits.
 
 ========= =========================================== =================================================================
 verb      arguments                                   effect; answer
@@ -14,10 +15,10 @@ lease     milliseconds                                the light may stay on for 
 arm       \\-                                           allow light; refused without a lease or with an open interlock
 disarm    \\-                                           light off and not allowed
 power     channel, 0..65535                           the drive of a channel, of full
-light     0 or 1                                      steady light, while armed
+light     channels                                    steady light, while armed; 0 darkens, a row's light too
 mode      ``time`` or ``steps``                       what the rows count: microseconds since ``go``, or microsteps
 row       index, at, lens, delay us, on us, channels  queue one slot; rows still free, and the index of the next row
-end       count                                       how many rows the print has
+end       count                                       how many rows the print has; may be told again while they run
 go        \\-                                           begin to play the rows, and to count those shown
 move      thousandths of microsteps per second        run the web at a speed, ramping up to it
 ramp      microsteps per second squared               how fast the speed changes
@@ -28,10 +29,18 @@ stat      \\-                                           see ``Status``
 
 A row acts when ``at`` is reached: a lens driver's focal power code is sent (``-`` for none), and ``delay`` microseconds
 later the projector is triggered and the light of the channels (a sum of powers of two) is on for ``on`` microseconds.
-A row that comes after its time stays dark and is counted as late.
+A row that comes after its time stays dark and is counted as late. Triggers are 50 microseconds apart at least.
+
+The play ends, with ``! done <shown>``, when as many rows as ``end`` told have acted and the light of the last is over.
+Told again, a smaller count ends the play with the row on its way, which is not cut short; rows behind it stay queued.
 
 The controller closes the light by itself when the lease runs out, when the interlock opens, and at ``hello``,
 ``disarm`` and ``stop``; it then disarms and says ``! light off <reason>``.
+
+``stat`` is answered before ``hello`` too. What was shown survives a lost lease and a host that dies, until ``hello`` or
+``go``; the web's position survives ``hello`` as well, until ``zero``. Both begin at 0 when the board is switched on or
+reset. Boards that reset when a host opens their port (by its DTR line, as many with a separate USB chip do) lose both
+at that moment: disable that as the board's maker describes, or take a board without it.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from vamgpu import hosts
 from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
-from vamgpu.hosts.emulators.controller import EmulatedController, line_check
+from vamgpu.hosts.emulators.controller import ARGUMENTS, EmulatedController, line_check
 from vamgpu.hosts.emulators.lens import LENGTHS, check_sum
 from vamgpu.hosts.protocols import controller, slots, zaber
 from vamgpu.hosts.protocols import optotune as ld4
@@ -189,7 +189,8 @@ def test_protocol_emulator_and_sketch_know_the_same_verbs() -> None:
     verbs = set(re.findall(r"\n([a-z]+) ", table))
     sketch = (Path(hosts.__file__).parent / "firmware" / "controller.ino").read_text(encoding="utf-8")
     assert len(verbs) == 15
-    assert verbs == set(re.findall(r'strcmp\(verb, "(\w+)"\)', sketch))
+    counts = {verb: int(words) for verb, words in re.findall(r'\{"(\w+)", (\d)\}', sketch)}
+    assert verbs == set(counts) and counts == ARGUMENTS
     assert verbs == {name.removeprefix("_do_") for name in dir(EmulatedController) if name.startswith("_do_")}
     assert f'"{controller.NAME} {controller.VERSION} "' in sketch
     assert f"LONGEST_LINE = {controller.LONGEST_LINE};" in sketch

@@ -165,6 +165,7 @@ def test_rows_act_in_time_with_lens_trigger_and_light(new_board: NewBoard) -> No
         assert bench.ask(270, "go") == bench.ask(280, "mode", "steps") == bench.ask(290, "zero") == "state"
         seen = bench.status(320)
         assert (seen.state, seen.row, seen.shown, seen.free) == ("running", 3, 3, 253)
+        assert bench.status(365).state == "running", "while the last picture is lit"
         assert bench.status(400).state == "done"
 
     emulated, real = _both(new_board, scenario)
@@ -240,6 +241,19 @@ def test_rows_by_steps_follow_the_web(new_board: NewBoard) -> None:
         assert (one.state, one.row, one.shown) == (other.state, other.row, other.shown)
     assert len(real.machine.triggers) == 6
     _close([(0, at) for at in real.machine.triggers], [(0, at) for at in emulated.triggers], 500_000)
+
+
+def test_steady_light_does_not_outlive_what_closed_it(new_board: NewBoard) -> None:
+    def scenario(bench: Bench) -> None:
+        _allow(bench, 100)
+        bench.ask(120, "light", 2)
+        bench.ask(130, "row", 0, 10_000, "-", 0, 5000, 1)
+        bench.ask(140, "disarm")
+        _allow(bench, 150)
+        bench.ask(170, "go")
+        assert bench.status(182).light == 1 and bench.status(190).light == 0
+
+    _both(new_board, scenario)
 
 
 def test_stop_darkens_and_drops_and_hello_forgets(new_board: NewBoard) -> None:
