@@ -21,6 +21,7 @@ from vamgpu.hosts.drivers.lens import TunableLens
 from vamgpu.hosts.lamp import ControllerLamp, Renewal
 from vamgpu.hosts.light import Switch
 from vamgpu.hosts.player import Look
+from vamgpu.hosts.protocols.controller import Row, Status
 from vamgpu.hosts.record import Shown
 from vamgpu.hosts.rows import Rows
 from vamgpu.hosts.schedule import NONE, Schedule
@@ -36,6 +37,8 @@ PREROLL = 2
 counts must agree before there is light."""
 APART = SECOND // 7
 """Least time between them, and to the first slot [ns]: some looks."""
+PATIENCE = 0.25
+"""How long a trigger may be overdue [s], by where the motion is."""
 TURNS = 2
 """Most turns of a vial that are added for what was missed."""
 
@@ -86,6 +89,7 @@ class TriggeredPlayer:
         self._threaded = isinstance(machines.clock, RealClock) if threaded is None else threaded
         self._policies = tuple(policy(schedule) for _ in pictures)
         self._orders = [schedule.frame] * schedule.engines
+        self._longest = int((schedule.dark - schedule.command).max(where=schedule.command != NONE, initial=0))
         self._origin, self._added = origin, 0
         self._supplies: list[Supply] = []
         self._first = self._kept = self._shown = self._sent = self._looked = 0
@@ -148,9 +152,6 @@ class TriggeredPlayer:
         before = [supply.shown() for supply in self._supplies]
         status = self.machines.controller.status()
         after = [supply.shown() for supply in self._supplies]
-        fault = f"the controller closed the light: {status.fault}" if status.state == "fault" else None
-        if status.late:
-            fault = f"{status.late} rows came to the controller after their time; look at what holds up the host"
         counts = (each for low, each in zip(before, after, strict=True) if not low <= status.shown <= each)
         error = self._motion.error(self.clock.now(), status.position)
         pictures = self._since(status.shown)
@@ -159,8 +160,21 @@ class TriggeredPlayer:
             status.state == "running", error, next(counts, status.shown), status.shown, pictures,
             status.position / self.machines.microsteps - (self._origin or 0.0),
             min(supply.share for supply in self._supplies),
-            min(supply.ahead for supply in self._supplies) / self.schedule.rate, fault,
+            min(supply.ahead for supply in self._supplies) / self.schedule.rate, self._fault(status),
         )  # fmt: skip
+
+    def _fault(self, status: Status) -> str | None:
+        """Why the controller cannot be trusted."""
+        if status.state == "fault":
+            return f"the controller closed the light: {status.fault}"
+        if status.late:
+            return f"{status.late} rows came to the controller after their time; look at what holds up the host"
+        if status.state == "running" and status.shown < len(self.schedule) - self._first + PREROLL:
+            speed = float(self.schedule.speed) * self.machines.microsteps
+            overdue = (status.position - self._row(status.shown).at) / speed - self._longest * 1e-9
+            if overdue > PATIENCE:
+                return f"no trigger for {1e3 * overdue:.0f} ms after picture {status.shown}, though the motion is there"
+        return None
 
     def _since(self, shown: int) -> tuple[Shown, ...]:
         """The pictures shown since the last look.
@@ -189,12 +203,14 @@ class TriggeredPlayer:
         """Send rows while there is room: the black pictures before the first slot, then slots."""
         stop = min(self._sent + free, len(self.schedule) - self._first + PREROLL)
         for number in range(self._sent, stop):
-            if number < PREROLL:
-                row = self._rows.dark(self._first, (PREROLL - number) * self._apart, number)
-            else:
-                row = self._rows.row(self._first + number - PREROLL, number)
-            self.machines.controller.row(row)
+            self.machines.controller.row(self._row(number))
         self._sent = max(self._sent, stop)
+
+    def _row(self, number: int) -> Row:
+        """A row of this leg."""
+        if number < PREROLL:
+            return self._rows.dark(self._first, (PREROLL - number) * self._apart, number)
+        return self._rows.row(self._first + number - PREROLL, number)
 
     def wait(self) -> None:
         """Return when the next look is due."""
@@ -236,6 +252,12 @@ class TriggeredPlayer:
             frames = np.where(np.isin(turn, list(each)), turn, NONE)
             self._orders[engine] = np.concatenate([self._orders[engine], frames])
         return True
+
+    def recall(self, lost: Sequence[Sequence[int]]) -> None:
+        """Poses that were black under an earlier host, of each projector."""
+        for policy, poses in zip(self._policies, lost, strict=True):
+            for pose in poses:
+                policy.lost(pose)
 
     def picture(self, number: int) -> np.ndarray:
         """A frame of the first projector for people."""

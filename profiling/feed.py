@@ -14,16 +14,13 @@ import json
 import logging
 import sys
 import time
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 import vamgpu
 from vamgpu.backend.device import Device
-from vamgpu.errors import Underrun
 from vamgpu.hosts.clock import RealClock
-from vamgpu.hosts.executor import Executor
 from vamgpu.hosts.feed import Feed
 from vamgpu.hosts.limits import MirrorTiming
 from vamgpu.hosts.moving import turned
@@ -33,6 +30,7 @@ from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 
 ROWS, COLUMNS, ROW_BYTES, BATCH = 1080, 1920, 256, 8
+LOOK = 5_000_000
 
 
 @dataclass(frozen=True)
@@ -59,10 +57,10 @@ class Memory:
 
     def __init__(self, shape: tuple[int, ...], triggers: np.ndarray, clock: RealClock) -> None:
         self._memory = np.zeros((2, BATCH, *shape), np.uint8)
-        self._triggers, self._clock, self._ends, self._began = triggers, clock, [0], 0
+        self._triggers, self._clock, self._ends, self.began = triggers, clock, [0], 0
 
     def shown(self) -> int:
-        return int(np.searchsorted(self._triggers, self._clock.now() - self._began)) if self._began else 0
+        return int(np.searchsorted(self._triggers, self._clock.now() - self.began)) if self.began else 0
 
     def room(self) -> bool:
         return len(self._ends) < 3 or self._ends[-2] <= self.shown()
@@ -70,18 +68,6 @@ class Memory:
     def put(self, pictures: np.ndarray) -> None:
         self._memory[len(self._ends) % 2, : len(pictures)] = pictures
         self._ends.append(self._ends[-1] + len(pictures))
-
-    def start(self) -> None:
-        self._began = self._clock.now()
-
-    def stop(self) -> None:
-        pass
-
-    def on(self, power: float) -> None:
-        pass
-
-    def off(self, why: str) -> None:
-        pass
 
 
 def frames_on(device: Device, bits: int, count: int = 12) -> Frames:
@@ -100,14 +86,19 @@ def trial(frames: Frames, rate: float, seconds: float) -> Sustained:
     memory = Memory(source.shape, schedule.trigger, clock)
     order = np.arange(count) % source.frames
     feed = Feed(source, order, memory, clock, batch=BATCH, depth=8)
-    executor = Executor(schedule, feed, memory, memory, memory, clock, guard=1)
     feed.start()
-    before = time.process_time()
-    with suppress(Underrun):
-        executor.run()
-    ran, spent = executor.ran(), time.process_time() - before
-    late = 1e-6 * np.percentile(ran.late, [50, 99, 100])
-    return Sustained(frames.bits, rate, ran.shown, len(ran.lost), *late, spent / max(1e-9 * ran.duration, 1e-9))
+    while not feed.primed:
+        clock.sleep_until(clock.now() + LOOK)
+    before, memory.began = time.process_time(), clock.now()
+    while memory.shown() < count:
+        feed.check()
+        clock.sleep_until(clock.now() + LOOK)
+    spent = time.process_time() - before
+    feed.stop()
+    late = 1e-6 * (np.where(feed.arrived < 0, clock.now(), feed.arrived) - memory.began - schedule.trigger)
+    passed = 1e-9 * (clock.now() - memory.began)
+    p50, p99, most = np.percentile(late, [50, 99, 100])
+    return Sustained(frames.bits, rate, count, int((late > 0).sum()), p50, p99, most, spent / passed)
 
 
 def greatest(frames: Frames, seconds: float) -> Sustained:

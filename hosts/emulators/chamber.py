@@ -40,15 +40,16 @@ class Chamber:
         self.light: dict[tuple[int, int, int], np.ndarray] = {}
         self.astray = 0.0
         self.first = first
-        self._changes: list[tuple[int, int]] = [(0, 0)]
+        self._times, self._channels = [0], [0]
 
     def lamp(self, channels: int, now: int) -> None:
         """The lamp changes."""
         if channels and self.first is None:
             self.first = self._position(now)
-        self._changes.append((now, channels))
-        if len(self._changes) > 4000:
-            del self._changes[:2000]
+        self._times.append(now)
+        self._channels.append(channels)
+        if len(self._times) > 4000:
+            del self._times[:2000], self._channels[:2000]
 
     def shown(self, engine: int, shown: Shown) -> None:
         """Mirrors have shown a picture."""
@@ -62,12 +63,12 @@ class Chamber:
 
     def _lit(self, engine: int, start: int, end: int) -> list[tuple[int, int]]:
         """When the engine's lamp shone between two times."""
-        times = [at for at, _ in self._changes]
+        times = self._times
         found, place = [], max(bisect_right(times, start) - 1, 0)
         while place < len(times) and times[place] < end:
             stop = times[place + 1] if place + 1 < len(times) else end
             low, high = max(start, times[place]), min(end, stop)
-            if self._changes[place][1] >> engine & 1 and high > low:
+            if self._channels[place] >> engine & 1 and high > low:
                 found.append((low, high))
             place += 1
         return found

@@ -78,6 +78,14 @@ class FakeAlp(EmulatedArray):
 
     # the library: devices
 
+    def forsake(self) -> None:
+        """The process that held it is gone, and the system took it back: dark, and all pictures forgotten."""
+        with self.clock.lock:
+            self.advance(self.clock.now())
+            self._queue.clear()
+            self._stored.clear()
+            self.allocated = False
+
     def _AlpDevAlloc(self, number: int, _: int, answer: Any) -> int:  # noqa: N802
         if number not in (0, self.model.serial):
             return NOT_ONLINE

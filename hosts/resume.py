@@ -1,0 +1,68 @@
+"""Going on with the print of a host that died: from its folder, and from what the controller says it still showed."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from vamgpu.errors import BadInput
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.record import Run, RunFolder, Shown, read_run
+from vamgpu.hosts.run import Limits, may_resume
+from vamgpu.hosts.schedule import Schedule
+from vamgpu.hosts.state import State
+from vamgpu.hosts.timing import SECOND
+
+
+@dataclass(frozen=True, eq=False)
+class Interrupted:
+    """A print that a host left. first: the next slot.  recorded: slots in its folder.  origin: of pose 0 on the motor.
+
+    lost: poses that were black, of each projector.  rest: since its last sign [ns].
+    """
+
+    run: Run
+    first: int
+    recorded: int
+    origin: float
+    lost: tuple[tuple[int, ...], ...]
+    rest: int
+
+    def take_up(self, folder: RunFolder, schedule: Schedule) -> None:
+        """Write down what was shown after the host's last look; the last of it may have been cut short."""
+        for slot in range(self.recorded, self.first):
+            row = (int(getattr(schedule, name)[slot]) for name in ("frame", "pose", "light", "on"))
+            frame, pose, light, on = row
+            for engine in range(schedule.engines):
+                folder.shown(Shown(slot, frame, pose, light, on, engine=engine))
+
+
+def interrupted(path: str | Path, controller: Controller, schedule: Schedule, limits: Limits = Limits()) -> Interrupted:
+    """What a print's folder and its controller tell together. Raises `BadInput` where it cannot be gone on with.
+
+    The controller must have kept its power: it alone knows where the motor is, and what it showed until the lease of
+    the host that died ran out.
+    """
+    run = read_run(path)
+    if run.state not in (State.PRINTING, State.PAUSED):
+        raise BadInput(f"{str(path)!r} is {run.state.value}; only prints that a host left in the midst go on")
+    leg = next((event for event in reversed(run.events) if event["event"] == "leg"), None)
+    if leg is None:
+        raise BadInput(f"{str(path)!r} has shown nothing; begin it anew in another folder")
+    rest = round((time.time() - run.events[-1]["wall"]) * SECOND)
+    may_resume(rest, limits)
+    slots = run.shown["slot"]
+    recorded = int(slots.max()) + 1 if len(slots) else 0
+    before = controller.before
+    shown = 0 if before is None else leg["first"] + before.shown - leg["preroll"]
+    if shown < recorded:
+        raise BadInput(
+            f"the folder holds {recorded} pictures, the controller knows of {max(shown, 0)}: it lost its power or was "
+            "opened by another program, so nobody knows where the motor is; begin anew with fresh resin"
+        )
+    if shown >= len(schedule):
+        raise BadInput(f"{str(path)!r} has shown all its {len(schedule)} slots; nothing is left to print")
+    dark = run.shown[run.shown["dark"] > 0]
+    lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
+    return Interrupted(run, shown, recorded, float(leg["origin"]), tuple(map(tuple, lost)), rest)
