@@ -1,0 +1,81 @@
+"""The controller's driver against its emulator, with faults on the line; the web and the lamp it drives."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from vamgpu.errors import BadInput, DeviceLost, DeviceRefused
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.lamp import ControllerChannel, Lamp, PowerCurve
+from vamgpu.hosts.drivers.wire import Wire
+from vamgpu.hosts.emulators.clock import VirtualClock
+from vamgpu.hosts.emulators.controller import EmulatedController
+from vamgpu.hosts.emulators.line import Faults, LineMachine
+from vamgpu.hosts.emulators.ports import plug
+from vamgpu.hosts.emulators.servers import PtyServer
+from vamgpu.hosts.protocols.controller import Row
+
+SECOND = 1_000_000_000
+
+
+def _wire(machine: LineMachine, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
+    return Wire(plug(machine, clock, timeout_s, faults=faults), "the machine")
+
+
+def test_the_controller_over_a_terminal() -> None:
+    machine = EmulatedController()
+    with PtyServer(machine) as server, Controller.open(server.url, microsteps_per_mm=200.0) as driver:
+        assert (driver.capacity, driver.channels) == (256, 2)
+        with pytest.raises(DeviceRefused) as refused:
+            driver.arm()
+        assert refused.value.code == "lease"
+        driver.lease(200)
+        driver.arm()
+        driver.light(True)
+        assert driver.status().light == 1
+        time.sleep(0.3)
+        status = driver.status()
+        assert (status.state, status.fault, status.light) == ("fault", "lease", 0)
+        assert ("light", "off", "lease") in driver.poll()
+
+
+def test_dropped_and_flipped_bytes_are_asked_for_again_and_act_once() -> None:
+    for spoiled in ("drop_in", "flip_in", "drop_out", "flip_out"):
+        for byte in range(0, 24):
+            clock, faults, machine = VirtualClock(), Faults(), EmulatedController()
+            driver = Controller(_wire(machine, clock, faults))
+            way = "in" if spoiled.endswith("in") else "out"
+            setattr(faults, spoiled, frozenset({faults._count[way] + byte}))
+            for i in range(4):
+                driver.row(Row(i, 1000 * i, 1000 + i, 0, 100))
+            assert [row[0] for row in machine.rows] == [0, 1, 2, 3], (spoiled, byte)
+            assert driver.status().free == 252
+
+
+def test_a_dead_controller_is_lost() -> None:
+    clock, faults = VirtualClock(), Faults()
+    driver = Controller(_wire(EmulatedController(), clock, faults))
+    faults.dead = True
+    with pytest.raises(DeviceLost, match="3 tries"):
+        driver.status()
+
+
+def test_the_web_and_the_lamp() -> None:
+    clock, machine = VirtualClock(), EmulatedController()
+    driver = Controller(_wire(machine, clock), microsteps_per_mm=1000.0)
+    driver.ramp(1.0)
+    driver.move(0.8)
+    clock.sleep(10 * SECOND)
+    assert driver.position_mm() == pytest.approx(8.0 - 0.32, abs=2e-3)
+    assert driver.status().speed == 800_000
+    lamp = Lamp(ControllerChannel(driver, 1), PowerCurve((0.0, 0.5, 1.0), (0.0, 100.0, 160.0)))
+    lamp.set_power(130.0)
+    assert machine.powers == [65535, round(0.75 * 65535)]
+    with pytest.raises(BadInput, match="mW"):
+        lamp.set_power(200.0)
+    with pytest.raises(BadInput):
+        ControllerChannel(driver, 2)
+    with pytest.raises(BadInput):
+        PowerCurve((0.0, 1.0), (1.0, 1.0))
