@@ -20,7 +20,7 @@ from vamgpu.hosts.lease import DEFAULT_LENGTH
 from vamgpu.hosts.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.moving import web
 from vamgpu.hosts.record import Run, RunFolder, read_run
-from vamgpu.hosts.run import Print
+from vamgpu.hosts.run import Limits, Print
 from vamgpu.hosts.schedule import NONE, Schedule
 from vamgpu.hosts.spinning import SpinningPlayer
 from vamgpu.hosts.state import State
@@ -340,6 +340,24 @@ def test_another_host_goes_on_at_the_true_angle(tmp_path: Path) -> None:
     room.print = Print(room.player(), room.folder)
     assert room.print.run(first) is State.COMPLETE
     assert (room.slots() == 6).all() and not room.astray().any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whatever_happens_no_slot_is_missing_and_the_record_tells_what_the_resin_saw(tmp_path: Path, seed: int) -> None:
+    room, chance = Room(tmp_path / "run", turns=2, added=3), np.random.default_rng(seed)
+    room.print = Print(room.player(), room.folder, limits=Limits(budget=2.0))
+    room.booth.screen.hitches = dict(zip(chance.integers(540, 1700, 5).tolist(), [1, 2, 3, 1, 2], strict=True))
+    late, until = set(chance.integers(0, 360, 4).tolist()), int(chance.integers(300, 1300))
+    room.pictures.ready = lambda number: number not in late or room.pictures.asked > until
+    room.pictures.happens = dict.fromkeys(chance.integers(1, 2400, 3).tolist(), room.print.pause)
+    for _ in range(4):
+        if room.print.run() is State.COMPLETE:
+            break
+    assert room.print.states.state is State.COMPLETE
+    shown, slot = room.told.shown, int(room.schedule.on[0]) // 3
+    assert shown["slot"].tolist() == list(range(len(shown)))
+    assert (room.slots() >= 6).all() and 0 <= room.slots().sum() - 6 * 360 <= 2 * 9, "only what the screen repeated"
+    assert shown["on_time"][shown["dark"] == 0].sum() == slot * room.slots().sum()
 
 
 # ---- what fits ---------------------------------------------------------------------------------------------
