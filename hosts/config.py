@@ -6,17 +6,23 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from vamgpu.errors import JobError
-from vamgpu.jobs.model import Count, Listed, Section
-from vamgpu.jobs.quantity import Exposure, Irradiance, Time
+from vamgpu.hosts.calibrating.sections import CameraSection, CameraStageSection, PhotodiodeSection
+from vamgpu.hosts.sections import (
+    ControllerSection,
+    LensRigSection,
+    LightSection,
+    ProjectorSection,
+    RigSection,
+    SafetySection,
+    StageSection,
+)
+from vamgpu.jobs.model import Section
 from vamgpu.jobs.read import checked
-
-Share = Annotated[float, Field(gt=0, le=1)]
-Baud = Annotated[int, Field(ge=300, le=4_000_000)]
 
 EMULATED = """\
 # A rehearsal: every machine is emulated and time is a program's, so that nothing shines and an hour takes seconds.
@@ -36,73 +42,25 @@ driver = "emulated"
 
 [stage]
 driver = "emulated"
+
+[camera]
+driver = "emulated"
+exposure = "5 ms"
+pixel = "7.8 um"
+
+[camera_stage]
+driver = "emulated"
+microsteps = 5000.0
+middle = "20 mm"
+
+[photodiode]
+driver = "emulated"
 """
 
 
-class RigSection(Section):
-    """The rig itself. machine: what jobs it prints; ``any`` is for rehearsals."""
-
-    name: str
-    machine: Literal["vial", "web", "any"]
-
-
-class ControllerSection(Section):
-    """What keeps trigger, lease, motion and light. microsteps: of the motion, a millimeter or degree."""
-
-    driver: Literal["vam-controller", "emulated"]
-    port: str | None = None
-    baud: Baud = 115200
-    microsteps: Annotated[float, Field(gt=0)] = 3200.0
-    channel: Annotated[int, Field(ge=0, le=7)] = 0
-
-
-class ProjectorSection(Section):
-    """The mirrors. size: rows, columns.  picture, settle: how long a picture and the lens take at least."""
-
-    driver: Literal["alp", "emulated"]
-    library: str | None = None
-    serial: int = 0
-    size: Annotated[tuple[Count, Count], Listed] = (1080, 1920)
-    picture: Exposure = 1.0 / 266.0
-
-
-class LensRigSection(Section):
-    """The tunable lens."""
-
-    driver: Literal["optotune", "emulated"]
-    port: str | None = None
-    firmware: str | None = None
-    settle: Time = 0.005
-    lowest: float = -5.0
-    highest: float = 10.0
-
-
-class StageSection(Section):
-    """The stage that turns a vial."""
-
-    driver: Literal["zaber", "standa", "emulated"]
-    port: str | None = None
-    axis: Count = 1
-
-
-class LightSection(Section):
-    """The light. power: share of full drive.  irradiance: of a full-on pixel at full drive."""
-
-    power: Share = 1.0
-    irradiance: Irradiance | None = None
-
-
-class SafetySection(Section):
-    """What holds the light. tolerance: of motion, in poses.  budget: light over what the plan needs.
-
-    lease: how long the controller keeps the light by itself.  resume: the longest pause after which a print goes on;
-    resin forgets a dose meanwhile.
-    """
-
-    lease: Time = 0.25
-    tolerance: Annotated[float, Field(gt=0, le=5)] = 0.5
-    budget: Annotated[float, Field(ge=1, le=2)] = 1.01
-    resume: Time = 30.0
+def _each(value: Any) -> Any:
+    """``[projector]`` is one, ``[[projector]]`` may be several."""
+    return tuple(value) if isinstance(value, list) else (value,) if isinstance(value, dict) else value
 
 
 class RigFile(Section):
@@ -110,31 +68,53 @@ class RigFile(Section):
 
     rig: RigSection
     controller: ControllerSection
-    projector: ProjectorSection
+    projector: Annotated[tuple[ProjectorSection, ...], BeforeValidator(_each), Field(min_length=1)]
     lens: LensRigSection | None = None
     stage: StageSection | None = None
+    camera: CameraSection | None = None
+    camera_stage: CameraStageSection | None = None
+    photodiode: PhotodiodeSection | None = None
     light: LightSection = LightSection()
     safety: SafetySection = SafetySection()
 
     @model_validator(mode="after")
     def _whole(self) -> RigFile:
         machines = {"controller": self.controller, "lens": self.lens, "stage": self.stage}
+        machines |= {"camera_stage": self.camera_stage, "photodiode": self.photodiode}
         for name, section in machines.items():
             if section is not None and section.driver != "emulated" and not section.port:
                 raise ValueError(f'{name} = driver "{section.driver}" wanted port = "/dev/…" or "socket://host:port"')
-        if self.projector.driver == "alp" and not self.projector.library:
-            raise ValueError('projector: driver "alp" wanted library = "path of the maker\'s library"')
-        drivers = {section.driver == "emulated" for section in (self.projector, *machines.values()) if section}
+        drivers = {section.driver == "emulated" for section in (*self.projector, self.camera, *machines.values()) if section}
         if len(drivers) > 1:
             raise ValueError("some machines are emulated and some are real; wanted all of one kind, as time is of one")
-        if self.rig.machine == "vial" and self.stage is None:
-            raise ValueError("a rig for vials wanted a table [stage]")
+        if self.video:
+            self._on_a_cable()
+        elif self.stage is not None and not self.emulated:
+            raise ValueError(
+                "mirrors behind a trigger follow the motor that the controller itself moves; remove [stage], or take a "
+                'projector with driver "hdmi"'
+            )
         return self
+
+    def _on_a_cable(self) -> None:
+        if len(self.projector) > 1:
+            raise ValueError(f"wanted one projector on a video cable, got {len(self.projector)}: cables keep no step")
+        if self.rig.machine != "vial":
+            raise ValueError(f'driver "hdmi" prints vials; wanted machine = "vial", got "{self.rig.machine}"')
+        if self.stage is None:
+            raise ValueError('driver "hdmi" wanted a table [stage]: its angle chooses the pictures')
+        if self.lens is not None:
+            raise ValueError('driver "hdmi" prints vials, which want no lens; remove [lens]')
 
     @property
     def emulated(self) -> bool:
         """Whether this is a rehearsal."""
         return self.controller.driver == "emulated"
+
+    @property
+    def video(self) -> bool:
+        """Whether the projector is on a video cable."""
+        return any(section.driver == "hdmi" for section in self.projector)
 
 
 @dataclass(frozen=True)
@@ -160,7 +140,11 @@ def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
 
 def parse_rig(text: str, settings: Iterable[str] = (), *, source: str = "rig") -> RigConfig:
     """A rig from TOML text. Raises `JobError` naming every wrong value at once."""
-    return RigConfig(checked(RigFile, text, settings, source=source)[0], text, source)
+    try:
+        return RigConfig(checked(RigFile, text, settings, source=source)[0], text, source)
+    except JobError as error:
+        alone = "[[projector]]" not in text
+        raise JobError(str(error).replace("projector.0", "projector") if alone else str(error)) from error
 
 
 def given(text: str) -> dict[str, Any]:

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible, WrongDevice
-from vamgpu.hosts.clock import Clock
+from vamgpu.hosts.clock import Clock, RealClock
+from vamgpu.hosts.drivers.dmd import PIECE, Dmd
 from vamgpu.hosts.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedule import Schedule
+from vamgpu.hosts.supply import BUFFERS
 from vamgpu.hosts.timing import SECOND
+from vamgpu.hosts.triggered import PREROLL
 
 log = logging.getLogger(__name__)
 
 MARGIN = 1.5
 """How much faster than it is used a wire must be measured."""
+LOADING = 30.0
+"""Longest time [s] that all pictures of a print may take to the mirrors before its light opens."""
 
 
 class Residence(Enum):
@@ -46,11 +52,62 @@ class Preflight:
     freeze: float
 
     def __str__(self) -> str:
+        wire = f"of {1e-6 * self.measured:.3g} MB/s" if np.isfinite(self.measured) else "on a wire that takes no time"
+        held = f"; the source may stand still for {self.stall:.3g} s, the host for {self.freeze:.3g} s"
         return (
-            f"{self.planes} planes, {self.memory} fit: {self.residence.value}; {1e-6 * self.demand:.3g} MB/s of "
-            f"{1e-6 * self.measured:.3g} MB/s; the source may stand still for {self.stall:.3g} s, the host for "
-            f"{self.freeze:.3g} s"
+            f"{self.planes} planes, {self.memory} fit: {self.residence.value}; {1e-6 * self.demand:.3g} MB/s {wire}"
+            f"{held if np.isfinite(self.stall) else ''}"
         )
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a look at opened mirrors found. found: of each.  depth: pictures in each of their ``sequences``: what a
+    player is to be given."""
+
+    found: tuple[Preflight, ...]
+    depth: int
+    sequences: int
+
+    def __str__(self) -> str:
+        lines = "; ".join(dict.fromkeys(map(str, self.found)))
+        return f"{lines}; {self.sequences} sequences of {self.depth} pictures"
+
+
+def judged(
+    schedule: Schedule, mirrors: Sequence[Dmd], clock: Clock, *, bits: int = 8, seconds: float = 2.0
+) -> Judged:
+    """Judge a schedule on opened mirrors, in the dark; every print wants this before its light.
+
+    seconds: how long the wires are measured, all at once; emulated mirrors, on a clock that a program sets, have none.
+    What can be loaded within `LOADING` is loaded before the light. Raises `BadInput`, and `TimingInfeasible` with what
+    binds.
+    """
+    timings = [MirrorTiming(pixels=(dmd.width, dmd.height), row_bytes=dmd.row_bytes) for dmd in mirrors]
+    real, free = isinstance(clock, RealClock), min(dmd.free_planes() for dmd in mirrors)
+    with ThreadPoolExecutor(len(mirrors)) as pool:
+        wires = list(pool.map(lambda dmd: _wire(dmd, bits, clock, seconds), mirrors)) if real else [np.inf]
+    pictures, slowest = len(schedule) + PREROLL, min(wires)
+    load = pictures * max(timing.nbytes(bits) for timing in timings) / slowest
+    depth = max(2, min(round(schedule.rate), free // (2 * bits)))
+    whole = -(-pictures // depth)
+    resident = real and load <= LOADING and whole * depth * bits <= free
+    sequences = max(2, whole) if resident else 2
+    memory = free if resident else min(free, sequences * depth * bits)
+    found = tuple(
+        preflight(schedule, timing, slowest, bits=bits, batch=depth, depth=BUFFERS, memory=memory) for timing in timings
+    )
+    return Judged(found, depth, sequences)
+
+
+def _wire(dmd: Dmd, bits: int, clock: Clock, seconds: float) -> float:
+    """Bytes a second to mirrors, in pieces as large as those of a print."""
+    count = max(1, min(PIECE // (bits * dmd.height * dmd.row_bytes), dmd.free_planes() // bits))
+    sequence = dmd.sequence(count, bits)
+    try:
+        return measure(sequence.put, np.zeros((count, bits, *dmd.plane_shape), np.uint8), clock, seconds)
+    finally:
+        sequence.free()
 
 
 def fits(frames: tuple[int, int], mirrors: MirrorTiming | HdmiTiming) -> None:

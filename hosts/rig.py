@@ -1,90 +1,36 @@
-"""Jobs on rigs: which pictures when, on which machines; rehearsed first, printed then."""
+"""Plans on machines: rehearsed on emulated ones, checked in the dark, and printed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, WrongDevice
 from vamgpu.hosts.board import Board
-from vamgpu.hosts.clock import RealClock
+from vamgpu.hosts.cable import CablePictures, VideoMachines
 from vamgpu.hosts.config import RigConfig
-from vamgpu.hosts.limits import MirrorTiming
-from vamgpu.hosts.moving import turned
-from vamgpu.hosts.preflight import Preflight, fits, measure, preflight
+from vamgpu.hosts.limits import HdmiTiming
+from vamgpu.hosts.opening import close, opened
+from vamgpu.hosts.planning import Plan, plan
+from vamgpu.hosts.player import Player
+from vamgpu.hosts.preflight import Judged, fits, judged
 from vamgpu.hosts.record import RunFolder
-from vamgpu.hosts.run import Limits, Machines, Print
-from vamgpu.hosts.schedule import Schedule
+from vamgpu.hosts.run import Limits, Print
+from vamgpu.hosts.spinning import SpinningPlayer
 from vamgpu.hosts.state import State
-from vamgpu.hosts.stream import FramePictures, Mirrors
-from vamgpu.hosts.supply import BUFFERS
+from vamgpu.hosts.triggered import Machines, TriggeredPlayer
 from vamgpu.printing.frames import Frames
 
-GUARD = 0.02
-"""Share of a pose that stays dark at its end, so that no light falls into the next."""
+if TYPE_CHECKING:
+    from vamgpu.hosts.resume import Interrupted
+
+__all__ = ["Plan", "Rehearsal", "carry_out", "check", "close", "limits", "opened", "plan", "player", "rehearsal"]
+
 EMULATED_STEPS = 1000
 """Microsteps of an emulated motion in a pose."""
-MEASURED = 8
-"""Pictures at once while the wire to the mirrors is measured."""
-UPLOAD = 0.25
-"""Share of a lease that the upload of one sequence may last: the thread that uploads also renews."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """A vial's job on a rig, before any machine is touched. speed: [deg/s]."""
-
-    frames: Frames
-    schedule: Schedule
-    mirrors: Mirrors
-    rig: RigConfig
-    job: str
-
-    def lines(self) -> tuple[tuple[str, str], ...]:
-        """What a preflight tells."""
-        table = self.schedule
-        return (
-            ("pictures", f"{len(table)} of {self.frames.bits} bits, {table.frames} different"),
-            ("duration", f"{table.duration * 1e-9:.2f} s at {float(table.speed):.4g} {table.unit}/s"),
-            ("rate", f"{table.rate:.4g} pictures/s, lit {100 * table.duty:.1f} % of the time"),
-            ("light a picture", f"{int(table.on[0]) * 1e-6:.3f} ms"),
-            ("memory", f"{self.frames.bits * table.frames} bit planes"),
-            ("lease", f"{1e3 * self.rig.wanted.safety.lease:.0f} ms"),
-        )
-
-
-def plan(job: str | Path, rig: RigConfig, *, speed: float, turns: int = 1) -> Plan:
-    """A vial's job folder on a rig. Raises `StorageError`, `BadInput`, and `TimingInfeasible` with what binds."""
-    from vamgpu.jobs.web import is_web_folder
-    from vamgpu.printing.folder import load_frames
-
-    wanted = rig.wanted
-    if is_web_folder(job):
-        raise BadInput(
-            f"{str(job)!r} is a web; wanted the folder of a vial's job: print webs from Python, with "
-            "vamgpu.hosts.run.Print"
-        )
-    if wanted.rig.machine == "web":
-        raise BadInput(f"the rig {wanted.rig.name!r} carries webs, {str(job)!r} is a vial's job; choose another rig")
-    frames = load_frames(job, "numpy")
-    images, rows, columns = frames.shape
-    if wanted.emulated:
-        size = (rows, 8 * -(-columns // 8))
-        mirrors = Mirrors(*size, size[1] // 8)
-    else:
-        size = wanted.projector.size
-        mirrors = Mirrors(*size, 256 if size[1] == 1920 else -(-size[1] // 8))
-    mirrors.place(rows, columns)
-    dark = round(GUARD * 360.0 / images / speed, 6)
-    timing = MirrorTiming(
-        picture={8: wanted.projector.picture, 1: 1e-4}, pixels=(size[1], size[0]), row_bytes=mirrors.row_bytes,
-        dark=dark,
-    )  # fmt: skip
-    schedule = turned(images, speed=speed, engines=timing, turns=turns, bits=frames.bits, power=wanted.light.power)
-    return Plan(frames, schedule, mirrors, rig, str(job))
 
 
 def limits(rig: RigConfig) -> Limits:
@@ -93,101 +39,124 @@ def limits(rig: RigConfig) -> Limits:
     return Limits(round(said.lease * 1e9), said.tolerance, said.budget, round(said.resume * 1e9))
 
 
-def opened(rig: RigConfig) -> Machines:
-    """The real machines of a rig. Raises `DeviceNotFound`, `DeviceBusy`, `WrongDevice`; nothing stands in for them."""
-    from vamgpu.hosts.drivers.controller import Controller
-    from vamgpu.hosts.drivers.dmd import Dmd
+@dataclass(frozen=True, eq=False)
+class Rehearsal:
+    """Emulated machines, and the bench they stand on. witness: compares what resin sees with the pictures."""
 
-    wanted = rig.wanted
-    controller = Controller.open(str(wanted.controller.port), wanted.controller.microsteps, wanted.controller.baud)
-    try:
-        mirrors = Dmd.open(str(wanted.projector.library), wanted.projector.serial, wanted.projector.size)
-    except BaseException:
-        controller.close()
-        raise
-    return Machines(RealClock(), controller, [mirrors], wanted.controller.microsteps)
+    machines: Machines | VideoMachines
+    bench: Any
+    witness: Any
+
+    def seen(self, planned: Plan, engine: int = 0) -> Frames:
+        """What resin saw of a vial's frames, as frames: levels that give the same light, which a proof can judge."""
+        frames, table = planned.works[engine].frames, planned.schedule
+        if frames is None:
+            raise BadInput(f"{planned.works[engine].path!r} is no vial's job; ask the witness what resin saw of it")
+        images, rows, columns = frames.shape
+        light = self.bench.chamber.seconds(engine, images, turn=images)[0]
+        down, across = planned.mirrors[engine].place(rows, columns)
+        share = light[:, down, across] / (len(table) // images * (int(table.on[0]) // 1000) * 1e-6)
+        levels = np.rint(share * (255 if frames.bits == 8 else 1)).astype(np.uint8)
+        bytes_ = levels if frames.bits == 8 else np.packbits(levels, axis=-1)
+        return Frames.from_bytes(
+            bytes_, "numpy", bits=frames.bits, gray=frames.gray, scale=frames.scale, columns=columns,
+            settings=frames.settings, flat_field=frames.flat_field,
+        )  # fmt: skip
 
 
-def rehearsal(planned: Plan) -> tuple[Machines, Any]:
-    """Emulated machines of a plan, and their bench."""
+def rehearsal(planned: Plan) -> Rehearsal:
+    """Emulated machines as large as a plan."""
+    from vamgpu.hosts.emulators.witness import Witness
+
+    bench, machines = _bench(planned) if planned.display is None else _booth(planned, planned.display)
+    pictures: Any = [each.pictures(mirrors) for each, mirrors in zip(planned.works, planned.mirrors, strict=True)]
+    planes = max(1, len(planned.works[0].depths))
+    witness = Witness(bench.chamber, planned.schedule, pictures, planned.mirrors[0], planes)
+    bench.clock.attach(witness)
+    return Rehearsal(machines, bench, witness)
+
+
+def _bench(planned: Plan) -> tuple[Any, Machines]:
     from vamgpu.hosts.emulators.array import ArrayModel
     from vamgpu.hosts.emulators.bench import Bench
 
-    bench = Bench(EMULATED_STEPS, ArrayModel(height=planned.mirrors.rows, width=planned.mirrors.columns))
-    return bench.machines(EMULATED_STEPS / float(planned.schedule.advance)), bench
+    size, lens = planned.mirrors[0], planned.rig.wanted.lens
+    model = ArrayModel(height=size.rows, width=size.columns)
+    bench = Bench(EMULATED_STEPS, model, len(planned.works), planned.focus)
+    if bench.lens is not None and lens is not None:
+        bench.lens.model = replace(bench.lens.model, least=lens.lowest, greatest=lens.highest)
+    return bench, bench.machines(EMULATED_STEPS / float(planned.schedule.advance))
 
 
-@dataclass(frozen=True)
-class Checked:
-    """What a look at the machines found. depth: pictures in each of the two sequences of the mirrors."""
+def _booth(planned: Plan, display: HdmiTiming) -> tuple[Any, VideoMachines]:
+    from vamgpu.hosts.emulators.booth import Booth
 
-    found: Preflight
-    depth: int
-
-    def __str__(self) -> str:
-        found = self.found
-        if np.isfinite(found.measured):
-            return f"{found}; {self.depth} pictures a sequence"
-        return (
-            f"{found.planes} planes, {found.memory} fit: {found.residence.value}; {1e-6 * found.demand:.3g} MB/s, "
-            f"emulated mirrors have no wire to measure; {self.depth} pictures a sequence"
-        )
+    columns, rows = display.pixels
+    booth = Booth(
+        planned.schedule.frames, (rows, columns), bits=display.bits, latency=display.latency,
+        rate_hz=round(float(display.refresh)),
+    )  # fmt: skip
+    return booth, booth.machines(display.latency)
 
 
-def check(planned: Plan, machines: Machines, seconds: float = 2.0) -> Checked:
-    """Judge a plan on opened machines, in the dark. seconds: how long the wire is measured, on real machines alone.
+# ---- prints --------------------------------------------------------------------------------------------------
+def check(planned: Plan, machines: Machines | VideoMachines, seconds: float = 2.0) -> Judged | None:
+    """Judge a plan on opened machines, in the dark; None on a video cable, which has a time of its own.
 
-    Raises `WrongDevice` for other mirrors than planned, and `TimingInfeasible` with what binds.
+    seconds: how long the wires are measured, on real machines alone. Raises `WrongDevice` for other machines than
+    planned, and `TimingInfeasible` with what binds.
     """
-    table, bits, dmd = planned.schedule, planned.frames.bits, machines.mirrors[0]
-    wanted = planned.mirrors
-    timing = MirrorTiming(pixels=(wanted.columns, wanted.rows), row_bytes=wanted.row_bytes)
-    fits((dmd.height, dmd.width), timing)
-    measured = float("inf")
-    if isinstance(machines.clock, RealClock):
-        sequence = dmd.sequence(MEASURED, bits)
-        try:
-            black = np.zeros((MEASURED, bits, *dmd.plane_shape), np.uint8)
-            measured = measure(sequence.put, black, machines.clock, seconds)
-        finally:
-            sequence.free()
-    most = measured * planned.rig.wanted.safety.lease * UPLOAD / timing.nbytes(bits)
-    depth = max(2, int(min(round(table.rate), most)))
-    memory = min(dmd.free_planes(), 2 * depth * bits)
-    found = preflight(table, timing, measured, bits=bits, batch=depth, depth=BUFFERS, memory=memory)
-    return Checked(found, depth)
+    if isinstance(machines, VideoMachines) or planned.display is not None:
+        if not isinstance(machines, VideoMachines) or planned.display is None:
+            raise WrongDevice("mirrors behind a trigger and those on a video cable want plans of their own")
+        machines.check(planned.schedule, planned.display)
+        return None
+    for dmd, timing in zip(machines.mirrors, planned.timings, strict=True):
+        fits((dmd.height, dmd.width), timing)
+    if len(planned.focus) > 1 and machines.lens is None:
+        raise WrongDevice("the plan changes its focus, and no lens was opened; open the rig that it was planned for")
+    return judged(planned.schedule, machines.mirrors, machines.clock, bits=planned.bits, seconds=seconds)
+
+
+def player(
+    planned: Plan, machines: Machines | VideoMachines, found: Judged | None = None, origin: float | None = None
+) -> Player:
+    """What plays a plan on its machines. found: by `check`.  origin: see `TriggeredPlayer`."""
+    found = found or check(planned, machines)
+    if planned.display is not None and isinstance(machines, VideoMachines):
+        frames = planned.works[0].frames
+        assert frames is not None
+        pictures = CablePictures(frames, (planned.mirrors[0].rows, planned.mirrors[0].columns))
+        return SpinningPlayer(planned.schedule, planned.display, machines, pictures)
+    assert found is not None and isinstance(machines, Machines)
+    return TriggeredPlayer(
+        planned.schedule, machines, planned.pictures(), depth=found.depth, sequences=found.sequences, origin=origin
+    )
 
 
 def carry_out(
-    planned: Plan, machines: Machines, folder: str | Path, board: Board | None = None, depth: int | None = None
-) -> tuple[State, Print]:
+    planned: Plan, machines: Machines | VideoMachines, folder: str | Path, board: Board | None = None,
+    found: Judged | None = None, resume: bool = False,
+) -> tuple[State, Print]:  # fmt: skip
     """Print a plan into the folder of a run. Raises what went wrong, after it is dark and written down.
 
-    depth: see `Print`; that of `check` lets no upload outlast the lease.
+    found: by `check`, which is run where it is missing.  resume: go on with the print that a host left in the folder.
     """
-    table = planned.schedule
-    asked = {"job": planned.job, "rig": planned.rig.source, "slots": len(table), "unit": table.unit}
-    with RunFolder.begin(folder, asked, planned.rig.text) as record:
-        pictures = FramePictures(planned.frames, planned.mirrors)
-        job = Print(
-            planned.schedule, machines, [pictures], record, limits=limits(planned.rig), board=board,
-            depth=depth, power=planned.rig.wanted.light.power,
-        )  # fmt: skip
-        return job.run(), job
+    from vamgpu.hosts.resume import interrupted
+
+    left = interrupted(folder, machines.controller, planned.schedule, limits(planned.rig)) if resume else None
+    playing = player(planned, machines, found, None if left is None else left.origin)
+    with _folder(planned, folder, left) as record:
+        job = Print(playing, record, limits=limits(planned.rig), board=board, power=planned.rig.wanted.light.power)
+        return job.run(None if left is None else left.first), job
 
 
-def seen(planned: Plan, bench: Any) -> Frames:
-    """What emulated resin saw, as frames: levels that give the same light, which a proof can judge."""
-    frames, table = planned.frames, planned.schedule
-    images, rows, columns = frames.shape
-    light = bench.chamber.seconds(0, images, turn=images)[0]
-    turns = len(table) // images
-    down, across = planned.mirrors.place(rows, columns)
-    share = light[:, down, across] / (turns * (int(table.on[0]) // 1000) * 1e-6)
-    full = 255 if frames.bits == 8 else 1
-    levels = np.rint(share * full).astype(np.uint8)
-    bytes_ = levels if frames.bits == 8 else np.packbits(levels, axis=-1)
-    return Frames.from_bytes(
-        bytes_, "numpy", bits=frames.bits, gray=frames.gray, scale=frames.scale, columns=columns,
-        settings=frames.settings, flat_field=frames.flat_field,
-    )  # fmt: skip
+def _folder(planned: Plan, folder: str | Path, left: Interrupted | None) -> RunFolder:
+    if left is not None:
+        record = RunFolder.again(folder)
+        left.take_up(record, planned.schedule)
+        return record
+    table, jobs = planned.schedule, [each.path for each in planned.works]
+    asked = {"jobs": jobs, "kind": planned.kind, "rig": planned.rig.source, "slots": len(table), "unit": table.unit,
+             "speed": float(table.speed)}  # fmt: skip
+    return RunFolder.begin(folder, asked, planned.rig.text)

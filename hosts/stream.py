@@ -118,6 +118,10 @@ class FramePictures:
         """See `Pictures`."""
         return self._mirrors.packed(self._levels[np.asarray(numbers)], self.bits)
 
+    def levels(self, numbers: np.ndarray) -> np.ndarray:
+        """Of pictures, uint8 [picture, row, column], 255 full on."""
+        return self._levels[np.asarray(numbers)] * np.uint8(self._full)
+
     def picture(self, number: int) -> np.ndarray:
         """See `Pictures`."""
         return self._levels[number] * np.uint8(self._full)
@@ -127,20 +131,22 @@ class WebPictures:
     """The frames of a web, cut by columns among its focus planes: number pose · planes + plane.
 
     read: frames from one pose to another, uint8 [pose, row, column], never by two threads at once.  masks: which
-    plane shows which column; None for one focus.  device: that cuts and splits them; None for the host.  Frames are
-    read in runs when they are wanted, and only those of a batch are held, however long the web is.
+    plane shows which column, bool (planes, columns) or those of a roller; None for one focus.  device: that cuts and
+    splits them; None for the host.  Frames are read in runs when they are wanted, and only those of a batch are held,
+    however long the web is.
     """
 
     bits = 8
 
     def __init__(
-        self, read: Callable[[int, int], np.ndarray], poses: int, mirrors: Mirrors, masks: FocusMasks | None = None,
-        device: Device | None = None,
+        self, read: Callable[[int, int], np.ndarray], poses: int, mirrors: Mirrors,
+        masks: FocusMasks | np.ndarray | None = None, device: Device | None = None,
     ) -> None:  # fmt: skip
         rows, columns = read(0, 1).shape[1:]
         mirrors.place(rows, columns)
         self._read, self._mirrors, self._own, self._device = read, mirrors, (rows, columns), device
-        self._masks = np.ones((1, columns), bool) if masks is None else masks.masks
+        shown = masks.masks if isinstance(masks, FocusMasks) else masks
+        self._masks = np.ones((1, columns), bool) if shown is None else shown
         self._reading = threading.Lock()
         self.count = poses * len(self._masks)
 
@@ -157,16 +163,19 @@ class WebPictures:
 
     def planes(self, numbers: np.ndarray) -> np.ndarray:
         """See `Pictures`."""
+        return self._mirrors.packed(self.levels(numbers), self.bits)
+
+    def levels(self, numbers: np.ndarray) -> np.ndarray:
+        """Of pictures, uint8 [picture, row, column], 255 full on."""
         poses, planes = np.divmod(np.asarray(numbers), len(self._masks))
         wanted, place = np.unique(poses, return_inverse=True)
         levels = self._poses(wanted)[place]
         levels *= self._masks[planes][:, None, :]
-        return self._mirrors.packed(levels, self.bits)
+        return levels
 
     def picture(self, number: int) -> np.ndarray:
         """See `Pictures`."""
-        pose, plane = divmod(number, len(self._masks))
-        return np.where(self._masks[plane], self._poses(np.array([pose]))[0], np.uint8(0))
+        return self.levels(np.array([number]))[0]
 
     def _poses(self, poses: np.ndarray) -> np.ndarray:
         """Frames of rising poses, uint8 [pose, row, column], each run of neighbors read at once."""

@@ -13,10 +13,10 @@ from vamgpu.errors import BadInput, DeviceNotFound, JobError, StorageError, Timi
 from vamgpu.hosts.board import Board
 from vamgpu.hosts.config import EMULATED, parse_rig, read_rig
 from vamgpu.hosts.record import RunFolder, Shown, read_run
-from vamgpu.hosts.rig import Plan, carry_out, opened, plan, rehearsal, seen
+from vamgpu.hosts.rig import Plan, carry_out, opened, plan, player, rehearsal
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.state import State
-from vamgpu.hosts.stream import FramePictures, Mirrors
+from vamgpu.hosts.stream import Mirrors
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
@@ -31,9 +31,6 @@ port = "/dev/does-not-exist"
 [projector]
 driver = "alp"
 library = "/does/not/exist.so"
-[stage]
-driver = "zaber"
-port = "socket://127.0.0.1:9"
 """
 
 
@@ -50,10 +47,12 @@ def planned(job: Path, speed: float = 40.0, turns: int = 1) -> Plan:
 
 def test_a_rehearsal_shows_every_byte(job: Path, tmp_path: Path) -> None:
     wanted = planned(job, turns=2)
-    machines, bench = rehearsal(wanted)
-    board = Board()
-    state, _ = carry_out(wanted, machines, tmp_path / "run", board)
-    assert state is State.COMPLETE and np.array_equal(seen(wanted, bench).images.numpy(), wanted.frames.images.numpy())
+    stand, board = rehearsal(wanted), Board()
+    state, _ = carry_out(wanted, stand.machines, tmp_path / "run", board)
+    verdict = stand.witness.verdict()
+    assert state is State.COMPLETE and verdict.pictures == 36 and verdict.greatest < 1e-6 and verdict.beside < 1e-9
+    frames = wanted.works[0].frames
+    assert frames is not None and np.array_equal(stand.seen(wanted).images.numpy(), frames.images.numpy())
     run = read_run(tmp_path / "run")
     assert (run.shown["late"] < 0).all(), "every picture was at the mirrors before its trigger"
     assert run.shown["frame"].tolist() == [*range(36), *range(36)] and run.asked["rig"] == "emulated"
@@ -65,15 +64,15 @@ def test_a_rehearsal_shows_every_byte(job: Path, tmp_path: Path) -> None:
 def test_a_rehearsal_repeats_exactly(job: Path, tmp_path: Path) -> None:
     for name in ("one", "two"):
         wanted = planned(job)
-        carry_out(wanted, rehearsal(wanted)[0], tmp_path / name)
+        carry_out(wanted, rehearsal(wanted).machines, tmp_path / name)
     assert (tmp_path / "one" / "shown.bin").read_bytes() == (tmp_path / "two" / "shown.bin").read_bytes()
 
 
 def begun(wanted: Plan, place: Path, at: int, act: str) -> tuple[Print, Any, RunFolder]:
     """A print to which something is done from its own pictures, in the midst."""
-    machines, bench = rehearsal(wanted)
+    stand = rehearsal(wanted)
     folder = RunFolder.begin(place, {}, "")
-    job = Print(wanted.schedule, machines, [FramePictures(wanted.frames, wanted.mirrors)], folder)
+    job = Print(player(wanted, stand.machines), folder)
     keep = folder.shown
 
     def kept(shown: Shown) -> None:
@@ -82,7 +81,7 @@ def begun(wanted: Plan, place: Path, at: int, act: str) -> tuple[Print, Any, Run
             getattr(job, act)()
 
     folder.shown = kept
-    return job, bench, folder
+    return job, stand.bench, folder
 
 
 def test_an_emergency_stop_is_dark_at_once(job: Path, tmp_path: Path) -> None:
@@ -120,7 +119,7 @@ def test_a_missing_machine_is_an_error_and_never_a_simulation() -> None:
 def test_bad_rigs_are_told(tmp_path: Path) -> None:
     for change, why in (
         (("[controller]", "[controler]"), "did you mean 'controller'"),
-        (('driver = "zaber"', 'driver = "emulated"'), "all of one kind"),
+        (('driver = "vam-controller"', 'driver = "emulated"'), "all of one kind"),
         (('port = "/dev/does-not-exist"\n', ""), "wanted port"),
         (('library = "/does/not/exist.so"\n', ""), "wanted library"),
         (('[rig]', '[safety]\nlease = "0 furlongs"\n[rig]'), "furlongs"),
@@ -138,10 +137,6 @@ def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
         Mirrors(4, 8, 1).place(6, 10)
     with pytest.raises(StorageError):
         planned(tmp_path / "nothing")
-    wanted = planned(job)
-    machines, _ = rehearsal(wanted)
-    with pytest.raises(BadInput, match="projectors"), RunFolder.begin(tmp_path / "run", {}, "") as folder:
-        Print(wanted.schedule, machines, [], folder)
 
 
 def test_the_command(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

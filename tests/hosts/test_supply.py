@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vamgpu.errors import Underrun, WrongDevice
+from vamgpu.errors import TimingInfeasible, Underrun, WrongDevice
 from vamgpu.hosts.clock import RealClock
 from vamgpu.hosts.config import read_rig
 from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream
@@ -20,11 +20,13 @@ from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.dmd import FakeAlp
 from vamgpu.hosts.limits import MirrorTiming
 from vamgpu.hosts.moving import turned
+from vamgpu.hosts.preflight import judged
 from vamgpu.hosts.rig import check, plan, rehearsal
 from vamgpu.hosts.schedule import NONE
 from vamgpu.hosts.sources import FrameSource
 from vamgpu.hosts.stream import FramePictures, Mirrors, PackedSource, source
 from vamgpu.hosts.supply import Supply
+from vamgpu.hosts.triggered import Machines
 from vamgpu.hosts.underrun import WebUnderrun
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
@@ -93,6 +95,7 @@ def test_the_thread_that_prints_packs_nothing() -> None:
     pictures = Watched(100)
     mirrors, _, _ = supply(pictures, WebUnderrun())
     until(lambda: mirrors.primed, mirrors.prime)
+    mirrors.prime()  # counts what was uploaded since
     assert mirrors.ahead == 8 and mirrors.share == 1.0 and mirrors.arrived(7) > 0
     mirrors.close()
     assert pictures.threads and threading.get_ident() not in pictures.threads
@@ -118,12 +121,25 @@ def test_late_pictures_are_black_and_the_third_pose_ends_the_print() -> None:
 def test_a_plan_is_checked_before_the_light(tmp_path: Path) -> None:
     place = save_frames(tmp_path / "part.vam", frames_of("numpy")).path
     planned = plan(place, read_rig("emulated"), speed=40)
-    machines, bench = rehearsal(planned)
-    assert check(planned, machines).depth == round(planned.schedule.rate)
-    assert "no wire to measure" in str(check(planned, machines))
+    stand = rehearsal(planned)
+    machines, found = stand.machines, check(planned, stand.machines)
+    assert isinstance(machines, Machines) and found is not None
+    assert found.depth == round(planned.schedule.rate) and found.sequences == 2 and "takes no time" in str(found)
     free = machines.mirrors[0].free_planes()
-    found = check(planned, replace(machines, clock=RealClock()), 0.02)
-    assert np.isfinite(found.found.measured) and found.depth >= 2 and "MB/s of" in str(found)
-    assert machines.mirrors[0].free_planes() == free and not bench.controller.light
+    real = check(planned, replace(machines, clock=RealClock()), 0.02)
+    assert real is not None and np.isfinite(real.found[0].measured) and "all at the mirrors" in str(real)
+    assert real.sequences * real.depth >= 40, "what fits is loaded before the light"
+    assert machines.mirrors[0].free_planes() == free and not stand.bench.controller.light
     with pytest.raises(WrongDevice, match="another device"):
-        check(replace(planned, mirrors=MIRRORS), machines)
+        check(replace(planned, mirrors=(MIRRORS,)), machines)
+
+
+def test_a_wire_that_is_too_slow_is_told_before_the_light() -> None:
+    """Prints of Python's own ask the same of their mirrors."""
+    dmd = Dmd(FakeAlp(VirtualClock(), ArrayModel(height=12, width=64, planes=160)).library)
+    slow = dmd.call
+    dmd.call = lambda name, *rest: (time.sleep(0.1) if name == "AlpSeqPut" else None, slow(name, *rest))[1]
+    long = turned(4000, speed=40, engines=MirrorTiming(pixels=(64, 12), row_bytes=8, picture={8: 1e-4}))
+    with pytest.raises(TimingInfeasible, match="the wire carries") as told:
+        judged(long, [dmd], RealClock(), seconds=0.1)
+    assert 0 < told.value.speed < 40 and told.value.limit == "data link"

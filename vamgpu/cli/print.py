@@ -14,7 +14,7 @@ from vamgpu.cli.options import Settings, console
 
 if TYPE_CHECKING:
     from vamgpu.hosts.board import Board
-    from vamgpu.hosts.rig import Plan
+    from vamgpu.hosts.rig import Plan, Rehearsal
 
 Switch = Annotated[bool, Parameter(negative="")]
 DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "solve.iterations=10")
@@ -23,59 +23,70 @@ DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "sol
 
 @app.command(name="print")
 def print_(
-    job: str, *, rig: str, speed: float = 40.0, turns: int = 1, out: Path | None = None, settings: Settings = None,
-    dry_run: Switch = False, panel: Switch = False, host: str = "127.0.0.1", port: int = 0,
+    *jobs: str, rig: str, speed: str | None = None, turns: int = 1, out: Path | None = None, resume: Path | None = None,
+    settings: Settings = None, device: str | None = None, dry_run: Switch = False, panel: Switch = False,
+    host: str = "127.0.0.1", port: int = 0,
 ) -> None:  # fmt: skip
-    """Print a job folder on a rig; the word demo makes and prints a small one.
+    """Print jobs on a rig, one for each of its projectors; the word demo makes and prints a small one.
 
     Args:
-        job: the folder of a vial's job, or demo
+        jobs: folders of vials, of webs or of corrected slices, or demo
         rig: the TOML file of the rig, or emulated
-        speed: of the vial [deg/s]
-        turns: how often each picture is shown
+        speed: of vials [deg/s], 40 by default, of webs [mm/s] and of slices [mm/h], or with its unit, such as
+            "48 mm/min"; by default what the job was made for
+        turns: how often each picture of a vial is shown
         out: folder of the run; the job's name with .run by default
+        resume: folder of a run that a host left in the midst, to go on with
+        device: that makes the pictures; the best one by default, NumPy for a rehearsal
         dry_run: rehearse on emulated machines and a program's clock, whatever the rig
         panel: serve the live page
         host: where the page is served; a token is wanted beyond this machine
         port: of the page; a free one by default
     """
+    from vamgpu.errors import BadInput
     from vamgpu.hosts.config import read_rig
     from vamgpu.hosts.rig import plan
 
     screen, config = console(), read_rig(rig, settings or ())
-    place = out or Path("vamgpu-demo.run" if job == "demo" else Path(job).with_suffix(".run"))
-    folder = _demo(screen, place.with_suffix(".job")) if job == "demo" else Path(job)
-    planned = plan(folder, config, speed=speed, turns=turns)
+    if not jobs:
+        raise BadInput("no job was given; wanted the folder of a job for each projector, or the word demo")
+    if resume is not None and (dry_run or config.wanted.emulated):
+        raise BadInput("a rehearsal has no machines that remember a print; wanted --resume with the rig that began it")
+    first = "vamgpu-demo" if jobs[0] == "demo" else jobs[0]
+    place = resume or out or Path(first).with_suffix(".run")
+    folders = tuple(_demo(screen, place.with_suffix(".job")) if job == "demo" else Path(job) for job in jobs)
+    planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device)
     for name, value in planned.lines():
         screen.print(f"  {name:<27} [bold]{escape(value)}[/]")
     if not panel:
-        return _printed(screen, planned, place, dry_run, None)
+        return _printed(screen, planned, place, None, resume is not None)
     from vamgpu.hosts.board import Board
     from vamgpu.hosts.panel import Panel
 
-    board = Board(job=str(job))
+    board = Board(job=" ".join(jobs))
     with Panel(board, host, port) as page:
         screen.print(f"page    [bold]{escape(page.url)}[/]")
-        _printed(screen, planned, place, dry_run, board)
+        _printed(screen, planned, place, board, resume is not None)
 
 
 @app.command
 def panel(
-    job: str, *, rig: str, speed: float = 40.0, turns: int = 1, out: Path | None = None, host: str = "127.0.0.1",
-    port: int = 8521,
+    *jobs: str, rig: str, speed: str | None = None, turns: int = 1, out: Path | None = None, resume: Path | None = None,
+    host: str = "127.0.0.1", port: int = 8521,
 ) -> None:  # fmt: skip
-    """Print a job folder with the live page, as ``vam print --panel`` does.
+    """Print jobs on a rig with the live page, as ``vam print --panel`` does.
 
     Args:
-        job: the folder of a vial's job, or demo
+        jobs: folders of vials, of webs or of corrected slices, or demo
         rig: the TOML file of the rig, or emulated
-        speed: of the vial [deg/s]
-        turns: how often each picture is shown
+        speed: as for ``vam print``
+        turns: how often each picture of a vial is shown
         out: folder of the run
+        resume: folder of a run to go on with
         host: where the page is served; a token is wanted beyond this machine
         port: of the page
     """
-    print_(job, rig=rig, speed=speed, turns=turns, out=out, panel=True, host=host, port=port)
+    print_(*jobs, rig=rig, speed=speed, turns=turns, out=out, resume=resume, panel=True, host=host, port=port)
 
 
 def _demo(screen: Console, place: Path) -> Path:
@@ -86,34 +97,40 @@ def _demo(screen: Console, place: Path) -> Path:
         return demo(place, DEMO, told=told).folder
 
 
-def _printed(screen: Console, planned: Plan, place: Path, dry: bool, board: Board | None) -> None:
+def _printed(screen: Console, planned: Plan, place: Path, board: Board | None, resume: bool) -> None:
     from vamgpu.hosts.record import read_run, timing
-    from vamgpu.hosts.rig import carry_out, check, opened, rehearsal
+    from vamgpu.hosts.rig import carry_out, check, close, opened, rehearsal
 
-    emulated = dry or planned.rig.wanted.emulated
-    machines, bench = rehearsal(planned) if emulated else (opened(planned.rig), None)
+    stand = rehearsal(planned) if planned.rehearsed else None
+    machines = opened(planned.rig) if stand is None else stand.machines
     try:
-        checked = check(planned, machines)
-        screen.print(f"  {'preflight':<27} [bold]{escape(str(checked))}[/]")
-        state, _ = carry_out(planned, machines, place, board, checked.depth)
+        found = check(planned, machines)
+        if found is not None:
+            screen.print(f"  {'preflight':<27} [bold]{escape(str(found))}[/]")
+        state, _ = carry_out(planned, machines, place, board, found, resume)
     finally:
-        machines.controller.close()
+        close(machines)
     run = read_run(place)
     early = -timing(run.shown)["late_ns"]["max"] * 1e-6
     screen.print(f"{state.value}: {len(run.shown)} pictures, at the mirrors {early:.1f} ms early or more")
     screen.print(f"run     [bold]{escape(str(place))}[/]")
-    if bench is not None:
-        _report(screen, planned, bench, place)
+    if stand is not None:
+        screen.print(f"resin   {escape(str(stand.witness.verdict()))}")
+        _report(screen, planned, stand, place)
 
 
-def _report(screen: Console, planned: Plan, bench: object, place: Path) -> None:
-    """Prove what emulated resin saw."""
-    from vamgpu.hosts.rig import seen
+def _report(screen: Console, planned: Plan, stand: Rehearsal, place: Path) -> None:
+    """Prove what emulated resin saw of vials whose folders say what they were to print."""
+    from vamgpu.errors import StorageError
     from vamgpu.jobs.run import prove
     from vamgpu.printing.simulate import simulate
 
-    known = prove(planned.job)
-    proof = simulate(known.proof.operator, seen(planned, bench), known.proof.target)
-    page = proof.report(place / "report.html", known.plan)
-    screen.print(f"report  [bold]{escape(str(page.resolve()))}[/]")
-
+    for number, work in enumerate(planned.works if planned.kind == "vial" else ()):
+        try:
+            known = prove(work.path)
+        except StorageError as error:
+            screen.print(f"report  none: {escape(str(error))}")
+            continue
+        proof = simulate(known.proof.operator, stand.seen(planned, number), known.proof.target)
+        page = proof.report(place / f"report{f'-{number + 1}' if number else ''}.html", known.plan)
+        screen.print(f"report  [bold]{escape(str(page.resolve()))}[/]")

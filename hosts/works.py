@@ -1,0 +1,161 @@
+"""What a rig is given to print: the frames of a vial, a web, or slices; each knows its motion and its pictures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.curethrough.names import is_slice
+from vamgpu.curethrough.output import RECORD
+from vamgpu.errors import BadInput, SliceError, StorageError
+from vamgpu.hosts.stream import FramePictures, Mirrors, Pictures, WebPictures
+from vamgpu.printing.frames import Frames
+from vamgpu.storage.folder import MANIFEST
+
+Kind = Literal["vial", "web", "slices"]
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """A job as a rig prints it.
+
+    kind: how it moves.  path: of its folder.  shape: rows and columns of its pictures, of ``bits``.  poses: of a whole
+    turn, web or platform.  advance: from pose to pose [mm]; None of vials.  speed: that it was made for [mm/s]; None
+    where it does not say.  depths: of its focus planes [mm] in a bath of an index; none for one focus.  pictures: makes
+    those for an array of mirrors.  frames: of a vial.
+    """
+
+    kind: Kind
+    path: str
+    shape: tuple[int, int]
+    poses: int
+    pictures: Callable[[Mirrors], Pictures]
+    bits: int = 8
+    advance: float | None = None
+    speed: float | None = None
+    depths: tuple[float, ...] = ()
+    bath: float = 1.0
+    frames: Frames | None = None
+
+
+def work(path: str | Path, device: str | Device | None = None) -> Work:
+    """What a folder holds. device: that makes pictures of it; None for the best one.
+
+    Raises `StorageError` for a folder of none of them, `SliceError`, `BadInput`.
+    """
+    from vamgpu.jobs.web import is_web_folder
+    from vamgpu.printing.folder import load_frames
+
+    place = Path(path)
+    if is_web_folder(place):
+        return _web(place, open_device(device))
+    if place.is_file() or (place.is_dir() and not (place / MANIFEST).exists() and _sliced(place)):
+        return _slices(place, open_device(device))
+    try:
+        frames = load_frames(place, device)
+    except StorageError as error:
+        if (place / MANIFEST).exists():
+            raise
+        raise StorageError(
+            f"{str(path)!r} is no job: wanted the folder of a vial or a web, as `vam solve` writes them, or one of "
+            "slices, as `vam curethrough correct` does; check the path"
+        ) from error
+    count, *shape = frames.shape
+    pictures = partial(FramePictures, frames)
+    return Work("vial", str(path), (shape[0], shape[1]), count, pictures, frames.bits, frames=frames)
+
+
+def _web(place: Path, device: Device) -> Work:
+    from vamgpu.webs.store import WebFolder
+    from vamgpu.webs.wraps import wrap_from
+
+    folder = WebFolder.open(place)
+    if not folder.complete:
+        raise BadInput(
+            f"{str(place)!r} has {folder.frames} frames and is not complete; finish it with `vam solve` before it is "
+            "printed"
+        )
+    try:
+        focus, (columns, rows) = folder.details["frames"]["focus"], folder.details["beam"]["pixels"]
+        depths = () if focus is None else tuple(map(float, focus["planes"]))
+        chosen = np.zeros(columns, np.int64) if focus is None else np.array(focus["bin"], np.int64)
+        if chosen.shape != (columns,) or not 0 <= chosen.min() <= chosen.max() < max(len(depths), 1):
+            raise ValueError(f"{chosen.size} columns choose among {len(depths)} focus planes")
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise StorageError(f"{str(place)!r} garbles its details: {error}; write the web again") from error
+    wrap: Any = wrap_from(folder.details["wrap"])
+    shown, read = chosen == np.arange(max(len(depths), 1))[:, None], partial(folder.read, "frames")
+    return Work(
+        "web", str(place), (rows, columns), folder.frames, lambda mirrors: WebPictures(
+            read, folder.frames, mirrors, shown, device
+        ), advance=float(wrap.advance), speed=_web_speed(place), depths=depths, bath=wrap.film.bath_index,
+    )  # fmt: skip
+
+
+def _web_speed(place: Path) -> float | None:
+    """Of the job's file, where that lies beside the folder as `vam solve` leaves it."""
+    from vamgpu.jobs.web import is_web, read_web
+
+    file = place.with_suffix(".toml")
+    return read_web(file).wanted.web.speed if file.is_file() and is_web(file) else None
+
+
+def _slices(place: Path, device: Device) -> Work:
+    from vamgpu.curethrough.stack import layer_height, open_stack
+
+    stack = open_stack(place)
+    try:
+        machine = _record(place, stack).get("machine", {})
+        if "exposure" in machine:
+            raise SliceError(
+                f"{str(place)!r} was corrected for a printer that stops at every layer; correct it for a platform that "
+                "moves: printer.speed in place of printer.exposure"
+            )
+        height = machine.get("slice_height") or layer_height(stack)
+        if height is None:
+            raise SliceError(
+                f"{str(place)!r} does not say how high its slices are; wanted a folder that `vam curethrough correct` "
+                "wrote"
+            )
+        count, *shape = stack.shape
+        return Work(
+            "slices", str(place), (shape[0], shape[1]), count, lambda mirrors: WebPictures(
+                partial(_one_by_one, stack), count, mirrors, None, device
+            ), advance=float(height), speed=machine.get("speed"),
+        )  # fmt: skip
+    except BaseException:
+        stack.close()
+        raise
+
+
+def _one_by_one(stack: Any, low: int, high: int) -> np.ndarray:
+    """Slices: a stack that is asked for several at once gets those before them ready, and these come after."""
+    return np.concatenate([stack[number : number + 1] for number in range(low, high)])
+
+
+def _sliced(place: Path) -> bool:
+    """Whether a folder holds pictures."""
+    return any(is_slice(file.name) for file in place.iterdir())
+
+
+def _record(place: Path, stack: Any) -> dict[str, Any]:
+    """What slices were made with; nothing where they do not say."""
+    from vamgpu.curethrough.stack import ZipStack
+
+    if isinstance(stack, ZipStack):
+        held = any(info.filename == RECORD for info in stack.others)
+        text = stack.entry(RECORD).decode("utf-8", "replace") if held else "{}"
+    else:
+        text = (place / RECORD).read_text(encoding="utf-8") if (place / RECORD).is_file() else "{}"
+    try:
+        return dict(json.loads(text))
+    except ValueError as error:
+        raise StorageError(f"{str(place / RECORD)!r} is no record: {error}; write the slices again") from error
