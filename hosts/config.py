@@ -47,6 +47,7 @@ driver = "emulated"
 driver = "emulated"
 exposure = "5 ms"
 pixel = "7.8 um"
+discard = 0
 
 [camera_stage]
 driver = "emulated"
@@ -84,7 +85,8 @@ class RigFile(Section):
         for name, section in machines.items():
             if section is not None and section.driver != "emulated" and not section.port:
                 raise ValueError(f'{name} = driver "{section.driver}" wanted port = "/dev/…" or "socket://host:port"')
-        drivers = {section.driver == "emulated" for section in (*self.projector, self.camera, *machines.values()) if section}
+        every = (*self.projector, self.camera, *machines.values())
+        drivers = {section.driver == "emulated" for section in every if section}
         if len(drivers) > 1:
             raise ValueError("some machines are emulated and some are real; wanted all of one kind, as time is of one")
         if self.video:

@@ -7,7 +7,7 @@ known positions along the light; at each the lens steps through its powers while
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,11 +135,17 @@ def fit_focus(positions: ArrayLike, powers: ArrayLike, stacks: Iterable[ArrayLik
             peaks.append(fit_peak(row, tenengrad(pictures)))
         except BadInput as error:
             raise BadInput(f"position {at:g} mm: {error}") from error
-    return _line(place, tuple(peaks))
+    return focus_line(place, peaks)
 
 
-def _line(place: np.ndarray, peaks: tuple[Peak, ...]) -> FocusLine:
-    """Powers are what is uncertain, so they are fitted over positions, each by its own error, and the line inverted."""
+def focus_line(positions: ArrayLike, peaks: Sequence[Peak]) -> FocusLine:
+    """The line through peaks at positions of the camera [mm]. Raises `BadInput` where they do not move.
+
+    Powers are what is uncertain, so they are fitted over positions, each by its own error, and the line inverted.
+    """
+    place = np.asarray(positions, np.float64)
+    if place.shape != (len(peaks),) or not np.isfinite(place).all() or np.unique(place).size < 2:
+        raise BadInput(f"positions is {positions!r}; wanted two or more different ones [mm], one for each peak")
     power = np.array([peak.power for peak in peaks])
     error = np.array([peak.error for peak in peaks])
     weight = 1.0 / np.maximum(error, max(1e-3 * float(error.max()), 1e-12)) ** 2
@@ -152,7 +158,7 @@ def _line(place: np.ndarray, peaks: tuple[Peak, ...]) -> FocusLine:
     off = power - middle - rise * (place - center)
     doubt = np.sqrt(float(weight @ off**2) / spread / max(place.size - 2, 1))
     slope = 1.0 / rise
-    return FocusLine(slope, center - slope * middle, float(doubt) * slope**2, tuple(place.tolist()), peaks)
+    return FocusLine(slope, center - slope * middle, float(doubt) * slope**2, tuple(place.tolist()), tuple(peaks))
 
 
 def _readings(powers: ArrayLike, sharpness: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

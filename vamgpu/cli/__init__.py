@@ -10,7 +10,8 @@ from typing import Any
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status: 0 done, 1 an error that was explained, 130 stopped by Ctrl-C."""
-    import vamgpu.cli.print  # noqa: F401 - its commands register themselves
+    import vamgpu.cli.calibrate  # noqa: F401 - its commands register themselves
+    import vamgpu.cli.print  # noqa: F401
     from vamgpu.cli.commands import app
     from vamgpu.errors import Cancelled, OpticsWarning, VamError
 

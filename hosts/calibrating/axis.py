@@ -1,0 +1,71 @@
+"""Where the roller's axis lies: one column of mirrors after another is lit, and a photodiode sees its shadow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from vamgpu.calibration.axis import RollerAxis, find_axis
+from vamgpu.errors import BadInput
+from vamgpu.hosts.calibrating import patterns
+from vamgpu.hosts.calibrating.light import HeldLight
+from vamgpu.hosts.calibrating.report import Found
+from vamgpu.hosts.calibrating.stand import Stand
+
+TABLES = ("photodiode",)
+"""What it needs of a rig's file."""
+DARK = 8
+"""Readings without light."""
+
+
+def axis(
+    stand: Stand, *, first: int = 0, stop: int | None = None, every: int = 1, repeats: int = 4,
+    radius: float | None = None, flip_r: bool = False, projector: int = 0,
+    told: Callable[[float], None] = lambda share: None,
+) -> Found:  # fmt: skip
+    """Scan a lit column over the roller and find its axis from both edges of the shadow.
+
+    first, stop, every: columns that are lit.  repeats: readings of each.  radius: of the roller in columns, where only
+    one edge is in reach.  flip_r: as pictures are packed.
+
+    Raises `JobError` for a rig without photodiode, `BadInput` for a scan without edges, `InterlockOpen`.
+    """
+    screen = stand.screen(projector)
+    columns = np.arange(first, screen.shape[1] if stop is None else stop)[::every]
+    if every < 1 or repeats < 1 or not columns.size:
+        raise BadInput(f"a scan of {columns.size} columns, {repeats} readings each; wanted 1 or more of both")
+    read = np.empty((columns.size, repeats))
+    with HeldLight(stand, projector) as light:
+        dark = stand.read(light, DARK)
+        light.on()
+        for number, column in enumerate(columns):
+            screen.show(patterns.line(screen.shape, int(column)))
+            read[number] = stand.read(light, repeats)
+            told((number + 1) / columns.size)
+    found = find_axis(read.mean(axis=1), columns, radius=radius)
+    return _found(found, found.shift(screen.shape[1], flip_r=flip_r), columns, read, dark)
+
+
+def _found(found: RollerAxis, shift: float, columns: np.ndarray, read: np.ndarray, dark: np.ndarray) -> Found:
+    numbers = {
+        "column": found.column, "error_columns": found.error, "radius_columns": found.radius, "shift_columns": shift,
+        "edges": [edge.column for edge in found.edges], "edge_errors": [edge.error for edge in found.edges],
+        "edge_widths": [edge.width for edge in found.edges],
+    }  # fmt: skip
+    lines = (
+        ("axis", f"column {found.column:.3f} ± {found.error:.2g}"),
+        ("radius", f"{found.radius:.3f} columns"),
+        ("edges", ", ".join(f"{edge.column:.3f}" for edge in found.edges)),
+        ("for the job", f"[frames] shift = [{shift:.3f}, 0.0]"),
+    )
+    readings = {"columns": columns, "readings": read, "dark": dark}
+    return Found("axis", numbers, readings, lines, lambda axes: _draw(axes, found, columns, read))
+
+
+def _draw(axes: Any, found: RollerAxis, columns: np.ndarray, read: np.ndarray) -> None:
+    axes.plot(columns, read.mean(axis=1), ".", color="#2563a8", ms=3)
+    for place in (*(edge.column for edge in found.edges), found.column):
+        axes.axvline(place, color="#1f2733", lw=0.8, ls=":" if place != found.column else "-")
+    axes.set(title=f"Axis at column {found.column:.2f}", xlabel="lit column", ylabel="photodiode [mW]")

@@ -1,0 +1,93 @@
+"""Where the lens focuses: a camera steps along the light, and at each place the lens through its powers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from vamgpu.calibration.focus import FocusLine, Peak, fit_peak, focus_line, tenengrad
+from vamgpu.errors import BadInput
+from vamgpu.hosts.calibrating import patterns
+from vamgpu.hosts.calibrating.light import HeldLight
+from vamgpu.hosts.calibrating.report import Found
+from vamgpu.hosts.calibrating.stand import Stand
+
+TABLES = ("lens", "camera", "camera_stage")
+"""What it needs of a rig's file."""
+Told = Callable[[float], None]
+
+
+def steps(reach: float, step: float) -> tuple[float, ...]:
+    """Positions [mm] from −reach to reach, a step apart."""
+    if not (step > 0 and reach >= step):
+        raise BadInput(f"steps of {step:g} mm from {-reach:g} to {reach:g} mm; wanted a step > 0, and two or more")
+    count = int(reach / step + 1e-9)
+    return tuple(round(step * number, 9) for number in range(-count, count + 1))
+
+
+def focus(
+    stand: Stand, positions: Sequence[float], powers: Sequence[float], *, half_period: int = 10, projector: int = 0,
+    told: Told = lambda share: None,
+) -> Found:  # fmt: skip
+    """Measure the line of focus over lens power with a Ronchi grating.
+
+    positions: of the camera [mm], from its stage's middle.  powers: of the lens [dpt], rising.  half_period: of the
+    grating [mirrors].  told: hears what share is done.
+
+    Raises `JobError` for a rig without lens, camera or its stage, `BadInput` where nothing is sharp or too much light
+    comes, `InterlockOpen`.
+    """
+    screen, peaks, rows = stand.screen(projector), [], []
+    picture = patterns.grating(screen.shape, half_period)
+    with HeldLight(stand, projector) as light:
+        for number, position in enumerate(positions):
+            light.off()
+            place = stand.move(position)
+            light.on()
+            screen.show(picture)
+            rows.append((place, *_sweep(stand, powers, light)))
+            try:
+                peaks.append(fit_peak(*rows[-1][1:3]))
+            except BadInput as error:
+                raise BadInput(f"position {place:g} mm: {error}") from error
+            told((number + 1) / len(positions))
+    names = ("positions", "powers", "sharpness", "pictures")
+    return _found(peaks, {name: np.array(part) for name, part in zip(names, zip(*rows, strict=True), strict=True)})
+
+
+def _sweep(stand: Stand, powers: Sequence[float], light: HeldLight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Powers that the lens took [dpt], how sharp the pictures were, and the sharpest."""
+    true, sharp, best = [], [], np.zeros((0, 0))
+    for power in powers:
+        true.append(stand.focus(power, light))
+        picture = stand.picture(light)
+        sharp.append(float(tenengrad(picture)))
+        if sharp[-1] == max(sharp):
+            best = picture
+    return np.array(true), np.array(sharp), best
+
+
+def _found(peaks: list[Peak], readings: dict[str, np.ndarray]) -> Found:
+    line = focus_line(readings["positions"], peaks)
+    center = float(line.power(0.0))
+    numbers = {
+        "slope_mm_dpt": line.slope, "slope_error_mm_dpt": line.error, "intercept_mm": line.intercept,
+        "axis_dpt": center, "positions_mm": line.positions, "powers_dpt": [peak.power for peak in line.peaks],
+        "errors_dpt": [peak.error for peak in line.peaks], "widths_dpt": [peak.width for peak in line.peaks],
+    }  # fmt: skip
+    lines = (
+        ("slope of focus", f"{line.slope:.3f} ± {line.error:.2g} mm/dpt"),
+        ("power at the middle", f"{center:.4f} dpt"),
+        ("depth at half sharpness", f"{2 * abs(line.slope) * float(np.mean(numbers['widths_dpt'])):.3g} mm"),
+        ("for the rig's file", f"[lens] axis = {center:.4f}, slope = {line.slope:.3f}"),
+    )
+    return Found("focus", numbers, readings, lines, lambda axes: _draw(axes, line))
+
+
+def _draw(axes: Any, line: FocusLine) -> None:
+    power = np.array([peak.power for peak in line.peaks])
+    axes.errorbar(power, line.positions, xerr=[peak.error for peak in line.peaks], fmt="o", color="#2563a8", ms=4)
+    axes.plot(power, line.slope * power + line.intercept, color="#1f2733", lw=1)
+    axes.set(title=f"Focus: {line.slope:.2f} mm/dpt", xlabel="lens power [dpt]", ylabel="camera [mm]")

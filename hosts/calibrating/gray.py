@@ -1,0 +1,117 @@
+"""What gray levels are worth in light: all mirrors show one level after another, of each projector."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from vamgpu.calibration.gray import TOP, GrayReading, fit_gray
+from vamgpu.errors import BadInput
+from vamgpu.hosts.calibrating import patterns
+from vamgpu.hosts.calibrating.light import HeldLight
+from vamgpu.hosts.calibrating.report import Found
+from vamgpu.hosts.calibrating.stand import Stand, need
+from vamgpu.printing.gray import GrayCurve
+
+PHOTODIODE, CAMERA = ("photodiode",), ("camera",)
+"""What it needs of a rig's file, by what reads the light."""
+
+
+def levels(every: int) -> tuple[int, ...]:
+    """Levels from 0 to 255, ``every`` apart, both ends among them."""
+    if not 1 <= every <= TOP:
+        raise BadInput(f"every is {every}; wanted 1 to {TOP}")
+    return tuple(sorted({*range(0, TOP + 1, every), TOP}))
+
+
+def gray(
+    stand: Stand, steps: Sequence[int], *, repeats: int = 4, camera: bool = False,
+    told: Callable[[float], None] = lambda share: None,
+) -> Found:  # fmt: skip
+    """Measure the gray curve of each projector's light.
+
+    steps: levels, rising from 0 to 255.  repeats: readings of each.  camera: read the camera's mean instead of the
+    photodiode, exposed for whole pictures; its rounding hides what is below half a level. The table ``gray`` of the
+    result, and ``gray_1``, … of further projectors, are curves that `pack` takes.
+
+    Raises `JobError` for a rig without photodiode or camera, `BadInput` for too little light or light that saturates,
+    `InterlockOpen`.
+    """
+    curves, readings = [], {"levels": np.asarray(steps)}
+    for projector in range(len(stand.screens)):
+        part = lambda share, number=projector: told((number + share) / len(stand.screens))  # noqa: E731
+        dark, read, before = _scan(stand, projector, steps, repeats, camera, part)
+        curves.append((fit_gray(steps, read, dark), _drift(read[-1], before, dark)))
+        readings |= {f"dark_{projector}": dark, f"readings_{projector}": read, f"before_{projector}": before}
+    return _found(curves, readings)
+
+
+def _scan(
+    stand: Stand, projector: int, steps: Sequence[int], repeats: int, camera: bool, told: Callable[[float], None]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Readings in the dark, of the levels, and of full light before them, for the drift."""
+    screen, read = stand.screen(projector), []
+
+    def one(light: HeldLight) -> np.ndarray:
+        if camera:
+            return np.array([float(stand.picture(light).mean()) for _ in range(repeats)])
+        return stand.read(light, repeats)
+
+    if camera:
+        whole_pictures(stand, projector)
+    with HeldLight(stand, projector) as light:
+        dark = one(light)
+        light.on()
+        screen.show(patterns.flat(screen.shape, TOP))
+        before = one(light)
+        for number, level in enumerate(steps):
+            screen.show(patterns.flat(screen.shape, level))
+            read.append(one(light))
+            told((number + 1) / len(steps))
+    return dark, np.array(read), before
+
+
+def whole_pictures(stand: Stand, projector: int) -> float:
+    """Expose the camera for a whole number of pictures [s], as levels are made of planes one after the other."""
+    section, picture = need(stand.rig.camera, "camera"), stand.screen(projector).period
+    exposure = max(1, round(section.exposure / picture)) * picture
+    need(stand.camera, "camera").expose(1e6 * exposure)
+    return exposure
+
+
+def _drift(last: np.ndarray, before: np.ndarray, dark: np.ndarray) -> float:
+    """Share by which full light changed from before the levels to their end."""
+    return float((last.mean() - dark.mean()) / (before.mean() - dark.mean()) - 1.0)
+
+
+def _found(curves: list[tuple[GrayReading, float]], readings: dict[str, np.ndarray]) -> Found:
+    numbers = {
+        "black": [curve.black for curve, _ in curves], "full": [curve.intensity[-1] for curve, _ in curves],
+        "error": [max(curve.error) / curve.intensity[-1] for curve, _ in curves],
+        "moved": [curve.moved / curve.intensity[-1] for curve, _ in curves], "drift": [drift for _, drift in curves],
+    }  # fmt: skip
+    tables, lines = {}, []
+    for number, (curve, drift) in enumerate(curves):
+        kept = GrayCurve(curve.levels, curve.intensity)
+        tables["gray" if number == 0 else f"gray_{number}"] = kept.describe()
+        lines += [
+            (f"projector {number}", f"black {100 * kept.black:.3f} %, half of the light at level {_half(kept):.1f}"),
+            ("  error, drift", f"{100 * max(curve.error) / curve.intensity[-1]:.2g} %, {100 * drift:+.2g} %"),
+        ]
+    lines.append(("for the job", '[frames] gray = "result.toml"'))
+    return Found("gray", numbers, readings, tuple(lines), lambda axes: _draw(axes, curves), tables)
+
+
+def _half(curve: GrayCurve) -> float:
+    return float(np.interp(0.5, curve.intensity, curve.levels))
+
+
+def _draw(axes: Any, curves: list[tuple[GrayReading, float]]) -> None:
+    for number, (curve, _) in enumerate(curves):
+        light = np.array(curve.intensity) / curve.intensity[-1]
+        axes.plot(curve.levels, light, ".-", lw=0.8, ms=4, label=f"projector {number}")
+    axes.plot([0, TOP], [0, 1], color="#9aa5b4", lw=0.8, ls=":")
+    axes.legend(frameon=False)
+    axes.set(title="Light over gray level", xlabel="level", ylabel="light over that of 255")

@@ -1,0 +1,113 @@
+"""What gray levels are worth in light, from readings of a photodiode or of a camera's mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.errors import BadInput, ShapeMismatch
+
+TOP = 255
+LEAST_CONTRAST = 20.0
+"""Light of level 255 over the noise of a level's mean, from which a curve is told."""
+STUCK = 0.05
+"""Rise over the last levels, relative to that of the whole curve, below which the meter counts as saturated."""
+FALLS = 6.0
+"""Standard errors by which a level may lie below a lower one and still be noise."""
+
+
+@dataclass(frozen=True)
+class GrayReading:
+    """Light over gray levels, the dark reading subtracted, never falling.
+
+    levels: rising from 0 to 255.  intensity: at each, in the readings' unit.  error: standard error of each.  moved:
+    the most that a level was moved so that none falls.
+    """
+
+    levels: tuple[int, ...]
+    intensity: tuple[float, ...]
+    error: tuple[float, ...]
+    moved: float
+
+    @property
+    def black(self) -> float:
+        """Light of level 0 relative to that of level 255."""
+        return self.intensity[0] / self.intensity[-1]
+
+
+def fit_gray(levels: Sequence[int], readings: ArrayLike, dark: ArrayLike) -> GrayReading:
+    """The curve nearest to readings among those that never fall.
+
+    levels: shape (levels,), rising from 0 to 255.  readings: (levels, repeats), two repeats at least.  dark: readings
+    without light, (repeats,).
+
+    Raises `BadInput` for too little light, a meter that saturates, and light that falls by more than noise.
+    """
+    level, read, base = np.asarray(levels), np.asarray(readings, np.float64), np.asarray(dark, np.float64)
+    if read.ndim != 2 or level.shape != read.shape[:1] or read.shape[1] < 2 or base.ndim != 1 or not base.size:
+        raise ShapeMismatch(
+            f"there are levels of shape {level.shape}, readings {read.shape} and dark ones {base.shape}; "
+            "wanted (levels,), (levels, 2 or more) and (1 or more,)"
+        )
+    if not (np.isfinite(read).all() and np.isfinite(base).all()):
+        raise BadInput("the readings hold values that are not finite; wanted what the meter read")
+    if (np.diff(level) <= 0).any() or (int(level[0]), int(level[-1])) != (0, TOP) or (level != np.round(level)).any():
+        raise BadInput(f"the levels go from {level[0]} to {level[-1]}; wanted whole numbers rising from 0 to {TOP}")
+    light = read.mean(axis=1) - base.mean()
+    error = _errors(read)
+    _judge(level, light, error)
+    risen = rising(light, 1.0 / error**2)
+    fall = risen - light
+    if (np.abs(fall) > FALLS * error + 1e-9 * light[-1]).any():
+        at = int(np.argmax(np.abs(fall) / error))
+        raise BadInput(
+            f"the light falls at level {level[at]} by {2 * abs(fall[at]):.3g}, {2 * abs(fall[at]) / error[at]:.0f} "
+            "times the readings' error; wanted light that never falls: let the lamp warm up, wait longer at each level"
+        )
+    kept = np.clip(risen, 0.0, None)
+    return GrayReading(tuple(int(each) for each in level), tuple(kept.tolist()), tuple(error.tolist()),
+                       float(np.abs(fall).max()))  # fmt: skip
+
+
+def _errors(read: np.ndarray) -> np.ndarray:
+    """Standard error of each level's mean; few repeats tell it badly, so it is never below that of a typical level."""
+    own = read.std(axis=1, ddof=1)
+    typical = float(np.sqrt((own**2).mean()))
+    least = 1e-9 * max(float(np.abs(read).max()), 1e-300)
+    return np.maximum(np.maximum(own, typical), least) / np.sqrt(read.shape[1])
+
+
+def _judge(level: np.ndarray, light: np.ndarray, error: np.ndarray) -> None:
+    rise = float(light[-1] - light[0])
+    if not rise > LEAST_CONTRAST * float(error.max()):
+        raise BadInput(
+            f"the light rises by {rise:.4g} from level 0 to {TOP}, with an error of {float(error.max()):.2g}; wanted "
+            f"{LEAST_CONTRAST:g} times the error: light the meter, raise the power, average readings"
+        )
+    if light.size >= 4:
+        last = float(light[-1] - light[-3]) / float(level[-1] - level[-3])
+        if last < STUCK * rise / TOP:
+            raise BadInput(
+                f"the light no longer rises from level {level[-3]} to {TOP}; the meter is saturated, or the projector "
+                "clips: lower the power or the range"
+            )
+
+
+def rising(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The values nearest to given ones, in weighted least squares, that never fall: neighbors that do are pooled."""
+    means: list[float] = []
+    masses: list[float] = []
+    sizes: list[int] = []
+    for value, weight in zip(values.tolist(), weights.tolist(), strict=True):
+        means.append(value)
+        masses.append(weight)
+        sizes.append(1)
+        while len(means) > 1 and means[-2] > means[-1]:
+            mass = masses[-2] + masses[-1]
+            means[-2:] = [(means[-2] * masses[-2] + means[-1] * masses[-1]) / mass]
+            masses[-2:] = [mass]
+            sizes[-2:] = [sizes[-2] + sizes[-1]]
+    return np.repeat(means, sizes)

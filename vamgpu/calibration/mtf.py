@@ -1,0 +1,176 @@
+"""How fine a projector's picture is: the modulation transfer function from a camera's picture of a slanted edge.
+
+Source: ISO 12233, edge-based spatial frequency response. A straight edge that crosses the camera's rows at a slant
+falls on its pixels at all fractions of one, so that pixels sorted by their distance from it sample the edge finer than
+the camera does. Here the line of the edge is a least-squares fit of a blurred step to all pixels, and what the binning
+and the difference of neighbors take off is put back. The camera's own pixels and optics are part of what is measured.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+
+OVERSAMPLE = 4
+"""Bins a pixel."""
+LEAST_CONTRAST = 8.0
+"""Step of the edge over the noise of a pixel, from which it is measured."""
+LEAST_SLANT = 2.0
+"""Pixels that the edge must move across the picture, to fall on fractions of pixels evenly."""
+FLAT, REACH = 4.0, 6.0
+"""Widths of the blur to either side of the edge: within `FLAT` all counts, beyond `REACH` nothing does."""
+NARROWEST = 8.0
+"""The least of that reach [pixels]."""
+
+FREQUENCIES = 401
+
+
+@dataclass(frozen=True)
+class EdgeResponse:
+    """What an edge tells.
+
+    frequency: [1/mm], rising from 0 to half a cycle a pixel.  modulation: at each, 1 at 0.  half: frequency [1/mm] at
+    which half the modulation is left.  angle: of the edge against the nearer axis of the camera [deg].  width: standard
+    deviation [mm] of the Gaussian blur nearest to the edge's.  contrast: (light − dark) / (light + dark).
+    """
+
+    frequency: np.ndarray
+    modulation: np.ndarray
+    half: float
+    angle: float
+    width: float
+    contrast: float
+
+
+def slanted_edge(picture: ArrayLike, pixel: float) -> EdgeResponse:
+    """The modulation transfer function across a slanted edge.
+
+    picture: of one straight edge between dark and light [row, column], the slant some degrees from rows or columns.
+    pixel: of the camera, in the plane that it looks at [mm].
+
+    Raises `BadInput` where there is no edge, too little contrast or slant, or too little picture beside it.
+    """
+    pitch, light = positive("pixel [mm]", pixel), _upright(picture)
+    _contrast(light)
+    low, high, column, slope, width = _line(light)
+    across = abs(slope) * (light.shape[0] - 1)
+    if across < LEAST_SLANT:
+        raise BadInput(
+            f"the edge moves by {across:.2g} pixels from the first to the last row; wanted {LEAST_SLANT:g} or more: "
+            "turn the camera or the edge by about 5°"
+        )
+    spread, lines = _spread(light, column, slope, width)
+    frequency, modulation = _transform(spread, lines, width)
+    half = _half(frequency, modulation)
+    return EdgeResponse(
+        frequency / pitch, modulation, half / pitch, float(np.degrees(np.arctan(slope))), width * pitch,
+        abs(high - low) / max(high + low, 1e-12),
+    )  # fmt: skip
+
+
+def _upright(picture: ArrayLike) -> np.ndarray:
+    """The picture as float64, with its edge nearer to columns than to rows."""
+    light = np.asarray(picture, np.float64)
+    if light.ndim != 2 or min(light.shape) < 16:
+        raise BadInput(f"the picture has shape {light.shape}; wanted [row, column] of 16 × 16 pixels at least")
+    if not np.isfinite(light).all():
+        raise BadInput("the picture holds values that are not finite; wanted what the camera read")
+    along, across = (float(np.ptp(light.mean(axis=axis))) for axis in (1, 0))
+    return light.T if along > across else light
+
+
+def _contrast(light: np.ndarray) -> None:
+    noise = 1.4826 * float(np.median(np.abs(np.diff(light, axis=0)))) / np.sqrt(2.0)
+    low, high = (float(q) for q in np.quantile(light, (0.05, 0.95)))
+    if not high - low > LEAST_CONTRAST * noise:
+        raise BadInput(
+            f"the picture goes from {low:.4g} to {high:.4g} with a noise of {noise:.2g}; wanted an edge "
+            f"{LEAST_CONTRAST:g} times higher than the noise: light it, expose longer"
+        )
+
+
+def _step(at: np.ndarray, low: float, high: float, column: float, slope: float, width: float) -> np.ndarray:
+    """A straight blurred step; ``at`` holds columns and rows, the row in the middle being 0."""
+    from scipy.special import ndtr
+
+    distance = (at[0] - column - slope * at[1]) / np.hypot(1.0, slope)
+    return low + (high - low) * ndtr(distance / width)
+
+
+def _line(light: np.ndarray) -> tuple[float, float, float, float, float]:
+    """Dark, light, and the edge's column at the middle row, columns a row, and blur [pixels]; a step fitted to all."""
+    from scipy.optimize import OptimizeWarning, curve_fit
+
+    rows, columns = light.shape
+    row, column = np.meshgrid(np.arange(rows) - 0.5 * (rows - 1), np.arange(columns, dtype=float), indexing="ij")
+    low, high = (float(light[:, part].mean()) for part in (slice(0, columns // 8), slice(-(columns // 8), None)))
+    share = (light.mean(axis=1) - low) / (high - low) if high != low else np.full(rows, 0.5)
+    first = columns * (1.0 - np.clip(share, 0.05, 0.95))
+    slope, middle = np.polyfit(np.arange(rows) - 0.5 * (rows - 1), first, 1)
+    at = np.stack([column.ravel(), row.ravel()])
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", OptimizeWarning)
+            found, _ = curve_fit(_step, at, light.ravel(), p0=(low, high, middle, slope, 3.0), maxfev=400)
+    except (RuntimeError, OptimizeWarning) as error:
+        raise BadInput(f"no edge fits the picture: {error}; show one edge between dark and light") from error
+    dark, bright, place, tilt, width = (float(value) for value in found)
+    if not 0.0 < place < columns - 1.0:
+        raise BadInput(f"the edge lies at column {place:.1f} of {columns}; wanted it inside the picture: center it")
+    return dark, bright, place, tilt, abs(width)
+
+
+def _spread(light: np.ndarray, column: float, slope: float, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """The line spread: differences of the edge in bins of 1/4 pixel; and their distances from the edge [pixels]."""
+    rows, columns = light.shape
+    row, place = np.meshgrid(np.arange(rows) - 0.5 * (rows - 1), np.arange(columns, dtype=float), indexing="ij")
+    distance = (place - column - slope * row) / np.hypot(1.0, slope)
+    bent = abs(slope) * 0.5 * (rows - 1)
+    room = min(column, columns - 1.0 - column) - bent
+    reach = min(max(REACH * width, NARROWEST), room)
+    if reach < FLAT * width or reach < 0.5 * NARROWEST:
+        raise BadInput(
+            f"the edge is blurred by {width:.3g} pixels and has {room:.3g} beside it in every row; wanted "
+            f"{max(FLAT * width, 0.5 * NARROWEST):.3g}: center it, or let the camera see more"
+        )
+    count = int(reach * OVERSAMPLE)
+    index = np.floor(distance * OVERSAMPLE).astype(int) + count
+    inside = (index >= 0) & (index < 2 * count)
+    number = np.bincount(index[inside], minlength=2 * count)
+    total = np.bincount(index[inside], weights=light[inside], minlength=2 * count)
+    if (number == 0).any():
+        raise BadInput(
+            f"{int((number == 0).sum())} of {2 * count} distances from the edge have no pixel; slant it more"
+        )
+    lines = np.arange(1 - count, count) / OVERSAMPLE
+    return np.diff(total / number), lines
+
+
+def _transform(spread: np.ndarray, lines: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [cycles/pixel] up to the camera's half, and the modulation, without what bins and difference take."""
+    reach = float(np.abs(lines).max()) + 1.0 / OVERSAMPLE
+    flat = min(max(FLAT * width, 0.5 * NARROWEST), 0.8 * reach)
+    fade = np.clip((np.abs(lines) - flat) / (reach - flat), 0.0, 1.0)
+    windowed = spread * 0.5 * (1.0 + np.cos(np.pi * fade))
+    frequency = np.linspace(0.0, 0.5, FREQUENCIES)
+    transform = np.abs(np.exp(-2j * np.pi * frequency[:, None] * lines[None, :]) @ windowed)
+    return frequency, transform / transform[0] / np.sinc(frequency / OVERSAMPLE) ** 2
+
+
+def _half(frequency: np.ndarray, modulation: np.ndarray) -> float:
+    """Where half is left; between two frequencies the modulation is that of a Gaussian blur."""
+    below = np.flatnonzero(modulation < 0.5)
+    if not below.size:
+        raise BadInput(
+            f"the modulation is still {modulation[-1]:.2f} at half a cycle a pixel; wanted it to fall below a half: "
+            "let the camera look closer"
+        )
+    at = int(below[0])
+    ends, squares = np.log(np.maximum(modulation[at - 1 : at + 1], 1e-12)), frequency[at - 1 : at + 1] ** 2
+    return float(np.sqrt(squares[0] + (squares[1] - squares[0]) * (ends[0] - np.log(0.5)) / (ends[0] - ends[1])))
