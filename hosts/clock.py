@@ -11,7 +11,12 @@ SHORT = 200_000
 
 @runtime_checkable
 class Clock(Protocol):
-    """What tells the time and waits; nothing else in this package does either."""
+    """What tells the time and waits; nothing else in this package does either.
+
+    real: whether it goes on by itself, so that threads must work ahead of it.
+    """
+
+    real: bool
 
     def now(self) -> int:
         """The time [ns]; it never goes back."""
@@ -28,6 +33,8 @@ class RealClock:
     watch: how long before a wake-up [ns] to stop sleeping and watch the clock instead, which costs a core meanwhile; 0,
     the default, never does.  `SHORT` is enough to be on time.
     """
+
+    real = True
 
     def __init__(self, watch: int = 0) -> None:
         self.watch = int(watch)

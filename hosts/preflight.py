@@ -11,7 +11,7 @@ from enum import Enum
 import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible, WrongDevice
-from vamgpu.hosts.clock import Clock, RealClock
+from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.dmd import PIECE, Dmd
 from vamgpu.hosts.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedule import Schedule
@@ -84,7 +84,7 @@ def judged(
     binds.
     """
     timings = [MirrorTiming(pixels=(dmd.width, dmd.height), row_bytes=dmd.row_bytes) for dmd in mirrors]
-    real, free = isinstance(clock, RealClock), min(dmd.free_planes() for dmd in mirrors)
+    real, free = clock.real, min(dmd.free_planes() for dmd in mirrors)
     with ThreadPoolExecutor(len(mirrors)) as pool:
         wires = list(pool.map(lambda dmd: _wire(dmd, bits, clock, seconds), mirrors)) if real else [np.inf]
     pictures, slowest = len(schedule) + PREROLL, min(wires)

@@ -14,7 +14,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, DeviceError, Underrun
 from vamgpu.hosts.approach import LOOK, Approach, Motion
-from vamgpu.hosts.clock import Clock, RealClock
+from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream, SlotTiming
 from vamgpu.hosts.drivers.lens import TunableLens
@@ -86,7 +86,7 @@ class TriggeredPlayer:
         self.renew = Renewal(machines.controller)
         self._pictures, self._depth = tuple(pictures), depth or max(2, round(schedule.rate))
         self._sequences, self._apart = sequences, APART + int(schedule.on[0])
-        self._threaded = isinstance(machines.clock, RealClock) if threaded is None else threaded
+        self._threaded = machines.clock.real if threaded is None else threaded
         self._policies = tuple(policy(schedule) for _ in pictures)
         self._orders = [schedule.frame] * schedule.engines
         self._longest = int((schedule.dark - schedule.command).max(where=schedule.command != NONE, initial=0))

@@ -22,12 +22,17 @@ LENS_BAUD = 38400
 
 
 class Bench:
-    """The machines behind the drivers. microsteps: of the motion, in a pose.  powers: of the focus planes [1/m]."""
+    """The machines behind the drivers.
+
+    microsteps: of the motion, in a pose.  powers: of the focus planes [1/m].  clock: one that a program sets by
+    default; a `PacedClock` goes with the machine's own.
+    """
 
     def __init__(
-        self, microsteps: float, model: ArrayModel = ArrayModel(), engines: int = 1, powers: Sequence[float] = ()
-    ) -> None:
-        self.clock, self.microsteps = VirtualClock(), float(microsteps)
+        self, microsteps: float, model: ArrayModel = ArrayModel(), engines: int = 1, powers: Sequence[float] = (),
+        clock: VirtualClock | None = None,
+    ) -> None:  # fmt: skip
+        self.clock, self.microsteps = clock or VirtualClock(), float(microsteps)
         self.controller = EmulatedController(channels=max(2, engines))
         self.alps = [FakeAlp(self.clock, model) for _ in range(engines)]
         self.lens = EmulatedLens(baud=LENS_BAUD) if len(powers) > 1 else None

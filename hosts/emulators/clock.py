@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from typing import Protocol, runtime_checkable
 
+from vamgpu.hosts.clock import RealClock
+
 
 @runtime_checkable
 class Timed(Protocol):
@@ -26,6 +28,8 @@ class VirtualClock:
     repeatable. Any thread may sleep: time then passes for everybody, as far as the sleeper asked. ``lock`` guards all
     that is attached: whoever reaches a machine by another way than the clock must hold it.
     """
+
+    real = False
 
     def __init__(self, start: int = 0) -> None:
         self._now = int(start)
@@ -63,3 +67,37 @@ class VirtualClock:
     def sleep(self, duration: int) -> None:
         """Jump ahead by a duration [ns]."""
         self.sleep_until(self._now + int(duration))
+
+
+class PacedClock(VirtualClock):
+    """A virtual clock that goes with the machine's own: for rehearsals that people watch, and for threads.
+
+    Emulated machines are carried along whenever somebody asks the time. A run on it does not repeat exactly.
+    """
+
+    real = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._own, self._jumping = RealClock(), False
+        self._began = self._own.now()
+
+    def now(self) -> int:
+        """The time [ns]; all that is due by then has happened."""
+        with self.lock:
+            if not self._jumping:
+                self._jumping = True
+                try:
+                    super().sleep_until(self._own.now() - self._began)
+                finally:
+                    self._jumping = False
+            return self._now
+
+    def sleep_until(self, until: int) -> None:
+        """Return at ``until`` [ns] or soon after it. Machines that are due meanwhile act at their time or later."""
+        self._own.sleep_until(self._began + until)
+        self.now()
+
+    def sleep(self, duration: int) -> None:
+        """Sleep for a duration [ns]."""
+        self.sleep_until(self.now() + int(duration))
