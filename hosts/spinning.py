@@ -50,7 +50,7 @@ class SpinningPlayer:
         self._repeats = int(schedule.cadence.period * display.slot_rate / SECOND)
         self._on = int(schedule.on[0]) // self._repeats
         self._turning = Turning(machines.stage, machines.clock, schedule, display, self._repeats)
-        self._policy = VialUnderrun(schedule.frames * self._repeats, len(schedule) * self._repeats)
+        self._policy = VialUnderrun(schedule.frames * self._repeats)
         self._black = np.zeros(machines.projector.size, np.uint8)
         self._owed: Counter[int] = Counter()
         self._amended: frozenset[int] = frozenset()

@@ -56,7 +56,7 @@ class Machines:
 
 def usual(schedule: Schedule) -> Underruns:
     """What decides on late pictures: of a web or of a vial."""
-    return VialUnderrun(schedule.frames, len(schedule)) if schedule.unit == "deg" else WebUnderrun()
+    return VialUnderrun(schedule.frames) if schedule.unit == "deg" else WebUnderrun()
 
 
 class TriggeredPlayer:

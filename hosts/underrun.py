@@ -66,40 +66,22 @@ class WebUnderrun:
 
 
 class VialUnderrun:
-    """A vial comes round again: what was missed is dropped, the current angle is shown, and later turns make amends.
+    """A vial comes round again: what was missed is black, the turn goes on, and added turns make amends.
 
-    images: a turn.  poses: of the whole print.  Ask for every pose that the stage reaches, in rising order.
+    images: a turn.
     """
 
-    def __init__(self, images: int, poses: int) -> None:
-        self.images, self.poses = counts("images and poses", (images, poses), 2)
+    def __init__(self, images: int) -> None:
+        self.images = counts("images", (images,), 1)[0]
         self.missed = 0
         self._owed: Counter[int] = Counter()
-        self._last, self._choice = -1, False
         self._row = range(0)
-
-    def show(self, pose: int, ready: bool) -> bool:
-        """Whether to show the image of the pose at the stage, which is ready or not; the rest is black.
-
-        A pose that was jumped over, or whose image was not ready, is owed. Beyond the last pose only those are shown.
-        """
-        if pose <= self._last:
-            return self._choice and pose == self._last
-        for jumped in range(self._last + 1, min(pose, self.poses)):
-            self._owe(jumped)
-        frame, self._last = pose % self.images, pose
-        self._choice = ready
-        if pose >= self.poses:
-            self._choice = ready and self._owed[frame] > 0
-            self._owed[frame] -= self._choice
-        elif not ready:
-            self._owe(pose)
-        return self._choice
 
     def lost(self, pose: int) -> Action:
         """Count a pose that black was shown for; a whole turn of them without a break ends the print."""
         self._row = range(self._row.start if pose == self._row.stop else pose, pose + 1)
-        self._owe(pose)
+        self.missed += 1
+        self._owed[pose % self.images] += 1
         return Action.STOP if len(self._row) >= self.images else Action.BLACK
 
     @property
@@ -110,13 +92,4 @@ class VialUnderrun:
     def owes(self) -> Counter[int]:
         """How often each frame is to be shown again; asking settles it."""
         owed, self._owed = self._owed, Counter()
-        return +owed
-
-    def _owe(self, pose: int) -> None:
-        self.missed += 1
-        self._owed[pose % self.images] += 1
-
-    @property
-    def owed(self) -> int:
-        """Images that were missed and not yet made up for."""
-        return self._owed.total()
+        return owed
