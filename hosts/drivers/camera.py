@@ -58,7 +58,7 @@ class GenicamCamera:
         try:
             from harvesters.core import Harvester  # type: ignore[import-not-found]
         except ImportError as error:
-            raise DeviceNotFound("GenICam cameras need harvesters: pip install harvesters genicam") from error
+            raise DeviceNotFound('GenICam cameras need harvesters: pip install "vamgpu[camera]"') from error
         if not Path(producer).is_file():
             raise DeviceNotFound(f"there is no producer file {producer}; install the camera maker's package")
         harvester = Harvester()

@@ -14,6 +14,8 @@ from vamgpu.hosts.protocols.controller import Reply, Row, Status
 
 log = logging.getLogger(__name__)
 TRIES = 3
+LONGEST_BABBLE = 100
+"""Lines that are listened to for one answer, so that a machine which never falls silent is given up."""
 REASONS = {
     "lease": "its lease has run out: renew it before arming",
     "interlock": "its interlock is open: close the enclosure",
@@ -98,7 +100,10 @@ class Controller:
 
     def _answer(self) -> Reply | None:
         """The reply to the last number; None when it does not come or must be asked for again."""
-        while line := self._wire.line(protocol.LONGEST_LINE):
+        for _ in range(LONGEST_BABBLE):
+            line = self._wire.line(protocol.LONGEST_LINE)
+            if not line:
+                return None
             try:
                 reply = protocol.parse(line)
             except ProtocolError as error:
@@ -126,7 +131,9 @@ class Controller:
     def poll(self) -> tuple[tuple[str, ...], ...]:
         """Take what the controller has said by itself since the last call."""
         with self._wire.lock:
-            while self._wire.waiting():
+            for _ in range(LONGEST_BABBLE):
+                if not self._wire.waiting():
+                    break
                 try:
                     reply = protocol.parse(self._wire.line(protocol.LONGEST_LINE))
                 except ProtocolError as error:

@@ -84,13 +84,18 @@ class TunableLens:
 
     def focal_power_mode(self, low_celsius: float = 20.0, high_celsius: float = 45.0) -> ld4.PowerRange:
         """Set the temperature window, then the focal power mode; the range [1/m] the driver guarantees."""
-        self.ask(ld4.set_window(low_celsius, high_celsius))
-        found = ld4.power_range(self.ask(ld4.set_mode(ld4.Mode.FOCAL_POWER)), self.firmware)
+        self._power_range(ld4.set_window(low_celsius, high_celsius))
+        found = self._power_range(ld4.set_mode(ld4.Mode.FOCAL_POWER))
+        self._power_mode = True
+        return found
+
+    def _power_range(self, request: ld4.Request) -> ld4.PowerRange:
+        """The range a request is answered with; DeviceRefused where its status says that no focal power is held."""
+        found = ld4.power_range(self.ask(request), self.firmware)
         blocking = found.status & 0b111
         if blocking:
             causes = ", ".join(ld4.status_texts(blocking))
             raise DeviceRefused(f"the lens driver cannot hold a focal power: {causes}", f"S{found.status}")
-        self._power_mode = True
         return found
 
     def current_mode(self) -> None:

@@ -39,7 +39,7 @@ class PygletWindow:
         try:
             import pyglet  # type: ignore[import-not-found]
         except ImportError as error:
-            raise DeviceNotFound("a projector window needs pyglet: pip install pyglet") from error
+            raise DeviceNotFound('a projector window needs pyglet: pip install "vamgpu[window]"') from error
         try:
             screens = pyglet.display.get_display().get_screens()
         except Exception as error:

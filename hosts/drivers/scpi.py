@@ -19,14 +19,23 @@ class Instrument:
     def __init__(self, wire: Wire, maker: str | None = None) -> None:
         self._wire = wire
         try:
-            wire.drain()
-            self.identity = self.ask("*IDN?")
+            self.identity = self._identify()
             if maker is not None and maker.lower() not in self.identity.lower():
                 raise WrongDevice(f"{self.identity!r} answers at {wire.name}, not one of {maker!r}; check the port")
             self.tell("*CLS")
         except BaseException:
             wire.close()
             raise
+
+    def _identify(self) -> str:
+        """Maker, model, serial number and version, as every such instrument answers."""
+        try:
+            identity = self.ask("*IDN?")
+        except (DeviceLost, ProtocolError) as error:
+            raise WrongDevice(f"{self._wire.name} does not say what it is: {error}") from error
+        if not identity.isascii() or not identity.isprintable() or identity.count(",") < 2:
+            raise WrongDevice(f"{identity!r} answers at {self._wire.name}, which is no instrument; check the port")
+        return identity
 
     def tell(self, text: str) -> None:
         """Send a command that is not answered."""
@@ -36,6 +45,7 @@ class Instrument:
     def ask(self, text: str) -> str:
         """Send a question and return the answer."""
         with self._wire.lock:
+            self._wire.drain()  # an answer that came too late is not the next question's
             self._wire.send(text.encode("ascii") + b"\n")
             answer = self._wire.line()
         if not answer:

@@ -20,7 +20,7 @@ def _axis(uri: str) -> Any:
     try:
         from libximc import highlevel  # type: ignore[import-not-found]
     except ImportError as error:
-        raise DeviceNotFound("Standa stages need the maker's package: pip install libximc") from error
+        raise DeviceNotFound('Standa stages need libximc: pip install "vamgpu[standa]"') from error
     finally:
         if stands_in:  # the standard library asks whether there is one
             del sys.modules["winreg"]

@@ -6,6 +6,7 @@ Every serial machine is opened through pyserial's ``serial_for_url``, so ``/dev/
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import threading
@@ -42,11 +43,18 @@ class Port(Protocol):
 
 
 class UsbtmcPort:
-    """The kernel's character device of an instrument on USB: one message a read."""
+    """The kernel's character device of an instrument on USB, locked to one program: one message a read."""
 
     def __init__(self, path: str) -> None:
+        import fcntl
+
         self._file = os.open(path, os.O_RDWR)
         self._pending = b""
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(self._file)
+            raise
 
     def write(self, data: bytes, /) -> int:
         """Send one message."""
@@ -181,6 +189,6 @@ def _pyserial() -> Any:
 
 def _unopened(url: str, name: str, error: OSError) -> DeviceNotFound | DeviceBusy:
     text = str(error)
-    if "lock" in text or "busy" in text.lower() or "Access is denied" in text:
+    if error.errno in (errno.EAGAIN, errno.EBUSY) or "Access is denied" in text:
         return DeviceBusy(f"{name} at {url} is used by another program ({text}); close that program")
     return DeviceNotFound(f"{name} is not at {url} ({text}); check the address, the plug, the power and permissions")

@@ -38,7 +38,7 @@ class ZaberStage:
         self._number = 0
         try:
             self._wire.drain()
-            self.kind = int(self._start())
+            self.kind = self._start()
         except BaseException:
             wire.close()
             raise
@@ -50,15 +50,25 @@ class ZaberStage:
         """Open the stage at an address."""
         return cls(open_wire(url, f"stage {device}", 115200, timeout_s), microsteps, unit, device, axis)
 
-    def _start(self) -> str:
+    def _start(self) -> int:
         try:
-            return self.ask("get deviceid")
+            return self._whole("get deviceid")
         except (ProtocolError, DeviceLost) as error:
             raise WrongDevice(f"no Zaber device {self._device} answers: {error}") from error
 
     def ask(self, text: str) -> str:
         """Send a command to the axis and return the data of its reply."""
         return zaber.accept(self._exchange(text), text)
+
+    def _whole(self, text: str) -> int:
+        """The whole number a question is answered with."""
+        data = self.ask(text)
+        try:
+            return int(data)
+        except ValueError:
+            raise ProtocolError(
+                f"stage {self._device} answered {data!r} to {text!r}, a number was wanted; check the number of its axis"
+            ) from None
 
     def _exchange(self, text: str) -> zaber.Message:
         with self._wire.lock:
@@ -73,7 +83,7 @@ class ZaberStage:
 
     def position(self) -> float:
         """Where the axis says it is."""
-        return int(self.ask("get pos")) / self.microsteps
+        return self._whole("get pos") / self.microsteps
 
     def home(self) -> None:
         """Find the axis's zero; returns when it has."""
