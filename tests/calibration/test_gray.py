@@ -1,0 +1,70 @@
+"""Gray curves from noisy readings: near the truth, never falling, and readings that tell none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vamgpu.calibration.gray import fit_gray, rising
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.printing.gray import GrayCurve
+
+LEVELS = tuple(range(0, 256, 15))
+TRUTH = 0.01 + 3.0 * (np.array(LEVELS) / 255.0) ** 2.2
+AMBIENT = 0.4
+
+
+def readings(noise: float = 0.003, repeats: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(5)
+    light = AMBIENT + TRUTH[:, None] + noise * rng.standard_normal((len(LEVELS), repeats))
+    return light, AMBIENT + noise * rng.standard_normal(repeats)
+
+
+def test_a_curve_is_found_and_packs_pictures() -> None:
+    light, dark = readings()
+    found = fit_gray(LEVELS, light, dark)
+    assert np.abs(np.array(found.intensity) - TRUTH).max() < 0.006
+    assert np.array(found.error) == pytest.approx(0.0015, rel=1.0)
+    assert found.black == pytest.approx(0.01 / 3.01, abs=0.001)
+    curve = GrayCurve(found.levels, found.intensity)
+    assert curve(128) == pytest.approx((128 / 255.0) ** 2.2, abs=0.01)
+
+
+def test_noise_that_makes_it_fall_is_smoothed() -> None:
+    light, dark = readings(noise=0.1)
+    assert (np.diff(light.mean(axis=1)) < 0).any()
+    found = fit_gray(LEVELS, light, dark)
+    assert (np.diff(found.intensity) >= 0).all() and 0.0 < found.moved < 0.15
+    GrayCurve(found.levels, found.intensity)
+
+
+@given(st.lists(st.floats(-10, 10), min_size=1, max_size=30), st.integers(0, 1000))
+@settings(max_examples=60, deadline=None)
+def test_rising_values_are_a_projection(values: list[float], seed: int) -> None:
+    given_, weights = np.array(values), np.random.default_rng(seed).uniform(0.1, 2.0, len(values))
+    found = rising(given_, weights)
+    assert (np.diff(found) >= 0).all()
+    assert np.sum(weights * found) == pytest.approx(np.sum(weights * given_), abs=1e-9)
+    assert rising(found, weights) == pytest.approx(found)
+    assert np.sum(weights * (found - given_) * found) == pytest.approx(0.0, abs=1e-8)
+
+
+def test_readings_that_tell_no_curve_are_told() -> None:
+    light, dark = readings()
+    clipped = np.minimum(light, AMBIENT + 1.5)
+    fallen = light.copy()
+    fallen[9] = light[5]
+    for read, why in (
+        (clipped, "saturated"),
+        (fallen, "falls at level"),
+        (AMBIENT + 0.001 * (light - AMBIENT) + 0.01 * np.sin(np.arange(light.size)).reshape(light.shape), "rises by"),
+        (np.where(light > 3.3, np.nan, light), "not finite"),
+    ):
+        with pytest.raises(BadInput, match=why):
+            fit_gray(LEVELS, read, dark)
+    with pytest.raises(BadInput, match="from 0 to 255"):
+        fit_gray(LEVELS[:-1], light[:-1], dark)
+    with pytest.raises(ShapeMismatch, match="2 or more"):
+        fit_gray(LEVELS, light[:, :1], dark)

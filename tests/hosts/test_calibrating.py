@@ -1,0 +1,285 @@
+"""Calibrations on emulated optics with blur and noise: they find the truth, and are dark first when they cannot."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vamgpu.cli import main
+from vamgpu.errors import BadInput, DeviceNotFound, JobError, StorageError
+from vamgpu.hosts.calibrating import axis as axis_run
+from vamgpu.hosts.calibrating import focus as focus_run
+from vamgpu.hosts.calibrating import gray as gray_run
+from vamgpu.hosts.calibrating import mtf as mtf_run
+from vamgpu.hosts.calibrating import patterns
+from vamgpu.hosts.calibrating.machines import opened, rehearsal
+from vamgpu.hosts.calibrating.report import Found, focused_at, read, save
+from vamgpu.hosts.calibrating.stand import Stand
+from vamgpu.hosts.config import EMULATED, RigConfig, parse_rig, read_rig
+from vamgpu.hosts.emulators.optics import Optics
+from vamgpu.hosts.interlock import InterlockOpen
+from vamgpu.printing.gray import GrayCurve
+
+ALL = ("lens", "camera", "camera_stage", "photodiode")
+TWO = EMULATED.replace("[projector]", "[[projector]]") + '\n[[projector]]\ndriver = "emulated"\n'
+
+
+def rehearsed(rig: RigConfig | None = None, truth: Optics | None = None) -> tuple[Stand, Any]:
+    stand, _ = rehearsal(rig or read_rig("emulated"), ALL, truth)
+    return stand, laboratory_of(stand)
+
+
+def laboratory_of(stand: Stand) -> Any:
+    return stand.camera.laboratory  # type: ignore[union-attr]
+
+
+def small_focus(stand: Stand) -> Found:
+    return focus_run.focus(stand, (-2.0, -1.0, 0.0, 1.0, 2.0), np.linspace(-0.25, 0.25, 17).tolist())
+
+
+def test_focus_finds_the_line_of_the_optics() -> None:
+    truth = Optics(slope=-39.2, middle=-0.8, seed=3)
+    stand, laboratory = rehearsed(truth=truth)
+    found = small_focus(stand).numbers
+    assert found["slope_mm_dpt"] == pytest.approx(-39.2, rel=0.005)
+    assert found["axis_dpt"] == pytest.approx(-0.8 / 39.2, abs=0.002)
+    assert found["slope_error_mm_dpt"] < 0.1
+    assert not laboratory.box.light and not laboratory.box.armed
+
+
+def test_axis_finds_both_edges_of_the_roller() -> None:
+    truth = Optics(axis=90.7, radius=50.4, shadow=2.0, seed=4)
+    stand, laboratory = rehearsed(truth=truth)
+    found = axis_run.axis(stand).numbers
+    assert found["column"] == pytest.approx(90.7, abs=0.05)
+    assert found["radius_columns"] == pytest.approx(50.4, abs=0.05)
+    assert found["shift_columns"] == pytest.approx(90.7 - 95.5, abs=0.05)
+    assert found["edge_widths"] == pytest.approx([2.0, 2.0], abs=0.2)
+    assert not laboratory.box.light
+
+
+def test_one_edge_wants_a_radius_and_a_coarse_scan_suffices() -> None:
+    stand, _ = rehearsed()
+    with pytest.raises(BadInput, match="one edge"):
+        axis_run.axis(stand, stop=90, every=2)
+    found = axis_run.axis(rehearsed()[0], stop=90, every=2, radius=55.2).numbers
+    assert found["column"] == pytest.approx(98.3, abs=0.1)
+
+
+@pytest.mark.parametrize("camera,tolerance", [(False, 0.001), (True, 0.004)])
+def test_gray_finds_what_turning_mirrors_and_leaks_leave(camera: bool, tolerance: float) -> None:
+    truth = Optics(leak=0.004, turn=9.0)
+    stand, _ = rehearsed(truth=truth)
+    found = gray_run.gray(stand, gray_run.levels(15), camera=camera)
+    light = np.array([truth.gray(level, 3760) for level in found.tables["gray"]["levels"]])
+    measured = np.array(found.tables["gray"]["intensity"])
+    assert np.abs(measured - light / light[-1]).max() < tolerance
+    linear = 0.004 + 0.996 * np.array(found.tables["gray"]["levels"]) / 255.0
+    assert np.abs(light / light[-1] - linear).max() > 2 * tolerance, "the truth is not what nobody need measure"
+    assert abs(found.numbers["drift"][0]) < 0.001
+
+
+def test_gray_of_two_projectors_lights_each_by_its_own_channel() -> None:
+    stand, laboratory = rehearsed(parse_rig(TWO))
+    found = gray_run.gray(stand, gray_run.levels(85))
+    assert set(found.tables) == {"gray", "gray_1"} and len(found.numbers["black"]) == 2
+    lit = {channels for _, _, channels, _ in laboratory.box.intervals}
+    assert lit == {1, 2}
+
+
+def test_mtf_is_that_of_blur_mirrors_and_pixels() -> None:
+    truth = Optics(seed=5)
+    stand, _ = rehearsed(truth=truth)
+    found = mtf_run.mtf(stand)
+    frequency = found.readings["frequency"]
+    assert found.numbers["positions_mm"] == pytest.approx([-15.0, -6.0, 0.0, 6.0, 15.0])
+    for number, place in enumerate(found.numbers["positions_mm"]):
+        wanted = truth.modulation(frequency, place, 0.0, 0.0078)
+        fine = np.linspace(0.0, 60.0, 60001)
+        half = fine[np.argmax(truth.modulation(fine, place, 0.0, 0.0078) < 0.5)]
+        assert found.numbers["mtf50_per_mm"][number] == pytest.approx(half, rel=0.02)
+        assert np.abs(found.readings["modulation"][number] - wanted).max() < 0.04
+
+
+def test_mtf_follows_a_focus_that_was_calibrated(tmp_path: Path) -> None:
+    place = save(small_focus(rehearsed()[0]), tmp_path / "focus", EMULATED)
+    powers = focused_at(place, (-10.0, 10.0))
+    found = mtf_run.mtf(rehearsed()[0], (-10.0, 10.0), powers=powers).numbers
+    assert np.array(found["powers_dpt"]) == pytest.approx(np.array(powers), abs=0.0026), "a lens takes whole codes"
+    assert min(found["mtf50_per_mm"]) > 12.0 and found["blur_mm"][0] == pytest.approx(0.0145, abs=0.001)
+
+
+def test_results_are_read_back(tmp_path: Path) -> None:
+    found = gray_run.gray(rehearsed()[0], gray_run.levels(51))
+    place = save(found, tmp_path / "gray", EMULATED)
+    data = read(place, "gray")
+    assert data["measured"]["black"] == found.numbers["black"]
+    assert data["gray"] == found.tables["gray"]
+    assert GrayCurve.load(place / "result.toml").levels == gray_run.levels(51)
+    with np.load(place / "readings.npz") as arrays:
+        assert np.array_equal(arrays["readings_0"], found.readings["readings_0"])
+    assert (place / "figure.png").read_bytes()[:4] == b"\x89PNG" and (place / "rig.toml").read_text() == EMULATED
+    with pytest.raises(StorageError, match="exists"):
+        save(found, place, EMULATED)
+    with pytest.raises(BadInput, match="wanted one of focus"):
+        read(place, "focus")
+    with pytest.raises(StorageError, match="check the path"):
+        read(tmp_path / "nothing")
+
+
+def test_a_rehearsal_repeats_exactly() -> None:
+    one, two = (gray_run.gray(rehearsed()[0], gray_run.levels(85)).readings["readings_0"] for _ in range(2))
+    assert np.array_equal(one, two)
+
+
+# ---- what cannot be measured is told, and dark ---------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "truth,run,why",
+    [
+        (replace(Optics(), electrons=4e7), small_focus, "saturated"),
+        (replace(Optics(), electrons=0.0), small_focus, "position -2 mm: .*(peak|sharp)"),
+        (replace(Optics(), middle=30.0), small_focus, "position -2 mm"),
+        (replace(Optics(), full=0.01), axis_run.axis, "deeper than the noise"),
+        (replace(Optics(), radius=300.0), axis_run.axis, "deeper than the noise"),
+        (replace(Optics(), full=0.0), lambda stand: gray_run.gray(stand, gray_run.levels(51)), "light the meter"),
+        (replace(Optics(), electrons=0.0), mtf_run.mtf, "position -15 mm: .*wanted an edge"),
+    ],
+)
+def test_too_much_or_too_little_light_is_told_in_the_dark(
+    truth: Optics, run: Callable[[Stand], Found], why: str
+) -> None:
+    stand, laboratory = rehearsed(truth=truth)
+    with pytest.raises(BadInput, match=why):
+        run(stand)
+    assert not laboratory.box.light and not laboratory.box.armed
+
+
+def test_tables_that_are_missing_are_named() -> None:
+    for table, run in (("camera", focus_run), ("camera_stage", mtf_run), ("photodiode", axis_run), ("lens", focus_run)):
+        cut = EMULATED.index(f"[{table}]\n")
+        end = EMULATED.find("\n[", cut)
+        rig = parse_rig(EMULATED[:cut] + (EMULATED[end + 1 :] if end >= 0 else ""))
+        with pytest.raises(JobError, match=rf"no table \[{table}\]"):
+            rehearsal(rig, run.TABLES)
+        with pytest.raises(JobError, match=rf"no table \[{table}\]"):
+            opened(rig, run.TABLES)
+    with pytest.raises(JobError, match="pixel"):
+        mtf_run.mtf(rehearsed(parse_rig(EMULATED.replace('pixel = "7.8 um"\n', "")))[0])
+
+
+def test_real_rigs_open_real_machines_or_none(tmp_path: Path) -> None:
+    text = '[rig]\nname = "bench"\nmachine = "web"\n[controller]\ndriver = "vam-controller"\nport = "/dev/none"\n'
+    text += '[projector]\ndriver = "alp"\nlibrary = "/none.so"\n'
+    camera = '[camera]\ndriver = "genicam"\nproducer = "/none.cti"\n'
+    with pytest.raises(DeviceNotFound, match="/dev/none"):
+        opened(parse_rig(text + camera), ("camera",))
+    with pytest.raises(JobError, match="producer"):
+        parse_rig(text + '[camera]\ndriver = "genicam"\n')
+    with pytest.raises(JobError, match="port"):
+        parse_rig(text + '[photodiode]\ndriver = "scpi"\n')
+    with pytest.raises(JobError, match="some machines are emulated"):
+        parse_rig(text + '[photodiode]\ndriver = "emulated"\n')
+
+
+def test_an_opened_enclosure_ends_it_dark() -> None:
+    stand, laboratory = rehearsed()
+
+    def open_at_half(share: float) -> None:
+        if share >= 0.5:
+            laboratory.box.open_interlock(laboratory.clock.now())
+
+    with pytest.raises(InterlockOpen, match="interlock"):
+        gray_run.gray(stand, gray_run.levels(15), told=open_at_half)
+    assert not laboratory.box.light and not laboratory.box.armed
+
+
+def test_any_exception_is_dark_first() -> None:
+    stand, laboratory = rehearsed()
+
+    def fail(share: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        mtf_run.mtf(stand, (0.0,), told=fail)
+    assert not laboratory.box.light and not laboratory.box.armed
+
+
+def test_a_hang_of_the_camera_leaves_no_light() -> None:
+    stand, laboratory = rehearsed()
+    grab = stand.camera.grab  # type: ignore[union-attr]
+
+    def slow() -> np.ndarray:
+        laboratory.clock.sleep(400_000_000)
+        return grab()
+
+    stand.camera.grab = slow  # type: ignore[union-attr]
+    with pytest.raises(InterlockOpen, match="lease"):
+        mtf_run.mtf(stand, (0.0,))
+    (start, end, *_), *_ = laboratory.box.intervals
+    assert end - start <= 250_000_000 + 50_000_000 and not laboratory.box.light
+
+
+def test_the_stage_moves_in_the_dark_alone() -> None:
+    stand, laboratory = rehearsed()
+    mtf_run.mtf(stand)
+    lit = [(start, end) for start, end, *_ in laboratory.box.intervals]
+    assert len(lit) == 5
+    for start, end in lit:
+        assert laboratory.axis.track.position(start) == laboratory.axis.track.position(end)
+
+
+def test_what_a_rig_cannot_do_is_told() -> None:
+    stand, _ = rehearsed()
+    with pytest.raises(BadInput, match="as the rig says"):
+        focus_run.focus(stand, (0.0, 1.0), (9.0, 9.5))
+    with pytest.raises(BadInput, match="projector 1"):
+        axis_run.axis(stand, projector=1)
+    with pytest.raises(BadInput, match="expose shorter"):
+        mtf_run.mtf(rehearsed(parse_rig(EMULATED.replace("5 ms", "200 ms")))[0])
+
+
+def test_patterns_are_what_they_are_called() -> None:
+    shape = (8, 64)
+    grating = patterns.grating(shape, 10)
+    assert grating[0].tolist() == [bool(column // 10 % 2 == 0) for column in range(64)]
+    assert patterns.line(shape, 5).sum(axis=0).tolist() == [8 * (column == 5) for column in range(64)]
+    edge = patterns.slanted((64, 64), 5.0)
+    assert edge.mean() == pytest.approx(0.5) and edge[0].sum() - edge[-1].sum() == round(63 * np.tan(np.radians(5.0)))
+    assert (patterns.flat(shape, 200) == 200).all()
+    for pattern, value in ((patterns.grating, 40), (patterns.line, 64), (patterns.flat, 256), (patterns.slanted, 0)):
+        with pytest.raises(BadInput, match="wanted"):
+            pattern(shape, value)
+
+
+# ---- from the command line -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["focus", "--reach", "1", "--powers", "17", "--low=-0.2", "--high", "0.2"],
+        ["axis", "--every", "2"],
+        ["gray", "--every", "51"],
+        ["mtf", "--at=-6", "--at", "6", "--repeats", "1"],
+    ],
+)
+def test_the_commands_measure_and_tell(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / words[0]
+    assert main(["calibrate", *words, "--rig", "emulated", "--out", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "emulated" in told and str(out) in told
+    result = tomllib.loads((out / "result.toml").read_text())
+    assert result["calibration"] == words[0] and result["emulated"] and result["measured"]
+    assert main(["calibrate", *words, "--rig", "emulated", "--out", str(out)]) == 1
+    assert "exists" in capsys.readouterr().err
+
+
+def test_the_commands_tell_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = tmp_path / "lab.toml"
+    rig.write_text(EMULATED[: EMULATED.index("[photodiode]")])
+    assert main(["calibrate", "axis", "--rig", str(rig), "--out", str(tmp_path / "axis")]) == 1
+    assert "[photodiode]" in capsys.readouterr().err and not (tmp_path / "axis").exists()
