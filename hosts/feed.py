@@ -63,7 +63,7 @@ class Feed:
         if order.size and not NONE <= order.min() <= order.max() < source.frames:
             raise BadInput(f"order asks for frames {order.min()} to {order.max()}; the source has {source.frames}")
         self._source, self._order, self._sink, self._clock = source, order, sink, clock
-        device = getattr(getattr(source, "_frames", None), "device", None)
+        device = getattr(source, "device", None)
         self.ring = Ring(buffers(depth, (batch, *source.shape), device))
         self.batch, self.uploaded, self.made = batch, 0, 0
         self.sent = np.zeros(len(order), np.int64)
