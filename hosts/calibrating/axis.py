@@ -33,9 +33,13 @@ def axis(
     Raises `JobError` for a rig without photodiode, `BadInput` for a scan without edges, `InterlockOpen`.
     """
     screen = stand.screen(projector)
-    columns = np.arange(first, screen.shape[1] if stop is None else stop)[::every]
-    if every < 1 or repeats < 1 or not columns.size:
-        raise BadInput(f"a scan of {columns.size} columns, {repeats} readings each; wanted 1 or more of both")
+    last = screen.shape[1] if stop is None else stop
+    if every < 1 or repeats < 1 or not 0 <= first < last <= screen.shape[1]:
+        raise BadInput(
+            f"a scan of columns {first} to {last}, every {every}, {repeats} readings each; wanted columns within "
+            f"0 to {screen.shape[1]}, and 1 or more of both others"
+        )
+    columns = np.arange(first, last, every)
     read = np.empty((columns.size, repeats))
     with HeldLight(stand, projector) as light:
         dark = stand.read(light, DARK)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vamgpu.calibration.focus import FocusLine, Peak, fit_peak, focus_line, tenengrad
+from vamgpu.calibration.focus import LEAST_POWERS, FocusLine, Peak, fit_peak, focus_line, tenengrad
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrating import patterns
 from vamgpu.hosts.calibrating.light import HeldLight
@@ -25,6 +25,13 @@ def steps(reach: float, step: float) -> tuple[float, ...]:
         raise BadInput(f"steps of {step:g} mm from {-reach:g} to {reach:g} mm; wanted a step > 0, and two or more")
     count = int(reach / step + 1e-9)
     return tuple(round(step * number, 9) for number in range(-count, count + 1))
+
+
+def sweep(low: float, high: float, count: int) -> tuple[float, ...]:
+    """Lens powers [dpt] from low to high, evenly."""
+    if not (low < high and count >= LEAST_POWERS):
+        raise BadInput(f"{count} powers from {low:g} to {high:g} dpt; wanted {LEAST_POWERS} or more, rising")
+    return tuple(np.linspace(low, high, count).tolist())
 
 
 def focus(
@@ -47,7 +54,7 @@ def focus(
             place = stand.move(position)
             light.on()
             screen.show(picture)
-            rows.append((place, *_sweep(stand, powers, light)))
+            rows.append((place, *_swept(stand, powers, light)))
             try:
                 peaks.append(fit_peak(*rows[-1][1:3]))
             except BadInput as error:
@@ -57,7 +64,7 @@ def focus(
     return _found(peaks, {name: np.array(part) for name, part in zip(names, zip(*rows, strict=True), strict=True)})
 
 
-def _sweep(stand: Stand, powers: Sequence[float], light: HeldLight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _swept(stand: Stand, powers: Sequence[float], light: HeldLight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Powers that the lens took [dpt], how sharp the pictures were, and the sharpest."""
     true, sharp, best = [], [], np.zeros((0, 0))
     for power in powers:

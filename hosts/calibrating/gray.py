@@ -39,6 +39,8 @@ def gray(
     Raises `JobError` for a rig without photodiode or camera, `BadInput` for too little light or light that saturates,
     `InterlockOpen`.
     """
+    if repeats < 2:
+        raise BadInput(f"{repeats} readings of each level; wanted 2 or more, which tell their error")
     curves, readings = [], {"levels": np.asarray(steps)}
     for projector in range(len(stand.screens)):
         part = lambda share, number=projector: told((number + share) / len(stand.screens))  # noqa: E731

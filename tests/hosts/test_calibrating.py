@@ -22,7 +22,15 @@ from vamgpu.hosts.calibrating.machines import opened, rehearsal
 from vamgpu.hosts.calibrating.report import Found, focused_at, read, save
 from vamgpu.hosts.calibrating.stand import Stand
 from vamgpu.hosts.config import EMULATED, RigConfig, parse_rig, read_rig
+from vamgpu.hosts.emulators.array import ArrayModel, Stored
+from vamgpu.hosts.emulators.clock import VirtualClock
+from vamgpu.hosts.emulators.controller import EmulatedController
+from vamgpu.hosts.emulators.dmd import FakeAlp
+from vamgpu.hosts.emulators.instruments import EmulatedMeter
+from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.optics import Optics
+from vamgpu.hosts.emulators.servers import PtyServer, TcpServer
+from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.interlock import InterlockOpen
 from vamgpu.printing.gray import GrayCurve
 
@@ -40,7 +48,7 @@ def laboratory_of(stand: Stand) -> Any:
 
 
 def small_focus(stand: Stand) -> Found:
-    return focus_run.focus(stand, (-2.0, -1.0, 0.0, 1.0, 2.0), np.linspace(-0.25, 0.25, 17).tolist())
+    return focus_run.focus(stand, focus_run.steps(2.0, 1.0), focus_run.sweep(-0.25, 0.25, 17))
 
 
 def test_focus_finds_the_line_of_the_optics() -> None:
@@ -187,6 +195,41 @@ def test_real_rigs_open_real_machines_or_none(tmp_path: Path) -> None:
         parse_rig(text + '[photodiode]\ndriver = "emulated"\n')
 
 
+def test_opened_machines_measure_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that is not mirrors is behind a true port, and time is the computer's."""
+    array = ArrayModel(height=8, width=64)
+    alp, box, glass, axis = FakeAlp(VirtualClock(), array), EmulatedController(), EmulatedLens(), EmulatedStage()
+    shown: list[int] = []
+    put = alp._planes
+
+    def kept(data: np.ndarray, stored: Stored) -> np.ndarray:
+        planes = put(data, stored)
+        shown.append(int(np.packbits(planes[:, 0, 0] >> 7)[0]))
+        return planes
+
+    alp._planes = kept
+    meter = EmulatedMeter(lambda now: 0.1 + bool(box.light) * (shown[-1] if shown else 0) / 255.0, 0.0005)
+    monkeypatch.setattr("vamgpu.hosts.drivers.alp.load", lambda path: alp.library)
+    with PtyServer(box) as a, PtyServer(glass) as b, TcpServer(axis) as c, PtyServer(meter) as d:
+        text = f"""
+[rig]\nname = "bench"\nmachine = "web"
+[controller]\ndriver = "vam-controller"\nport = "{a.url}"
+[projector]\ndriver = "alp"\nlibrary = "there.so"\nsize = [8, 64]
+[lens]\ndriver = "optotune"\nport = "{b.url}"
+[camera_stage]\ndriver = "zaber"\nport = "{c.url}"\nmicrosteps = 5000.0\nmiddle = "1 mm"\nspeed = "20 mm/s"
+[photodiode]\ndriver = "scpi"\nport = "{d.url}"\nwavelength = 405.0\naverage = 3\nsettle = "10 ms"
+"""
+        stand = opened(parse_rig(text), ("lens", "camera_stage", "photodiode"))
+        try:
+            assert stand.move(0.25) == 0.25
+            found = gray_run.gray(stand, gray_run.levels(51), repeats=2)
+        finally:
+            stand.close()
+    assert np.array(found.tables["gray"]["intensity"]) == pytest.approx(np.arange(0, 256, 51) / 255.0, abs=0.01)
+    assert meter.wavelength == 405.0 and meter.count == 3 and glass.mode == 5
+    assert not box.light and not box.armed and not alp.allocated
+
+
 def test_an_opened_enclosure_ends_it_dark() -> None:
     stand, laboratory = rehearsed()
 
@@ -240,6 +283,15 @@ def test_what_a_rig_cannot_do_is_told() -> None:
         focus_run.focus(stand, (0.0, 1.0), (9.0, 9.5))
     with pytest.raises(BadInput, match="projector 1"):
         axis_run.axis(stand, projector=1)
+    scan: dict[str, Any]
+    for scan in ({"every": 0}, {"repeats": 0}, {"first": 9, "stop": 9}, {"stop": 4000}):
+        with pytest.raises(BadInput, match="a scan of columns"):
+            axis_run.axis(stand, **scan)
+    with pytest.raises(BadInput, match="2 or more"):
+        gray_run.gray(stand, gray_run.levels(85), repeats=1)
+    for wrong in (lambda: gray_run.levels(0), lambda: focus_run.steps(1.0, 0.0), lambda: focus_run.sweep(1.0, 0.0, 9)):
+        with pytest.raises(BadInput, match="wanted"):
+            wrong()
     with pytest.raises(BadInput, match="expose shorter"):
         mtf_run.mtf(rehearsed(parse_rig(EMULATED.replace("5 ms", "200 ms")))[0])
 

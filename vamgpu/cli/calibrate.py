@@ -41,13 +41,11 @@ def focus(
         half_period: of the grating [mirrors]
         projector: which one, from 0
     """
-    import numpy as np
+    from vamgpu.hosts.calibrating.focus import TABLES, focus, steps, sweep
 
-    from vamgpu.hosts.calibrating.focus import TABLES, focus, steps
-
-    places, sweep = steps(reach, step), np.linspace(low, high, powers).tolist()
+    places, stepped = steps(reach, step), sweep(low, high, powers)
     _run(rig, TABLES, out, settings, overwrite, lambda stand, told: focus(
-        stand, places, sweep, half_period=half_period, projector=projector, told=told))  # fmt: skip
+        stand, places, stepped, half_period=half_period, projector=projector, told=told))  # fmt: skip
 
 
 @group.command
