@@ -52,8 +52,8 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
         raise BadInput(f"{str(path)!r} has shown nothing; begin it anew in another folder")
     if "preroll" not in leg:
         raise BadInput(
-            f"{str(path)!r} was printed on a screen: nobody knows what that showed until the light went off; begin anew "
-            "with fresh resin"
+            f"{str(path)!r} was printed on a screen: nobody knows what that showed until the light went off; begin "
+            "anew with fresh resin"
         )
     rest = round((time.time() - run.events[-1]["wall"]) * SECOND)
     may_resume(rest, limits)
