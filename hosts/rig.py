@@ -17,7 +17,7 @@ from vamgpu.hosts.opening import close, opened
 from vamgpu.hosts.planning import Plan, plan
 from vamgpu.hosts.player import Player
 from vamgpu.hosts.preflight import Judged, fits, judged
-from vamgpu.hosts.record import RunFolder
+from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.run import Limits, Print
 from vamgpu.hosts.spinning import SpinningPlayer
 from vamgpu.hosts.state import State
@@ -142,21 +142,40 @@ def carry_out(
 
     found: by `check`, which is run where it is missing.  resume: go on with the print that a host left in the folder.
     """
-    from vamgpu.hosts.resume import interrupted
-
-    left = interrupted(folder, machines.controller, planned.schedule, limits(planned.rig)) if resume else None
+    left = _left(planned, machines, folder) if resume else None
     playing = player(planned, machines, found, None if left is None else left.origin)
+    if left is not None and isinstance(playing, TriggeredPlayer):
+        playing.recall(left.lost)
     with _folder(planned, folder, left) as record:
         job = Print(playing, record, limits=limits(planned.rig), board=board, power=planned.rig.wanted.light.power)
         return job.run(None if left is None else left.first), job
 
 
-def _folder(planned: Plan, folder: str | Path, left: Interrupted | None) -> RunFolder:
-    if left is not None:
-        record = RunFolder.again(folder)
-        left.take_up(record, planned.schedule)
-        return record
+def _asked(planned: Plan) -> dict[str, Any]:
     table, jobs = planned.schedule, [each.path for each in planned.works]
-    asked = {"jobs": jobs, "kind": planned.kind, "rig": planned.rig.source, "slots": len(table), "unit": table.unit,
-             "speed": float(table.speed)}  # fmt: skip
-    return RunFolder.begin(folder, asked, planned.rig.text)
+    return {"jobs": jobs, "kind": planned.kind, "rig": planned.rig.source, "slots": len(table), "unit": table.unit,
+            "speed": float(table.speed)}  # fmt: skip
+
+
+def _left(planned: Plan, machines: Machines | VideoMachines, folder: str | Path) -> Interrupted:
+    """What a host left in a folder, of the same print. Raises `BadInput`, `StorageError`."""
+    from vamgpu.hosts.resume import interrupted
+
+    if isinstance(machines, VideoMachines):
+        raise BadInput(
+            "a video projector went on with its last picture while the vial turned, until the lease was over: this "
+            "print cannot be gone on with; begin it anew with fresh resin"
+        )
+    asked, wanted = read_run(folder).asked, _asked(planned)
+    if different := [name for name in ("kind", "slots", "speed") if asked.get(name) != wanted[name]]:
+        told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
+        raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
+    return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))
+
+
+def _folder(planned: Plan, folder: str | Path, left: Interrupted | None) -> RunFolder:
+    if left is None:
+        return RunFolder.begin(folder, _asked(planned), planned.rig.text)
+    record = RunFolder.again(folder)
+    left.take_up(record, planned.schedule)
+    return record

@@ -16,12 +16,14 @@ from vamgpu.curethrough.output import RECORD
 from vamgpu.errors import BadInput, JobError, SliceError, StorageError, TimingInfeasible, VamError
 from vamgpu.hosts.config import RigConfig, parse_rig, read_rig
 from vamgpu.hosts.planning import Plan, plan
-from vamgpu.hosts.record import read_run
-from vamgpu.hosts.rig import Rehearsal, carry_out, rehearsal
+from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.rig import EMULATED_STEPS, Rehearsal, carry_out, player, rehearsal
+from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedule import NONE
 from vamgpu.hosts.sources import RunSource
 from vamgpu.hosts.state import State
 from vamgpu.hosts.stream import Mirrors, PackedSource, WebPictures, source
+from vamgpu.hosts.timing import SECOND
 from vamgpu.hosts.turning import STEP
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
@@ -210,6 +212,29 @@ def test_a_vial_before_a_video_projector(tmp_path: Path) -> None:
 
 def test_one_bit(tmp_path: Path) -> None:
     rehearsed(tmp_path / "run", plan(vial(tmp_path / "part.vam", bits=1), read_rig("emulated")))
+
+
+def test_another_host_goes_on_where_one_died(tmp_path: Path) -> None:
+    planned, place = plan(web(tmp_path / "web.vam"), read_rig("emulated"), speed=0.8), tmp_path / "run"
+    stand = rehearsal(planned)
+    with RunFolder.begin(place, {"kind": "web", "slots": 270, "speed": float(planned.schedule.speed)}, "") as folder:
+        begun = Print(player(planned, stand.machines), folder)
+        begun.guard.__enter__()
+        begun.begin(0)
+        while begun.next < 40:
+            begun.player.wait()
+            assert begun.step()
+        begun.guard._release_process()  # the host is gone: nobody leaves the guard
+    stand.bench.clock.sleep(SECOND)
+    stand.bench.alps[0].forsake()
+    again = stand.bench.machines(EMULATED_STEPS / float(planned.schedule.advance))
+    other = plan(tmp_path / "web.vam", read_rig("emulated"), speed=0.7)
+    with pytest.raises(BadInput, match="another print, with speed"):
+        carry_out(other, again, place, resume=True)
+    assert carry_out(planned, again, place, resume=True)[0] is State.COMPLETE
+    assert read_run(place).shown["slot"].tolist() == list(range(270))
+    verdict = stand.witness.verdict()
+    assert verdict.pictures == 270 and verdict.beside < 1e-9, "every picture through its own focus"
 
 
 def lab(text: str = ALP, **changes: str) -> RigConfig:
