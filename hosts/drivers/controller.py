@@ -63,7 +63,7 @@ class Controller:
         try:
             words = self.ask("hello")
             name, version, capacity, longest, channels = words[0], int(words[1]), *(int(word) for word in words[2:5])
-        except (DeviceLost, ProtocolError, ValueError, IndexError) as error:
+        except (DeviceLost, DeviceRefused, ProtocolError, ValueError, IndexError) as error:
             raise WrongDevice(f"{self._wire.name} does not answer as one: {error}") from error
         if name != protocol.NAME or version != protocol.VERSION:
             raise WrongDevice(

@@ -33,7 +33,7 @@ class Instrument:
             identity = self.ask("*IDN?")
         except (DeviceLost, ProtocolError) as error:
             raise WrongDevice(f"{self._wire.name} does not say what it is: {error}") from error
-        if not identity.isascii() or not identity.isprintable() or identity.count(",") < 2:
+        if not identity.isascii() or not identity.isprintable() or identity.count(",") not in (2, 3):
             raise WrongDevice(f"{identity!r} answers at {self._wire.name}, which is no instrument; check the port")
         return identity
 

@@ -104,6 +104,19 @@ def test_rows_by_steps_follow_the_web_wherever_it_is() -> None:
     assert host.triggers[0] == pytest.approx(np.sqrt(0.2) * SECOND, abs=2000)
 
 
+def test_a_web_that_slips_forward_acts_its_rows_at_once() -> None:
+    host = _Host()
+    host.ready()
+    host.ask("mode steps")
+    for i in range(3):
+        host.ask(f"row {i} {100 * (i + 1)} - 0 1000 1")
+    host.ask("go")
+    host.clock.sleep(10 * MILLI)
+    host.machine.web.set_position(host.clock.now(), 250.0)
+    host.clock.sleep(10 * MILLI)
+    assert host.triggers == [10 * MILLI, 10 * MILLI + 50_000], "triggers are told apart"
+
+
 def test_a_row_that_comes_late_stays_dark() -> None:
     host = _Host()
     host.ready()

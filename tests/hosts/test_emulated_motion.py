@@ -76,6 +76,37 @@ def test_the_time_a_target_is_reached_is_the_first(target: float, speed: float) 
     assert track.position(at) >= target - 1e-5 * speed and track.position(at - 1000) < target
 
 
+@settings(max_examples=100, deadline=None)
+@given(st.floats(-200, 400), st.floats(-900, 900), st.floats(1, 400), st.integers(1, 900), st.integers(0, 2))
+def test_an_axis_that_is_called_elsewhere_still_reaches_its_targets(
+    position: float, speed: float, target: float, at_ms: int, kind: int
+) -> None:
+    track = Track(acceleration=800.0)
+    if kind:
+        track.run(MILLI, speed)
+    if kind == 2:
+        track.go(500 * MILLI, 2 * target, 300.0)
+    before = [track.velocity(t * MILLI) for t in range(at_ms, 9000, 50)]
+    track.set_position(at_ms * MILLI, position)
+    after = [track.velocity(t * MILLI) for t in range(at_ms, 9000, 50)]
+    assert after == pytest.approx(before, abs=1e-6), "its motion stays"
+    times = np.arange(0, 9 * SECOND, MILLI)
+    there = np.array([track.position(int(t)) for t in times]) >= target
+    found = track.reaches(target, 0)
+    if there.any():
+        assert found is not None and times[there.argmax()] - MILLI <= found <= times[there.argmax()]
+        assert track.position(found) >= target - 1e-5 * max(abs(speed), 300.0)
+
+
+def test_a_jump_over_a_target_reaches_it_at_rest() -> None:
+    track = Track(acceleration=800.0)
+    track.set_position(SECOND, 100.0)
+    assert track.reaches(50.0, 0) == SECOND
+    assert track.reaches(150.0, 0) is None
+    track.set_position(2 * SECOND, 0.0)
+    assert track.reaches(50.0, 3 * SECOND) is None
+
+
 def test_the_stage_moves_as_it_says() -> None:
     stage = EmulatedStage(limit=100_000, acceleration=100_000.0)
     stage.receive(b"/1 1 set maxspeed 16384\n/1 1 move abs 20000\n/1 1 move abs 200000\n/1 1 nonsense\n", 0)

@@ -47,8 +47,10 @@ def test_the_lens_is_held_to_its_firmware_and_mode() -> None:
     with pytest.raises(BadInput, match="wears"):
         driver.ask(ld4.set_full_current(200.0))
     blind = TunableLens(_wire(EmulatedLens(sensor=False), clock))
-    with pytest.raises(DeviceRefused, match="not compatible"):
+    with pytest.raises(DeviceRefused, match="lens or sensor missing"):
         blind.focal_power_mode()
+    with pytest.raises(DeviceRefused, match="not compatible"):
+        blind.ask(ld4.set_mode(ld4.Mode.FOCAL_POWER))
     with pytest.raises(DeviceRefused, match="sensor"):
         blind.temperature()
 
@@ -74,6 +76,20 @@ def test_faults_on_the_lens_line() -> None:
     port.unplug()
     with pytest.raises(DeviceLost, match="gone"):
         driver.set_power(1.0)
+
+
+@pytest.mark.parametrize(("legacy", "code"), [(False, "E1"), (True, "N")])
+def test_a_setting_that_was_damaged_is_told_when_the_stream_ends(legacy: bool, code: str) -> None:
+    clock, faults = VirtualClock(), Faults()
+    lens = EmulatedLens(legacy=legacy)
+    driver = TunableLens(_wire(lens, clock, faults))
+    driver.focal_power_mode()
+    faults.flip_in = frozenset({faults._count["in"] + 14})
+    with pytest.raises(DeviceRefused) as refused, driver.streaming():
+        for diopters in (0.0, 1.0, 2.0):
+            driver.set_power(diopters)
+            clock.sleep(50 * MILLI)
+    assert refused.value.code == code and lens.settings == 2 and driver.power() == 2.0
 
 
 def test_the_lens_settles_on_the_virtual_clock() -> None:

@@ -80,6 +80,14 @@ def test_golden_replies() -> None:
         ld4.parse(ld4.GET_STATUS, b"N\r\n")
 
 
+@pytest.mark.parametrize("number", [1, 2, 3, 4, 9])
+def test_every_refusal_has_its_number_and_what_to_do(number: int) -> None:
+    body = b"E" + bytes((number,))
+    with pytest.raises(DeviceRefused, match=ld4.REFUSALS.get(number, "reason 9")) as refused:
+        ld4.parse(ld4.GET_STATUS, body + check_sum(body).to_bytes(2, "little") + b"\r\n")
+    assert refused.value.code == f"E{number}"
+
+
 @given(st.binary(max_size=14))
 def test_garbage_is_no_reply(garbage: bytes) -> None:
     with pytest.raises((ProtocolError, DeviceRefused)):
