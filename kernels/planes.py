@@ -30,6 +30,22 @@ def put(whole: np.ndarray, part: np.ndarray, top: int, left: int) -> None:
     room[...] = part[: room.shape[0], : room.shape[1]]
 
 
+def strips_for(rows: int, width: int, gpu: bool) -> int:
+    """Into how many strips a picture of planes with so many rows and bytes in a row is best cut."""
+    blocks = 8 * width // BLOCK
+    return max(blocks * -(-rows // 8), 1) if gpu else min(128, rows)
+
+
+def strips_of(rows: int, width: int, strips: int) -> np.ndarray:
+    """The strip of every block, [row, block]."""
+    blocks = 8 * width // BLOCK
+    row, block = np.indices((rows, blocks))
+    if strips > rows and strips % blocks == 0:
+        band = -(-rows // (strips // blocks))
+        return row // band * blocks + block
+    return (row * blocks + block) // (8 * -(-rows * blocks // (8 * strips)))
+
+
 @kernel(over="sent", gpu=Tiling(group=(128, 1)))
 def split_planes(
     images: Images, masks: Masks, chosen: Chosen, top: Integer, left: Integer, packed: Packed, sent: Sent
@@ -37,20 +53,20 @@ def split_planes(
     """packed = the bit planes of the 8-bit pictures images[angle] & masks[bin], (angle, bin) = chosen[picture].
 
     top, left: rows and columns of mirrors before the first of the picture, ≥ 0; all around it is dark.  sent: sum of
-    the levels in each strip; strips are equal runs of blocks of 64 columns, row by row, the last one cut.  width: a
-    multiple of 8.
+    the levels in each strip. Strips are equal runs of blocks of 64 columns, row by row, of a multiple of eight; where
+    there are more of them than rows, and a multiple of the blocks of a row, equal bands of rows are cut into blocks.
+    width: a multiple of 8.
     """
     pictures, _, rows, width = packed.shape
     strips = sent.shape[1]
-    blocks = rows * width // 8
-    strip = np.arange(blocks) // -(-blocks // strips)
+    strip = strips_of(rows, width, strips).ravel()
     for picture in range(pictures):
         angle, focus = chosen[picture]
         levels = np.zeros((rows, 8 * width), np.uint8)
         put(levels, images[angle] & masks[focus], top, left)
         for plane in range(8):
             packed[picture, plane] = np.packbits((levels >> (7 - plane)) & 1, axis=-1)
-        sums = levels.reshape(blocks, BLOCK).sum(axis=1, dtype=np.int64)
+        sums = levels.reshape(-1, BLOCK).sum(axis=1, dtype=np.int64)
         sent[picture] = np.bincount(strip, sums, minlength=strips).astype(sent.dtype)
 
 

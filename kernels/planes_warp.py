@@ -6,16 +6,49 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+Eight = wp.types.vector(length=8, dtype=wp.uint64)
+
 
 @wp.func
 def turn_bits(x: wp.uint64):
-    """8 × 8 bits turned about their diagonal."""
-    t = (x ^ (x >> wp.uint64(7))) & wp.uint64(0x00AA00AA00AA00AA)
-    x = x ^ t ^ (t << wp.uint64(7))
-    t = (x ^ (x >> wp.uint64(14))) & wp.uint64(0x0000CCCC0000CCCC)
-    x = x ^ t ^ (t << wp.uint64(14))
-    t = (x ^ (x >> wp.uint64(28))) & wp.uint64(0x00000000F0F0F0F0)
-    return x ^ t ^ (t << wp.uint64(28))
+    """8 × 8 bits turned about the diagonal from the lowest byte's highest bit."""
+    t = (x ^ (x << wp.uint64(36))) & wp.uint64(0xF0F0F0F000000000)
+    x = x ^ t ^ (t >> wp.uint64(36))
+    t = (x ^ (x << wp.uint64(18))) & wp.uint64(0xCCCC0000CCCC0000)
+    x = x ^ t ^ (t >> wp.uint64(18))
+    t = (x ^ (x << wp.uint64(9))) & wp.uint64(0xAA00AA00AA00AA00)
+    return x ^ t ^ (t >> wp.uint64(9))
+
+
+@wp.func
+def word_of(
+    images: wp.array3d(dtype=wp.uint8), masks: wp.array2d(dtype=wp.uint8), angle: int, focus: int, row: int, column: int
+):
+    """Eight columns from one on, cut by the mask, the leftmost in the lowest byte; 0 outside the picture."""
+    n_line = images.shape[1]
+    n_byte = images.shape[2]
+    bits = wp.uint64(0)
+    if row < 0 or row >= n_line or column <= -8 or column >= n_byte:
+        return bits
+    places = (images.ptr | masks.ptr | wp.uint64(n_byte) | wp.uint64(column)) & wp.uint64(7)
+    if column >= 0 and column + 8 <= n_byte and places == wp.uint64(0):
+        across = n_byte // 8
+        levels = wp.array(ptr=images.ptr, shape=(images.shape[0] * n_line * across,), dtype=wp.uint64)
+        cut = wp.array(ptr=masks.ptr, shape=(masks.shape[0] * across,), dtype=wp.uint64)
+        return levels[(angle * n_line + row) * across + column // 8] & cut[focus * across + column // 8]
+    for k in range(8):
+        if column + k >= 0 and column + k < n_byte:
+            level = images[angle, row, column + k] & masks[focus, column + k]
+            bits = bits | (wp.uint64(level) << wp.uint64(8 * k))
+    return bits
+
+
+@wp.func
+def sum_of(x: wp.uint64):
+    """Of the bytes of a word."""
+    low = wp.uint64(0x00FF00FF00FF00FF)
+    pairs = (x & low) + ((x >> wp.uint64(8)) & low)
+    return int((pairs * wp.uint64(0x0001000100010001)) >> wp.uint64(48))
 
 
 @wp.kernel
@@ -39,24 +72,31 @@ def split_planes(
     picture, strip = wp.tid()
     across = n_width // 8
     blocks = n_row * across
-    run = (blocks + n_strip - 1) // n_strip
-    angle = chosen[picture, 0]
-    focus = chosen[picture, 1]
+    run = (blocks + 8 * n_strip - 1) // (8 * n_strip) * 8
+    begin = strip * run
+    end = begin + run
+    step = int(1)
+    if n_strip > n_row and n_strip % across == 0:  # neighbors read and write side by side
+        bands = n_strip // across
+        run = (n_row + bands - 1) // bands * across
+        begin = strip // across * run + strip % across
+        end = (strip // across + 1) * run
+        step = across
+    out = wp.array(ptr=packed.ptr, shape=(n_picture * 8 * blocks,), dtype=wp.uint64)
     total = int(0)
-    for word in range(8 * wp.min(strip * run, blocks), 8 * wp.min((strip + 1) * run, blocks)):
-        row = word // n_width - top
-        byte = word % n_width
-        bits = wp.uint64(0)
+    for b in range(begin, wp.min(end, blocks), step):
+        row = b // across - top
+        column = 64 * (b % across) - left
+        planes = Eight()
         for k in range(8):
-            column = 8 * byte + k - left
-            bits = bits << wp.uint64(8)
-            if row >= 0 and row < n_line and column >= 0 and column < n_byte:
-                level = images[angle, row, column] & masks[focus, column]
-                total += int(level)
-                bits = bits | wp.uint64(level)
-        bits = turn_bits(bits)
+            word = word_of(images, masks, chosen[picture, 0], chosen[picture, 1], row, column + 8 * k)
+            total += sum_of(word)
+            bits = turn_bits(word)
+            for plane in range(8):
+                byte = (bits >> wp.uint64(8 * plane)) & wp.uint64(255)
+                planes[plane] = planes[plane] | (byte << wp.uint64(8 * k))
         for plane in range(8):
-            packed[picture, 7 - plane, row + top, byte] = wp.uint8((bits >> wp.uint64(8 * plane)) & wp.uint64(255))
+            out[(picture * 8 + plane) * blocks + b] = planes[plane]
     sent[picture, strip] = total
 
 

@@ -246,14 +246,15 @@ def _bits(n: int) -> Example:
 
 
 def _planes(n: int, bits: int = 8) -> Example:
+    """Pictures off the middle of larger mirrors; an odd n has more strips than rows."""
     rng = np.random.default_rng(5)
+    columns = 3 * n + 5
     chosen = np.stack([np.arange(6) % 4, np.arange(6) % 3], axis=1)
-    given = {"masks": 255 * rng.integers(0, 2, (3, n + 5)), "chosen": chosen, "top": 2, "left": 3,
-             "images": rng.integers(0, 256, (4, n, n + 5))}  # fmt: skip
-    width = 8 * -(-(n + 5) // 64) if bits == 8 else n + 9
-    return Example(
-        {"angle": 4, "line": n, "byte": n + 5, "bin": 3, "picture": 6, "row": n + 3, "width": width, "strip": n}, given
-    )
+    given = {"masks": 255 * rng.integers(0, 2, (3, columns)), "chosen": chosen, "top": 2, "left": 3,
+             "images": rng.integers(0, 256, (4, n, columns))}  # fmt: skip
+    width = 8 * -(-(columns + 3) // 64) if bits == 8 else columns + 4
+    sizes = {"angle": 4, "line": n, "byte": columns, "bin": 3, "picture": 6, "row": n + 3, "width": width}
+    return Example({**sizes, "strip": width // 8 * (n + 3) if n % 2 and bits == 8 else n}, given)
 
 
 def _rebinned(n: int) -> Example:
