@@ -61,10 +61,13 @@ class Mirrors:
     def packed(self, levels: np.ndarray, bits: int) -> np.ndarray:
         """Levels, uint8 [picture, row, column], as bit planes in the middle of the mirrors."""
         down, across = self.place(*levels.shape[1:])
-        full = np.zeros((len(levels), self.rows, 8 * self.row_bytes), np.uint8)
-        full[:, down, across] = levels
-        shifts = np.arange(bits - 1, -1, -1, dtype=np.uint8)[:, None, None]
-        return np.packbits((full[:, None] >> shifts) & 1, axis=-1)
+        full = np.zeros((self.rows, 8 * self.row_bytes), np.uint8)
+        planes = np.empty((len(levels), bits, self.rows, self.row_bytes), np.uint8)
+        for picture, packed in zip(levels, planes, strict=True):  # one by one, where caches hold them
+            full[down, across] = picture
+            for plane in range(bits):
+                packed[plane] = np.packbits((full >> (bits - 1 - plane)) & 1, axis=-1)
+        return planes
 
 
 class PackedSource:
