@@ -18,18 +18,11 @@ from vamgpu.hosts.drivers.lens import TunableLens
 from vamgpu.hosts.drivers.projector import PygletWindow
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.standa import StandaStage
-from vamgpu.hosts.drivers.wire import Wire, open_wire
+from vamgpu.hosts.drivers.wire import open_wire
 from vamgpu.hosts.drivers.zaber import ZaberStage
-from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.line import Faults, LineMachine
-from vamgpu.hosts.emulators.ports import plug
 from vamgpu.hosts.emulators.servers import PtyServer, TcpServer
-
-
-def _wire(machine: LineMachine, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
-    return Wire(plug(machine, clock, timeout_s, faults=faults), "the machine")
 
 
 def test_a_missing_machine_is_an_error_that_says_what_to_check() -> None:

@@ -8,14 +8,26 @@ import shutil
 import subprocess
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from vamgpu import hosts
+from vamgpu.errors import DeviceRefused
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.wire import Wire
+from vamgpu.hosts.emulators.clock import VirtualClock
+from vamgpu.hosts.emulators.controller import EmulatedController
+from vamgpu.hosts.emulators.line import Faults
+from vamgpu.hosts.emulators.ports import plug
+from vamgpu.hosts.protocols.controller import Status
 
+TURN = 30_000
+"""The sketch looks at the line, the rows and the light once a turn of 10 us, and acts on them in turns of their own."""
 HERE = Path(__file__).parent
-MICRO = 1000
+MICRO, MILLI, SECOND = 1000, 1_000_000, 1_000_000_000
 POLL_NS, REST_NS = 100 * MICRO, 5000 * MICRO
 GATES, DRIVES, TRIGGER, STEP = (2, 3), (4, 5), 6, 7
 ANALOG, HOST_BYTE, LENS_BYTE = 1000, 2000, 2001
@@ -23,6 +35,23 @@ ANALOG, HOST_BYTE, LENS_BYTE = 1000, 2000, 2001
 
 class _Event(ctypes.Structure):
     _fields_ = [("at_us", ctypes.c_int64), ("kind", ctypes.c_int32), ("value", ctypes.c_int32)]
+
+
+def settled(changes: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Changes of the light without those that last less than a turn."""
+    kept: list[tuple[int, int]] = []
+    for channels, at in changes:
+        if kept and at - kept[-1][1] < TURN:
+            at = kept.pop()[1]
+        if channels != (kept[-1][0] if kept else 0):
+            kept.append((channels, at))
+    return kept
+
+
+def close(found: Any, wanted: Any, within: int = TURN) -> None:
+    """The same things, at times no further apart."""
+    assert [what for what, _ in found] == [what for what, _ in wanted]
+    assert all(abs(a - b) <= within for (_, a), (_, b) in zip(found, wanted, strict=True)), (found, wanted)
 
 
 class Board:
@@ -98,6 +127,11 @@ class Board:
         """Soon, while it has been asked; at times otherwise, for it keeps its own time."""
         return self._now + (POLL_NS if self._asked else REST_NS)
 
+    def did_as(self, lights: list[tuple[int, int]], triggers: list[int], within: int = TURN) -> None:
+        """Assert that light and trigger acted as another machine's."""
+        close(settled(self.lights), settled(lights), within)
+        close([(0, at) for at in self.triggers], [(0, at) for at in triggers], within)
+
     def open_interlock(self, now: int) -> None:
         """Somebody opens the enclosure."""
         self.advance(now)
@@ -108,6 +142,66 @@ class Board:
         import _ctypes
 
         _ctypes.dlclose(self._library._handle)
+
+
+@dataclass
+class Bench:
+    """A machine, the driver and what was seen of both."""
+
+    machine: Any
+    clock: VirtualClock
+    driver: Controller
+    faults: Faults
+    answers: list[object] = field(default_factory=list)
+    lights: list[tuple[int, int]] = field(default_factory=list)
+    triggers: list[int] = field(default_factory=list)
+    frames: list[tuple[int, bytes]] = field(default_factory=list)
+
+    def ask(self, at_ms: float, verb: str, *words: object) -> object:
+        """Ask at a time; the words of the answer, or the code of the refusal."""
+        self.clock.sleep_until(round(at_ms * MILLI))
+        assert self.clock.now() == round(at_ms * MILLI), "the step before took too long"
+        try:
+            answer: object = self.driver.ask(verb, *words)
+        except DeviceRefused as error:
+            answer = error.code
+        self.answers.append(answer)
+        return answer
+
+    def status(self, at_ms: float) -> Status:
+        """The status at a time."""
+        self.clock.sleep_until(round(at_ms * MILLI))
+        return self.driver.status()
+
+
+def _bench(machine: Any, latency_ms: float = 8.0) -> Bench:
+    clock, faults = VirtualClock(), Faults()
+    wire = Wire(plug(machine, clock, latency_ms / 1000, faults=faults), "the controller")
+    return Bench(machine, clock, Controller(wire), faults)
+
+
+def _emulated() -> Bench:
+    machine = EmulatedController()
+    bench = _bench(machine)
+    machine.on_light = lambda channels, at: bench.lights.append((channels, at))
+    machine.on_trigger = bench.triggers.append
+    machine.on_lens = lambda frame, at: bench.frames.append((at, frame))
+    return bench
+
+
+def _play_both(board: Board, scenario: Callable[[Bench], None], within: int) -> tuple[Bench, Bench]:
+    """Play a scenario with both; what was answered, and when light, trigger and lens acted, is the same."""
+    emulated, real = _emulated(), _bench(board)
+    for bench in (emulated, real):
+        scenario(bench)
+        bench.clock.sleep(20 * MILLI)
+    real.lights, real.triggers, real.frames = board.lights, board.triggers, board.frames
+    assert real.answers == emulated.answers
+    assert list(real.driver.events) == list(emulated.driver.events)
+    board.did_as(emulated.lights, emulated.triggers, within)
+    byte = round(10 * SECOND / 38400)
+    close([(frame, at - byte) for at, frame in real.frames], [(frame, at) for at, frame in emulated.frames])
+    return emulated, real
 
 
 def compile_sketch(folder: Path) -> Path:
@@ -142,3 +236,15 @@ def new_board(sketch: Path, tmp_path: Path) -> Callable[..., Board]:
         return Board(copy, micros)
 
     return make
+
+
+@pytest.fixture
+def bench_of() -> Callable[..., Bench]:
+    """Puts a machine on a bench; ``latency_ms`` is how long its driver waits."""
+    return _bench
+
+
+@pytest.fixture
+def both(new_board: Callable[..., Board]) -> Callable[..., tuple[Bench, Bench]]:
+    """Plays a scenario with the emulated controller and with the sketch, asserts that they did the same."""
+    return lambda scenario, within=TURN: _play_both(new_board(), scenario, within)
