@@ -7,8 +7,8 @@
 before.  ``repeated``: eight batches in a row, then the peers; what a device sustains.
 
 The peers have one thread, as NumPy has: ``packbits`` takes each bit by a mask and packs it, ``shifted`` shifts it down
-first, ``turned`` turns 8 × 8 bits in long words, ``same_work`` is ``packbits`` after the columns' masks, with the sum of
-the levels. What counts is the ratio to the fastest, which does less work than the device.
+first, ``turned`` turns 8 × 8 bits in long words, ``same_work`` is ``packbits`` after the columns' masks, with the sum
+of the levels. What counts is the ratio to the fastest, which does less work than the device.
 
 ``copy``: as many bytes copied, that no cache holds either, by two threads on processors and by the device's own means
 on GPUs; ``share`` is the rate of splitting over it, bytes of pictures and planes counted once.  ``read_ms``: a
