@@ -195,7 +195,8 @@ def test_the_plane_walk_lights_each_plane_once() -> None:
 def test_protocol_emulator_and_sketch_know_the_same_verbs() -> None:
     table = "\n" + (controller.__doc__ or "").split("=\n", 2)[2].split("\n=====")[0]
     verbs = set(re.findall(r"\n([a-z]+) ", table))
-    sketch = (Path(hosts.__file__).parent / "firmware" / "controller.ino").read_text(encoding="utf-8")
+    files = sorted((Path(hosts.__file__).parent / "firmware" / "controller").iterdir())
+    sketch = "".join(file.read_text(encoding="utf-8") for file in files)
     assert len(verbs) == 15
     counts = {verb: int(words) for verb, words in re.findall(r'\{"(\w+)", (\d)\}', sketch)}
     assert verbs == set(counts) and counts == ARGUMENTS

@@ -210,7 +210,7 @@ def compile_sketch(folder: Path) -> Path:
     if compiler is None:
         pytest.fail("the firmware is tested as compiled for this computer: install g++ (apt install g++)")
     library = folder / "board.so"
-    sketches = Path(hosts.__file__).parent / "firmware"
+    sketches = Path(hosts.__file__).parent / "firmware" / "controller"
     flags = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror", "-fsanitize=undefined", "-fno-sanitize-recover"]
     flags += ["-static-libubsan"] if "g++" in Path(compiler).name and "clang" not in compiler else []
     command = [compiler, *flags, "-shared", "-fPIC", f"-I{HERE}", f"-I{sketches}", str(HERE / "board.cpp")]

@@ -1,0 +1,97 @@
+// Reference firmware of the controller of web, trigger, lens and light, for any 32-bit board with the Arduino core.
+//
+// It speaks the line protocol described in vamgpu.hosts.protocols.controller. Nothing here waits: loop() looks at
+// lease, interlock, steps, pulses and the line in turn, a few microseconds a turn, and hands the line no more bytes
+// than it takes at once.
+//
+// Wiring that must hold when this program does not: a pull-down resistor on every GATE pin, so that the light is off
+// while the board starts, resets or hangs; the interlock switch in series with the light's supply as well as on its
+// pin; and the board's watchdog on (WATCHDOG_START and WATCHDOG_FEED), which resets it, and so darkens it, when a turn
+// of loop() does not end.
+//
+// What differs from machine to machine is in settings.h.
+
+#include "commands.h"
+
+static void complain() {
+  char out[LONGEST_LINE + 1] = "? line";
+  send(out);
+}
+
+static void read_line(int64_t now) {
+  char *star = strrchr(line, '*'), wanted_check[5] = "0000";
+  if (!star) return complain();
+  uint16_t check = line_check(line, star - line);
+  write_hex(wanted_check, check);
+  if (strcmp(star + 1, wanted_check)) return complain();
+  *star = 0;
+  char *words[9];
+  uint8_t count = 0;
+  for (char *word = strtok(line, " "); word && count < 9; word = strtok(0, " ")) words[count++] = word;
+  int64_t number = 0;
+  if (count < 2 || *words[0] == '-' || !read_number(words[0], 5, &number)) return complain();
+  bool again = number == last_number && check == last_check;
+  if (again && strcmp(words[1], "hello") && strcmp(words[1], "stat")) return post(last_answer);
+  char values[LONGEST_LINE + 1] = "";
+  const char *refusal = command(words[1], words + 2, count - 2, values, now);
+  last_answer[0] = 0;
+  add_number(last_answer, number);
+  add(last_answer, refusal ? " no " : *values ? " ok " : " ok");
+  add(last_answer, refusal ? refusal : values);
+  send(last_answer);
+  last_number = number;
+  last_check = check;
+}
+
+static void listen(int64_t now) {
+  while (HOST.available()) {
+    char c = HOST.read();
+    if (c == '\n') {
+      line[length] = 0;
+      if (overlong) complain();
+      else if (length) read_line(now);
+      length = 0;
+      overlong = false;
+      return;  // one line a turn, so that the light is never kept waiting
+    }
+    if (c == '\r') continue;
+    if (length >= LONGEST_LINE) overlong = true;
+    else line[length++] = c;
+  }
+}
+
+void setup() {
+  for (uint8_t i = 0; i < CHANNELS; i++) {
+    digitalWrite(GATE_PINS[i], LOW);
+    pinMode(GATE_PINS[i], OUTPUT);
+    pinMode(DRIVE_PINS[i], OUTPUT);
+  }
+  set_light(0);
+  pinMode(TRIGGER_PIN, OUTPUT);
+  pinMode(STEP_PIN, OUTPUT);
+  pinMode(DIRECTION_PIN, OUTPUT);
+  pinMode(INTERLOCK_PIN, INPUT_PULLUP);
+  analogWriteResolution(16);
+  for (uint8_t i = 0; i < CHANNELS; i++) analogWrite(DRIVE_PINS[i], 65535);
+  HOST.begin(115200);
+  LENS.begin(LENS_BAUD);
+  reset_rows();
+  stepped = now_us();
+  WATCHDOG_START();
+}
+
+void loop() {
+  int64_t now = now_us();
+  WATCHDOG_FEED();
+  bool shut = digitalRead(INTERLOCK_PIN) == LOW;
+  if (closed && !shut) {
+    closed = false;
+    close_light("interlock", true);
+  }
+  closed = shut;
+  if ((light || armed) && lease_end >= 0 && now >= lease_end) close_light("lease", true);
+  step_web(now);
+  play(now);
+  listen(now);
+  hand_over();
+}

@@ -1,0 +1,136 @@
+// What the machine does by itself: light, rows and web.
+#pragma once
+
+#include "line.h"
+
+// ---- state ---------------------------------------------------------------------------------------------------------
+struct Row {
+  int64_t at;
+  int32_t code;
+  uint32_t delay_us;
+  uint32_t on_us;
+  uint8_t channels;
+  bool has_code;
+};
+
+static Row rows[CAPACITY];
+static uint16_t first_row, queued;
+static int64_t next_row, total, shown, late_rows;
+static bool armed, running, done, steps_mode, waiting, pulsing, triggering, closed = true;
+static const char *fault = "none";
+static uint8_t light, steady;
+static int64_t lease_end = -1, started, earliest, wait_until, pulse_end, trigger_end, fired = -1000;
+static Row current;
+
+static int64_t position;              // microsteps
+static double speed, wanted, accel = 200000.0;  // microsteps per second, and per second squared
+static double fraction;               // of the next microstep
+static int64_t stepped;
+
+// ---- time: 64 bits of microseconds ---------------------------------------------------------------------------------
+static int64_t now_us() {
+  static uint32_t low, high;
+  uint32_t t = micros();
+  if (t < low) high++;
+  low = t;
+  return ((int64_t)high << 32) | t;
+}
+
+// ---- light ---------------------------------------------------------------------------------------------------------
+static void set_light(uint8_t channels) {
+  for (uint8_t i = 0; i < CHANNELS; i++) digitalWrite(GATE_PINS[i], channels >> i & 1 ? HIGH : LOW);
+  light = channels;
+}
+
+static void close_light(const char *reason, bool is_fault) {
+  set_light(0);
+  steady = 0;
+  armed = running = waiting = pulsing = false;
+  lease_end = -1;
+  if (is_fault) fault = reason;
+  char text[32] = "light off ";
+  strncat(text, reason, 20);
+  say(text, 0, false);
+}
+
+// ---- rows ----------------------------------------------------------------------------------------------------------
+static bool reached(int64_t at, int64_t now) { return steps_mode ? position >= at : now >= started + at; }
+
+static bool all_acted() { return total >= 0 && next_row >= total; }
+
+static void finish() {
+  if (running && all_acted() && !waiting && !pulsing) {
+    running = false;
+    done = true;
+    say("done", shown, true);
+  }
+}
+
+static void act_row(int64_t now) {
+  current = rows[first_row];
+  first_row = (first_row + 1) % CAPACITY;
+  queued--;
+  next_row++;
+  if (current.has_code) {
+    uint8_t frame[10] = {'P', 'w', 'D', 'A', (uint8_t)(current.code >> 8), (uint8_t)current.code, 0, 0, 0, 0};
+    uint16_t check = lens_check(frame, 8);
+    frame[8] = check & 255;
+    frame[9] = check >> 8;
+    LENS.write(frame, sizeof frame);
+  }
+  waiting = true;
+  int64_t due = started + current.at;
+  wait_until = (steps_mode ? now : due > earliest ? due : earliest) + current.delay_us;  // a turn's delay adds nothing
+  if (wait_until < fired + TRIGGER_GAP_US) wait_until = fired + TRIGGER_GAP_US;
+}
+
+static void fire(int64_t now) {
+  waiting = false;
+  fired = earliest = wait_until;
+  if (pulsing) {
+    pulsing = false;
+    set_light(steady);
+  }
+  shown++;
+  digitalWrite(TRIGGER_PIN, HIGH);
+  triggering = true;
+  trigger_end = now + TRIGGER_US;
+  if (current.on_us && armed) {
+    set_light(steady | current.channels);
+    pulsing = true;
+    pulse_end = now + current.on_us;
+  }
+}
+
+static void play(int64_t now) {
+  if (triggering && now >= trigger_end) {
+    triggering = false;
+    digitalWrite(TRIGGER_PIN, LOW);
+  }
+  if (pulsing && now >= pulse_end) {
+    pulsing = false;
+    set_light(steady);
+  }
+  if (waiting && now >= wait_until) fire(now);
+  if (running && queued && !waiting && !all_acted() && reached(rows[first_row].at, now)) act_row(now);
+  finish();
+}
+
+// ---- web -----------------------------------------------------------------------------------------------------------
+static void step_web(int64_t now) {
+  double seconds = (now - stepped) * 1e-6;
+  stepped = now;
+  double change = accel * seconds, before = speed;
+  if (speed < wanted) speed = speed + change < wanted ? speed + change : wanted;
+  else if (speed > wanted) speed = speed - change > wanted ? speed - change : wanted;
+  fraction += (before + speed) / 2 * seconds;
+  while (fraction >= 1.0 || fraction <= -1.0) {
+    bool up = fraction > 0;
+    digitalWrite(DIRECTION_PIN, up ? HIGH : LOW);
+    digitalWrite(STEP_PIN, HIGH);
+    delayMicroseconds(2);
+    digitalWrite(STEP_PIN, LOW);
+    position += up ? 1 : -1;
+    fraction -= up ? 1.0 : -1.0;
+  }
+}

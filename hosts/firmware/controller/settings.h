@@ -1,0 +1,31 @@
+// What to set for a machine.
+#pragma once
+
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#ifndef WATCHDOG_START
+#define WATCHDOG_START()
+#define WATCHDOG_FEED()
+#endif
+
+static const uint8_t CHANNELS = 2;
+static const uint8_t GATE_PINS[CHANNELS] = {2, 3};
+static const uint8_t DRIVE_PINS[CHANNELS] = {4, 5};  // analog or PWM outputs to the light's supply
+static const uint8_t TRIGGER_PIN = 6;                // to the projector; one pulse a picture
+static const uint8_t STEP_PIN = 7;
+static const uint8_t DIRECTION_PIN = 8;
+static const uint8_t INTERLOCK_PIN = 9;  // closed to ground while the enclosure is shut
+static const uint32_t TRIGGER_US = 20;
+static const uint32_t TRIGGER_GAP_US = 50;  // from pulse to pulse at least, so that two never look like one
+static const uint32_t LENS_BAUD = 38400;
+static const uint32_t LONGEST_LEASE_MS = 1000;
+static const uint16_t CAPACITY = 256;
+static const uint16_t OUTBOX = 512;  // bytes of answers on their way; what does not fit is dropped, and asked for again
+static const int64_t GREATEST = 1000000000000000;  // microseconds or microsteps: some thirty years
+static const int64_t LONGEST_US = 0x7FFFFFFF;
+static const uint8_t LONGEST_LINE = 96;
+
+#define HOST Serial
+#define LENS Serial1
