@@ -160,16 +160,13 @@ class EmulatedController(RowPlayer):
             return "no range"
         if at > GREATEST or max(delay, on) > LONGEST_US:
             return "no range"
-        if self.running and self._passed(at, now):
+        if self.running and (self.microsteps(now) > at if self.steps_mode else now > self.started + at * MICRO):
             self.late += 1
             on = 0
         if not self.rows:
             self._floor = max(self._floor, now)
         self.rows.append((index, at, code, delay, on, channels))
         return f"ok {self.capacity - len(self.rows)} {index + 1}"
-
-    def _passed(self, at: int, now: int) -> bool:
-        return self.microsteps(now) > at if self.steps_mode else now > self.started + at * MICRO
 
     def _do_end(self, now: int, count: int) -> str:
         if count < 0:
