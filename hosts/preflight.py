@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -55,7 +55,7 @@ class Preflight:
         wire = f"of {1e-6 * self.measured:.3g} MB/s" if np.isfinite(self.measured) else "on a wire that takes no time"
         held = f"; the source may stand still for {self.stall:.3g} s, the host for {self.freeze:.3g} s"
         return (
-            f"{self.planes} planes, {self.memory} fit: {self.residence.value}; {1e-6 * self.demand:.3g} MB/s {wire}"
+            f"{self.planes} planes, room for {self.memory}: {self.residence.value}; {1e-6 * self.demand:.3g} MB/s {wire}"
             f"{held if np.isfinite(self.stall) else ''}"
         )
 
@@ -94,10 +94,10 @@ def judged(
     resident = real and load <= LOADING and whole * depth * bits <= free
     sequences = max(2, whole) if resident else 2
     memory = free if resident else min(free, sequences * depth * bits)
-    found = tuple(
+    each = (
         preflight(schedule, timing, slowest, bits=bits, batch=depth, depth=BUFFERS, memory=memory) for timing in timings
     )
-    return Judged(found, depth, sequences)
+    return Judged(tuple(replace(found, memory=free) for found in each), depth, sequences)
 
 
 def _wire(dmd: Dmd, bits: int, clock: Clock, seconds: float) -> float:
