@@ -55,8 +55,8 @@ class Preflight:
         wire = f"of {1e-6 * self.measured:.3g} MB/s" if np.isfinite(self.measured) else "on a wire that takes no time"
         held = f"; the source may stand still for {self.stall:.3g} s, the host for {self.freeze:.3g} s"
         return (
-            f"{self.planes} planes, room for {self.memory}: {self.residence.value}; {1e-6 * self.demand:.3g} MB/s {wire}"
-            f"{held if np.isfinite(self.stall) else ''}"
+            f"{self.planes} planes, room for {self.memory}: {self.residence.value}; "
+            f"{1e-6 * self.demand:.3g} MB/s {wire}{held if np.isfinite(self.stall) else ''}"
         )
 
 
