@@ -11,13 +11,10 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch, WrongDevice
 from vamgpu.hosts.schedule import NONE
-from vamgpu.kernels.planes import pick_pictures, split_planes
+from vamgpu.kernels.planes import pick_pictures, split_planes, strips_for
 from vamgpu.kernels.signature import Kernel
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.frames import Frames
-
-STRIPS = 128
-"""Into how many runs a picture is cut for the device's work items."""
 
 
 class Source(Protocol):
@@ -96,8 +93,10 @@ class Maker:
         self._masks = device.upload(masks, table=True)
         self._chosen = np.empty((batch, 2), np.int32)
         shape = (8, rows, width) if self.kernel is split_planes else (rows, width)
-        self._staged = device.empty((batch, *shape), np.uint8, table=True)
-        self._sent = device.empty((batch, min(STRIPS, rows)), np.int32, table=True)
+        self._made = (batch, *shape)
+        self._staged: DeviceArray | None = None
+        strips = strips_for(rows, width, device.is_gpu)
+        self._sent = device.empty((batch, strips), np.int32, table=True)
         self.shape = (1, *shape) if bits == 1 else shape
 
     def fits(self, frames: np.ndarray, out: np.ndarray) -> None:
@@ -116,15 +115,26 @@ class Maker:
         self._chosen[lit, 0], self._chosen[lit, 1] = np.divmod(places[lit], self.planes)
         bindings = {"images": images, "masks": self._masks, "chosen": self.device.upload(self._chosen, table=True)}
         bindings |= {"top": self._top, "left": self._left}
+        whole = out.reshape(self._made)
+        lent = self.device.lend(whole)
+        made = self._stage() if lent is None else lent
         if self.kernel is split_planes:
-            self.device.launch(split_planes, **bindings, packed=self._staged, sent=self._sent)
+            self.device.launch(split_planes, **bindings, packed=made, sent=self._sent)
         else:
-            self.device.launch(pick_pictures, **bindings, picked=self._staged)
-        self._staged.numpy(out.reshape(self._staged.shape))
+            self.device.launch(pick_pictures, **bindings, picked=made)
+        if lent is None:
+            made.numpy(whole)
+        self.device.synchronize()
         if self.kernel is split_planes:
             return self._sent.numpy().sum(axis=1, dtype=np.int64)[: len(places)]
         levels = np.bitwise_count(out) if self._bits == 1 else out
         return levels.reshape(self.batch, -1).sum(axis=1, dtype=np.int64)[: len(places)]
+
+    def _stage(self) -> DeviceArray:
+        """Where pictures are made on a device that does not share the host's memory."""
+        if self._staged is None:
+            self._staged = self.device.empty(self._made, np.uint8, table=True)
+        return self._staged
 
 
 class FrameSource:

@@ -1,4 +1,4 @@
-"""How many pictures a second go from a device to mirrors without one late, and what splitting them into planes costs.
+"""How many pictures a second go from a device to mirrors without one late.
 
     python profiling/feed.py --device opencl:intel:0 --seconds 10
 
@@ -25,7 +25,6 @@ from vamgpu.hosts.feed import Feed
 from vamgpu.hosts.limits import MirrorTiming
 from vamgpu.hosts.moving import turned
 from vamgpu.hosts.sources import FrameSource
-from vamgpu.kernels.planes import split_planes
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 
@@ -115,32 +114,6 @@ def greatest(frames: Frames, seconds: float) -> Sustained:
     return found
 
 
-def packing(device: Device, frames: Frames) -> dict[str, float]:
-    """Milliseconds a picture to split into planes on the device, and with NumPy, taken alternately."""
-    source, order = FrameSource(frames, row_bytes=ROW_BYTES, batch=BATCH), np.arange(BATCH)
-    out, times = np.empty((BATCH, *source.shape), np.uint8), ([], [])
-    source.read(order, out)
-    maker = source._maker
-    tables = frames.images, maker._masks, maker._staged, maker._sent
-    chosen = device.upload(maker._chosen, table=True)
-    pictures = frames.levels()
-    for turn in range(24):  # both meet pictures that no cache holds any more
-        begin = time.perf_counter()
-        device.launch(split_planes, images=tables[0], masks=tables[1], chosen=chosen, top=0, left=0,
-                      packed=tables[2], sent=tables[3])  # fmt: skip
-        device.synchronize()
-        times[0].append((time.perf_counter() - begin) / BATCH)
-        picture = pictures[turn % len(pictures)]
-        begin = time.perf_counter()
-        for bit in range(8):
-            out[turn % BATCH, bit, :, : COLUMNS // 8] = np.packbits((picture >> (7 - bit)) & 1, axis=-1)
-        times[1].append(time.perf_counter() - begin)
-    own, theirs = (1e3 * float(np.median(each)) for each in times)
-    best, their_best = (1e3 * min(each) for each in times)
-    found = {"device_ms": own, "numpy_ms": theirs, "ratio": theirs / own}
-    return {**found, "device_best_ms": best, "numpy_best_ms": their_best, "ratio_of_best": their_best / best}
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--device", default=None)
@@ -149,7 +122,7 @@ def main() -> int:
     logging.disable(logging.WARNING)  # rates that fail are what is looked for
     device = vamgpu.open_device(asked.device)
     eight = frames_on(device, 8)
-    report = {"device": device.name, "packing": packing(device, eight)}
+    report: dict[str, object] = {"device": device.name}
     report["sustained"] = [asdict(greatest(frames_on(device, bits), asked.seconds)) for bits in (8, 1)]
     for rate in (30.56, 40.0):
         report[f"at {rate:g}"] = asdict(trial(eight, rate, asked.seconds))

@@ -19,6 +19,9 @@ from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
 class Device(ABC):
     """A place kernels run. Two doors cross the bus, ``upload`` and ``download``, and both are booked in ``ledger``."""
 
+    is_gpu = False
+    """Whether it is a graphics processor, with memory of its own."""
+
     def __init__(self, name: str, description: str) -> None:
         self.name = name
         self.description = description
@@ -124,6 +127,13 @@ class Device(ABC):
         The array must neither change nor go before `synchronize` returns.
         """
         return self.upload(values, table=True)
+
+    def lend(self, values: np.ndarray) -> DeviceArray | None:
+        """A table to write that is the NumPy array itself; None where device and host share no memory.
+
+        What was written is there once `synchronize` returns.
+        """
+        return None
 
     @final
     def download(self, array: DeviceArray, out: np.ndarray | None = None) -> np.ndarray:

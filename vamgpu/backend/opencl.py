@@ -75,6 +75,11 @@ class OpenclDevice(Device):
             handle = cl.Buffer(self.context, flags, hostbuf=values)
         return DeviceArray(self, handle, values.shape, values.dtype, 0)
 
+    def lend(self, values: np.ndarray) -> DeviceArray | None:
+        if not self._shares_memory or self.is_gpu or not values.flags.c_contiguous or not values.nbytes:
+            return None
+        return self.borrow(values)
+
     def _write(self, handle: cl.Buffer, stored: np.ndarray) -> None:
         if stored.nbytes:
             cl.enqueue_copy(self.queue, handle, stored)

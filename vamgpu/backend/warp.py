@@ -53,6 +53,7 @@ class WarpDevice(Device):
         except (RuntimeError, ValueError) as error:
             raise DeviceError(f"Warp has no device {device!r} here: {error}") from error
         super().__init__(name, f"{self._device.name} (Warp {wp.config.version})")
+        self.is_gpu = bool(self._device.is_cuda)
 
     @property
     def real(self) -> np.dtype:
@@ -81,6 +82,9 @@ class WarpDevice(Device):
             return super().borrow(values)
         handle = wp.array(values, dtype=kind, device=self._device, copy=False)
         return DeviceArray(self, handle, values.shape, values.dtype, 0)
+
+    def lend(self, values: np.ndarray) -> DeviceArray | None:
+        return None if self._device.is_cuda or not values.flags.c_contiguous else self.borrow(values)
 
     def _write(self, handle: wp.array, stored: np.ndarray) -> None:
         wp.copy(handle, self._host_view(handle, stored))
