@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import time
 from binascii import crc_hqx
 from collections.abc import Callable
@@ -55,27 +58,28 @@ def test_a_host_that_does_not_listen_never_keeps_the_light_on(new_board: NewBoar
     assert abs(dark - 111 * MILLI) <= 20_000
 
 
+class _Now:
+    """A board whose time began when it was made, and is the computer's since."""
+
+    def __init__(self, board: Any) -> None:
+        self._board, self.start = board, time.monotonic_ns()
+
+    def __getattr__(self, name: str) -> Any:
+        act = getattr(self._board, name)
+        return lambda data, now=None: act(data - self.start) if now is None else act(data, now - self.start)
+
+    def due(self) -> int:
+        return self._board.due() + self.start
+
+    def ready(self) -> int | None:
+        at = self._board.ready()
+        return None if at is None else at + self.start
+
+
 @pytest.mark.parametrize("lease_ms", [50, 200])
 def test_the_sketch_speaks_over_a_real_terminal(new_board: NewBoard, lease_ms: int) -> None:
-    class Now:
-        """The board's time begins with the terminal's."""
-
-        def __init__(self, board: Any) -> None:
-            self._board, self._start = board, time.monotonic_ns()
-
-        def __getattr__(self, name: str) -> Any:
-            act = getattr(self._board, name)
-            return lambda data, now=None: act(data - self._start) if now is None else act(data, now - self._start)
-
-        def due(self) -> int:
-            return self._board.due() + self._start
-
-        def ready(self) -> int | None:
-            at = self._board.ready()
-            return None if at is None else at + self._start
-
     board = new_board()
-    machine: Any = Now(board)
+    machine: Any = _Now(board)
     with PtyServer(machine) as server, Controller.open(server.url) as driver:
         driver.lease(lease_ms)
         driver.arm()
@@ -87,3 +91,38 @@ def test_the_sketch_speaks_over_a_real_terminal(new_board: NewBoard, lease_ms: i
         assert ("light", "off", "lease") in driver.poll()
     (_, lit), (dark, ended) = board.lights
     assert dark == 0 and ended - lit <= lease_ms * MILLI
+
+
+HOST = """
+import sys, time
+from vamgpu.hosts.drivers.controller import Controller
+with Controller.open(sys.argv[1]) as controller:
+    controller.lease(100)
+    controller.arm()
+    controller.light(True)
+    print("on", flush=True)
+    while True:
+        controller.lease(100)
+        time.sleep(0.005)
+"""
+
+
+def test_the_sketch_closes_the_light_of_hosts_that_are_killed(new_board: NewBoard) -> None:
+    """Within one lease, and what a busy machine may take to hand over a renewal sent just before."""
+    board = new_board()
+    machine: Any = _Now(board)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    after = []
+    with PtyServer(machine) as server:
+        for hold in (0.0, 0.03, 0.15, 0.21):
+            command = [sys.executable, "-c", HOST, server.url]
+            with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as host:
+                assert host.stdout is not None and host.stdout.readline() == "on\n"
+                time.sleep(hold)
+                killed = time.monotonic_ns() - machine.start
+                host.kill()
+            time.sleep(0.3)
+            channels, dark = board.lights[-1]
+            assert channels == 0
+            after.append((dark - killed) / MILLI)
+    assert max(after) <= 100 + 40, after
