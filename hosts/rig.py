@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vamgpu.errors import BadInput, WrongDevice
+from vamgpu.hosts.attended import attended
 from vamgpu.hosts.board import Board
 from vamgpu.hosts.cable import CablePictures, VideoMachines
 from vamgpu.hosts.config import RigConfig
@@ -64,11 +65,13 @@ class Rehearsal:
         )  # fmt: skip
 
 
-def rehearsal(planned: Plan) -> Rehearsal:
-    """Emulated machines as large as a plan."""
+def rehearsal(planned: Plan, paced: bool = False) -> Rehearsal:
+    """Emulated machines as large as a plan. paced: in step with real time, for those who watch."""
+    from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
     from vamgpu.hosts.emulators.witness import Witness
 
-    bench, machines = _bench(planned) if planned.display is None else _booth(planned, planned.display)
+    clock = PacedClock() if paced else VirtualClock()
+    bench, machines = _bench(planned, clock) if planned.display is None else _booth(planned, planned.display, clock)
     pictures: Any = [each.pictures(mirrors) for each, mirrors in zip(planned.works, planned.mirrors, strict=True)]
     planes = max(1, len(planned.works[0].depths))
     witness = Witness(bench.chamber, planned.schedule, pictures, planned.mirrors[0], planes)
@@ -76,25 +79,25 @@ def rehearsal(planned: Plan) -> Rehearsal:
     return Rehearsal(machines, bench, witness)
 
 
-def _bench(planned: Plan) -> tuple[Any, Machines]:
+def _bench(planned: Plan, clock: Any) -> tuple[Any, Machines]:
     from vamgpu.hosts.emulators.array import ArrayModel
     from vamgpu.hosts.emulators.bench import Bench
 
     size, lens = planned.mirrors[0], planned.rig.wanted.lens
     model = ArrayModel(height=size.rows, width=size.columns)
-    bench = Bench(EMULATED_STEPS, model, len(planned.works), planned.focus)
+    bench = Bench(EMULATED_STEPS, model, len(planned.works), planned.focus, clock)
     if bench.lens is not None and lens is not None:
         bench.lens.model = replace(bench.lens.model, least=lens.lowest, greatest=lens.highest)
     return bench, bench.machines(EMULATED_STEPS / float(planned.schedule.advance))
 
 
-def _booth(planned: Plan, display: HdmiTiming) -> tuple[Any, VideoMachines]:
+def _booth(planned: Plan, display: HdmiTiming, clock: Any) -> tuple[Any, VideoMachines]:
     from vamgpu.hosts.emulators.booth import Booth
 
     columns, rows = display.pixels
     booth = Booth(
         planned.schedule.frames, (rows, columns), bits=display.bits, latency=display.latency,
-        rate_hz=round(float(display.refresh)),
+        rate_hz=round(float(display.refresh)), clock=clock,
     )  # fmt: skip
     return booth, booth.machines(display.latency)
 
@@ -140,7 +143,8 @@ def carry_out(
 ) -> tuple[State, Print]:  # fmt: skip
     """Print a plan into the folder of a run. Raises what went wrong, after it is dark and written down.
 
-    found: by `check`, which is run where it is missing.  resume: go on with the print that a host left in the folder.
+    board: of a person who attends, with buttons to pause and go on.  found: by `check`, which is run where it is
+    missing.  resume: go on with the print that a host left in the folder.
     """
     left = _left(planned, machines, folder) if resume else None
     playing = player(planned, machines, found, None if left is None else left.origin)
@@ -148,7 +152,8 @@ def carry_out(
         playing.recall(left.lost)
     with _folder(planned, folder, left) as record:
         job = Print(playing, record, limits=limits(planned.rig), board=board, power=planned.rig.wanted.light.power)
-        return job.run(None if left is None else left.first), job
+        first = None if left is None else left.first
+        return (job.run(first) if board is None else attended(job, board, first)), job
 
 
 def _asked(planned: Plan) -> dict[str, Any]:

@@ -127,8 +127,10 @@ class Maker:
         self.device.synchronize()
         if self.kernel is split_planes:
             return self._sent.numpy().sum(axis=1, dtype=np.int64)[: len(places)]
-        levels = np.bitwise_count(out) if self._bits == 1 else out
-        return levels.reshape(self.batch, -1).sum(axis=1, dtype=np.int64)[: len(places)]
+        levels = out.reshape(self.batch, -1)
+        if self._bits == 1:  # in long words where they fit
+            levels = np.bitwise_count(levels.view(np.uint64) if levels.shape[1] % 8 == 0 else levels)
+        return levels.sum(axis=1, dtype=np.int64)[: len(places)]
 
     def _stage(self) -> DeviceArray:
         """Where pictures are made on a device that does not share the host's memory."""

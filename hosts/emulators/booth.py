@@ -32,9 +32,9 @@ class Booth:
 
     def __init__(
         self, images: int, size: tuple[int, int], *, bits: int = 8, latency: int = 1, share: float = 1.0,
-        scale: float = 1.0, rate_hz: int = 60,
+        scale: float = 1.0, rate_hz: int = 60, clock: VirtualClock | None = None,
     ) -> None:  # fmt: skip
-        self.clock = VirtualClock()
+        self.clock = clock or VirtualClock()
         self.stage = EmulatedStage(rotary=True, acceleration=200_000.0, scale=scale)
         self.controller = EmulatedController()
         self.screen = EmulatedScreen(self.clock, size, rate_hz, "GR" if bits == 8 else "GRB", bits, latency, share)

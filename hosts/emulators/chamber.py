@@ -94,7 +94,7 @@ class Chamber:
             return
         key = (engine, plane, int(np.floor(self._pose((start + end) // 2))))
         if key not in self.light:
-            self.light[key] = np.zeros(self.mirrors)
+            self.light[key] = np.zeros(self.mirrors, np.float32)
         self.light[key] += seconds * mirrors[: self.mirrors[0]]
 
     def _plane(self, start: int, end: int) -> int | None:

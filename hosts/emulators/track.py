@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 SECOND = 1_000_000_000
+FOREVER = 1e9
+"""What takes longer [s] never happens."""
 
 
 @dataclass(frozen=True)
@@ -120,9 +122,9 @@ class Track:
         """When one piece rises to a target [ns]."""
         missing, v, a = target - piece.position, piece.velocity, piece.acceleration
         if a == 0:
-            return None if v <= 0 else piece.start + -(-round(missing / v * SECOND * 1000) // 1000)
+            return None if v * FOREVER <= missing else piece.start + -(-round(missing / v * SECOND * 1000) // 1000)
         inside = v * v + 2 * a * missing
         if inside < 0 or v + sqrt(inside) == 0:
             return None
         seconds = 2 * missing / (v + sqrt(inside))
-        return piece.start + -(-round(seconds * SECOND * 1000) // 1000) if seconds >= 0 else None
+        return piece.start + -(-round(seconds * SECOND * 1000) // 1000) if 0 <= seconds <= FOREVER else None

@@ -94,6 +94,7 @@ class Witness:
                 got = np.zeros(wanted.shape) if seconds is None else seconds[down, across] / full
                 self._greatest = max(self._greatest, float(np.abs(got - wanted / FULL).max()))
                 if seconds is not None:
-                    self._beside += max(0.0, float(seconds.sum() - seconds[down, across].sum()))
+                    whole, own = (each.sum(dtype=np.float64) for each in (seconds, seconds[down, across]))
+                    self._beside += max(0.0, float(whole - own))
             self._count += len(numbers)
         self._next = stop

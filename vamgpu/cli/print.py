@@ -39,7 +39,7 @@ def print_(
         resume: folder of a run that a host left in the midst, to go on with
         device: that makes the pictures; the best one by default, NumPy for a rehearsal
         dry_run: rehearse on emulated machines and a program's clock, whatever the rig
-        panel: serve the live page
+        panel: serve the live page; a rehearsal then takes as long as a print
         host: where the page is served; a token is wanted beyond this machine
         port: of the page; a free one by default
     """
@@ -101,7 +101,7 @@ def _printed(screen: Console, planned: Plan, place: Path, board: Board | None, r
     from vamgpu.hosts.record import read_run, timing
     from vamgpu.hosts.rig import carry_out, check, close, opened, rehearsal
 
-    stand = rehearsal(planned) if planned.rehearsed else None
+    stand = rehearsal(planned, paced=board is not None) if planned.rehearsed else None
     machines = opened(planned.rig) if stand is None else stand.machines
     try:
         found = check(planned, machines)
