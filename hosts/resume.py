@@ -10,9 +10,9 @@ from vamgpu.errors import BadInput
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.record import Run, RunFolder, Shown, read_run
 from vamgpu.hosts.run import Limits, may_resume
-from vamgpu.hosts.schedule import Schedule
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State
-from vamgpu.hosts.timing import SECOND
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,18 +11,18 @@ import numpy as np
 from vamgpu.errors import BadInput, WrongDevice
 from vamgpu.hosts.attended import attended
 from vamgpu.hosts.board import Board
-from vamgpu.hosts.cable import CablePictures, VideoMachines
-from vamgpu.hosts.config import RigConfig
-from vamgpu.hosts.limits import HdmiTiming
-from vamgpu.hosts.opening import close, opened
-from vamgpu.hosts.planning import Plan, plan
-from vamgpu.hosts.player import Player
-from vamgpu.hosts.preflight import Judged, fits, judged
+from vamgpu.hosts.players.cable import CablePictures, VideoMachines
+from vamgpu.hosts.players.player import Player
+from vamgpu.hosts.players.spinning import SpinningPlayer
+from vamgpu.hosts.players.triggered import Machines, TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.rigs.config import RigConfig
+from vamgpu.hosts.rigs.opening import close, opened
+from vamgpu.hosts.rigs.planning import Plan, plan
+from vamgpu.hosts.rigs.preflight import Judged, fits, judged
 from vamgpu.hosts.run import Limits, Print
-from vamgpu.hosts.spinning import SpinningPlayer
+from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.state import State
-from vamgpu.hosts.triggered import Machines, TriggeredPlayer
 from vamgpu.printing.frames import Frames
 
 if TYPE_CHECKING:

@@ -9,13 +9,13 @@ import numpy as np
 
 from vamgpu.errors import BadInput, VamError
 from vamgpu.hosts.board import Board
-from vamgpu.hosts.interlock import Budget, InterlockOpen
-from vamgpu.hosts.lease import DEFAULT_LENGTH, Lease
-from vamgpu.hosts.light import LightGuard
-from vamgpu.hosts.player import Look, Player
+from vamgpu.hosts.players.player import Look, Player
 from vamgpu.hosts.record import RunFolder
+from vamgpu.hosts.safety.interlock import Budget, InterlockOpen
+from vamgpu.hosts.safety.lease import DEFAULT_LENGTH, Lease
+from vamgpu.hosts.safety.light import LightGuard
+from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State, States
-from vamgpu.hosts.timing import SECOND
 
 log = logging.getLogger(__name__)
 PICTURES = SECOND // 5

@@ -21,10 +21,10 @@ import numpy as np
 import vamgpu
 from vamgpu.backend.device import Device
 from vamgpu.hosts.clock import RealClock
-from vamgpu.hosts.feed import Feed
-from vamgpu.hosts.limits import MirrorTiming
-from vamgpu.hosts.moving import turned
-from vamgpu.hosts.sources import FrameSource
+from vamgpu.hosts.pictures.feed import Feed
+from vamgpu.hosts.pictures.sources import FrameSource
+from vamgpu.hosts.schedules.limits import MirrorTiming
+from vamgpu.hosts.schedules.moving import turned
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 

@@ -30,7 +30,7 @@ from common import chosen_devices, is_gpu, machine, write_record
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.hosts.pinned import buffers
+from vamgpu.hosts.pictures.pinned import buffers
 from vamgpu.kernels.planes import split_planes, strips_for
 
 BATCH, ROTATION = 8, 3

@@ -6,26 +6,12 @@ from typing import Self
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrating.stand import Stand
-from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.lamp import ControllerLamp
-from vamgpu.hosts.lease import Lease
-from vamgpu.hosts.light import LightGuard
+from vamgpu.hosts.safety.lamp import ControllerLamp
+from vamgpu.hosts.safety.lease import Lease
+from vamgpu.hosts.safety.light import LightGuard
 
 STEPS = 8
 """Signs of work in a lease."""
-
-
-class SteadyLamp(ControllerLamp):
-    """One channel of a controller, which shines from `on` to `off`."""
-
-    def __init__(self, controller: Controller, channel: int) -> None:
-        super().__init__(controller, (channel,))
-        self._steadily, self._channel = controller, channel
-
-    def on(self, power: float) -> None:
-        """Drive the channel at a share of full, and let it shine."""
-        super().on(power)
-        self._steadily.ask("light", 1 << self._channel)
 
 
 class HeldLight:
@@ -39,7 +25,7 @@ class HeldLight:
         safety = stand.rig.safety
         self.clock, self.controller, self._power = stand.clock, stand.controller, stand.rig.light.power
         self.lease = Lease(stand.clock, self._renew, round(safety.lease * 1e9))
-        lamp = SteadyLamp(stand.controller, stand.channels[projector])
+        lamp = ControllerLamp(stand.controller, (stand.channels[projector],), steady=True)
         self.guard = LightGuard(lamp, self.lease, tolerance=1.0, others={"mirrors": stand.screen(projector)})
         camera = stand.rig.camera
         if camera is not None and camera.exposure > 0.5 * safety.lease:

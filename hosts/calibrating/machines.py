@@ -10,13 +10,13 @@ from vamgpu.hosts.calibrating.screen import Screen
 from vamgpu.hosts.calibrating.sections import CameraStageSection
 from vamgpu.hosts.calibrating.stand import Stand, need
 from vamgpu.hosts.clock import RealClock
-from vamgpu.hosts.config import RigConfig, RigFile
 from vamgpu.hosts.drivers.camera import GenicamCamera
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.drivers.lens import TunableLens
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stage import Stage
+from vamgpu.hosts.rigs.config import RigConfig, RigFile
 
 STANDA_FRACTION = 256
 """Microsteps of a full step."""

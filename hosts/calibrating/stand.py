@@ -11,12 +11,12 @@ import numpy as np
 from vamgpu.errors import BadInput, JobError
 from vamgpu.hosts.calibrating.screen import Screen
 from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.config import RigFile
 from vamgpu.hosts.drivers.camera import Camera
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.lens import TunableLens
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stage import Stage
+from vamgpu.hosts.rigs.config import RigFile
 
 T = TypeVar("T")
 SATURATED = 1e-3

@@ -157,9 +157,9 @@ class Controller:
         """Light off, and not allowed."""
         self.ask("disarm")
 
-    def light(self, on: bool) -> None:
-        """Steady light on or off, while armed."""
-        self.ask("light", int(on))
+    def light(self, channels: int) -> None:
+        """Steady light of some channels, a sum of powers of two, while armed; 0 is off."""
+        self.ask("light", int(channels))
 
     def power(self, channel: int, fraction: float) -> None:
         """The drive of a channel of light, of full."""

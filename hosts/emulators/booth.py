@@ -5,7 +5,6 @@ The resin knows the lamp, the slots that the screen lit and the stage's true ang
 
 from __future__ import annotations
 
-from vamgpu.hosts.cable import VideoMachines
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.projector import HdmiProjector
 from vamgpu.hosts.drivers.wire import Wire
@@ -17,6 +16,7 @@ from vamgpu.hosts.emulators.line import Faults
 from vamgpu.hosts.emulators.ports import plug
 from vamgpu.hosts.emulators.screen import EmulatedScreen, Slot
 from vamgpu.hosts.emulators.stage import EmulatedStage
+from vamgpu.hosts.players.cable import VideoMachines
 from vamgpu.hosts.protocols.slots import THREE_OF_7, TWO_OF_8
 
 MICROSTEPS = 1000.0

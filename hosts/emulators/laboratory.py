@@ -26,7 +26,7 @@ from vamgpu.hosts.emulators.ports import plug
 from vamgpu.hosts.emulators.stage import EmulatedStage
 
 if TYPE_CHECKING:
-    from vamgpu.hosts.config import RigFile
+    from vamgpu.hosts.rigs.config import RigFile
 
 MEMORY = 100_000_000
 """How far back the photodiode's reading reaches [ns]."""

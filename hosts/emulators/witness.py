@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from vamgpu.hosts.emulators.chamber import Chamber
-from vamgpu.hosts.schedule import Schedule
-from vamgpu.hosts.stream import Mirrors
-from vamgpu.hosts.timing import SECOND
+from vamgpu.hosts.pictures.stream import Mirrors
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
 
 BEHIND = 2
 """Poses after which no light falls into one any more."""

@@ -12,12 +12,12 @@ import pytest
 
 from vamgpu.hosts.attended import attended
 from vamgpu.hosts.board import Board
-from vamgpu.hosts.config import read_rig
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.rig import limits, plan, player, rehearsal
+from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.hosts.run import Limits, Print
+from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State, WrongState
-from vamgpu.hosts.timing import SECOND
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve

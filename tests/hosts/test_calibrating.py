@@ -21,7 +21,6 @@ from vamgpu.hosts.calibrating import patterns
 from vamgpu.hosts.calibrating.machines import opened, rehearsal
 from vamgpu.hosts.calibrating.report import Found, focused_at, read, save
 from vamgpu.hosts.calibrating.stand import Stand
-from vamgpu.hosts.config import EMULATED, RigConfig, parse_rig, read_rig
 from vamgpu.hosts.emulators.array import ArrayModel, Stored
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
@@ -31,7 +30,8 @@ from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.optics import Optics
 from vamgpu.hosts.emulators.servers import PtyServer, TcpServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
-from vamgpu.hosts.interlock import InterlockOpen
+from vamgpu.hosts.rigs.config import EMULATED, RigConfig, parse_rig, read_rig
+from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.printing.gray import GrayCurve
 
 ALL = ("lens", "camera", "camera_stage", "photodiode")

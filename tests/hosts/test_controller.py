@@ -33,7 +33,7 @@ def test_the_controller_over_a_terminal() -> None:
         assert refused.value.code == "lease"
         driver.lease(200)
         driver.arm()
-        driver.light(True)
+        driver.light(1)
         assert driver.status().light == 1
         time.sleep(0.3)
         status = driver.status()

@@ -14,14 +14,14 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, DeviceError, ShapeMismatch, TimingInfeasible, VamError, WrongDevice
 from vamgpu.hosts.clock import Clock, RealClock
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.feed import Feed
-from vamgpu.hosts.limits import HdmiTiming, MirrorTiming
-from vamgpu.hosts.moving import web
-from vamgpu.hosts.pinned import buffers
-from vamgpu.hosts.preflight import MARGIN, Residence, fits, measure, preflight
-from vamgpu.hosts.ring import Batch, Ring
-from vamgpu.hosts.sources import ArraySource, FrameSource
-from vamgpu.hosts.underrun import Action, VialUnderrun, WebUnderrun
+from vamgpu.hosts.pictures.feed import Feed
+from vamgpu.hosts.pictures.pinned import buffers
+from vamgpu.hosts.pictures.ring import Batch, Ring
+from vamgpu.hosts.pictures.sources import ArraySource, FrameSource
+from vamgpu.hosts.pictures.underrun import Action, VialUnderrun, WebUnderrun
+from vamgpu.hosts.rigs.preflight import MARGIN, Residence, fits, measure, preflight
+from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
+from vamgpu.hosts.schedules.moving import web
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve

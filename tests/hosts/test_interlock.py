@@ -18,16 +18,16 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from vamgpu.hosts.approach import LOOK
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.bench import Bench
-from vamgpu.hosts.limits import MirrorTiming
-from vamgpu.hosts.moving import turned
+from vamgpu.hosts.pictures.stream import FramePictures, Mirrors
+from vamgpu.hosts.players.approach import LOOK
+from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.run import Print
+from vamgpu.hosts.schedules.limits import MirrorTiming
+from vamgpu.hosts.schedules.moving import turned
 from vamgpu.hosts.state import State
-from vamgpu.hosts.stream import FramePictures, Mirrors
-from vamgpu.hosts.triggered import TriggeredPlayer
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 

@@ -23,9 +23,9 @@ HOST = """
     import os, sys, time
     from vamgpu.hosts.clock import RealClock
     from vamgpu.hosts.drivers.controller import Controller
-    from vamgpu.hosts.lamp import ControllerLamp, Renewal
-    from vamgpu.hosts.lease import Keeper, Lease
-    from vamgpu.hosts.light import LightGuard
+    from vamgpu.hosts.safety.lamp import ControllerLamp, Renewal
+    from vamgpu.hosts.safety.lease import Keeper, Lease
+    from vamgpu.hosts.safety.light import LightGuard
 
     def host(port, lease_ms):
         with Controller.open(port) as controller:

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import DeviceNotFound, WrongDevice
-from vamgpu.hosts.cable import VideoMachines
-from vamgpu.hosts.config import RigConfig, parse_rig
 from vamgpu.hosts.drivers import alp, projector
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import VirtualClock
@@ -21,11 +19,13 @@ from vamgpu.hosts.emulators.dmd import FakeAlp
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
-from vamgpu.hosts.limits import MirrorTiming
-from vamgpu.hosts.moving import turned
-from vamgpu.hosts.opening import close, opened
-from vamgpu.hosts.preflight import judged
-from vamgpu.hosts.triggered import Machines
+from vamgpu.hosts.players.cable import VideoMachines
+from vamgpu.hosts.players.triggered import Machines
+from vamgpu.hosts.rigs.config import RigConfig, parse_rig
+from vamgpu.hosts.rigs.opening import close, opened
+from vamgpu.hosts.rigs.preflight import judged
+from vamgpu.hosts.schedules.limits import MirrorTiming
+from vamgpu.hosts.schedules.moving import turned
 
 
 @dataclass

@@ -14,13 +14,13 @@ from vamgpu.errors import Underrun
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.bench import Bench
 from vamgpu.hosts.emulators.clock import PacedClock
-from vamgpu.hosts.limits import MirrorTiming
-from vamgpu.hosts.moving import web
+from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.run import Limits, Print
+from vamgpu.hosts.schedules.limits import MirrorTiming
+from vamgpu.hosts.schedules.moving import web
+from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State
-from vamgpu.hosts.timing import SECOND
-from vamgpu.hosts.triggered import TriggeredPlayer
 
 MODEL = ArrayModel(height=2, width=16)
 MIRRORS = MirrorTiming(pixels=(16, 2), row_bytes=2, dark=4e-3)

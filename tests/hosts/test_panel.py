@@ -15,8 +15,8 @@ import pytest
 
 from vamgpu.errors import BadInput, DeviceError
 from vamgpu.hosts.board import Board
-from vamgpu.hosts.lease import DEFAULT_LENGTH
 from vamgpu.hosts.panel import Panel, loopback
+from vamgpu.hosts.safety.lease import DEFAULT_LENGTH
 from vamgpu.hosts.state import State
 
 

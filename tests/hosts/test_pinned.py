@@ -13,7 +13,7 @@ import pytest
 
 from vamgpu.backend.device import Device
 from vamgpu.backend.opencl import OpenclDevice
-from vamgpu.hosts.pinned import Buffers, buffers
+from vamgpu.hosts.pictures.pinned import Buffers, buffers
 
 SHAPE = (3, 8, 5, 16)
 

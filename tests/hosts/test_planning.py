@@ -14,17 +14,17 @@ from vamgpu.cli import main
 from vamgpu.curethrough.images import encode
 from vamgpu.curethrough.output import RECORD
 from vamgpu.errors import BadInput, JobError, SliceError, StorageError, TimingInfeasible, VamError
-from vamgpu.hosts.config import RigConfig, parse_rig, read_rig
-from vamgpu.hosts.planning import Plan, plan
+from vamgpu.hosts.pictures.sources import RunSource
+from vamgpu.hosts.pictures.stream import Mirrors, PackedSource, WebPictures, source
+from vamgpu.hosts.players.turning import STEP
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.rig import EMULATED_STEPS, Rehearsal, carry_out, player, rehearsal
+from vamgpu.hosts.rigs.config import RigConfig, parse_rig, read_rig
+from vamgpu.hosts.rigs.planning import Plan, plan
 from vamgpu.hosts.run import Print
-from vamgpu.hosts.schedule import NONE
-from vamgpu.hosts.sources import RunSource
+from vamgpu.hosts.schedules.schedule import NONE
+from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State
-from vamgpu.hosts.stream import Mirrors, PackedSource, WebPictures, source
-from vamgpu.hosts.timing import SECOND
-from vamgpu.hosts.turning import STEP
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
 from vamgpu.printing.focus import FocusMasks

@@ -11,12 +11,12 @@ import pytest
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, DeviceNotFound, JobError, StorageError, TimingInfeasible
 from vamgpu.hosts.board import Board
-from vamgpu.hosts.config import EMULATED, parse_rig, read_rig
+from vamgpu.hosts.pictures.stream import Mirrors
 from vamgpu.hosts.record import RunFolder, Shown, read_run
 from vamgpu.hosts.rig import Plan, carry_out, opened, plan, player, rehearsal
+from vamgpu.hosts.rigs.config import EMULATED, parse_rig, read_rig
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.state import State
-from vamgpu.hosts.stream import Mirrors
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve

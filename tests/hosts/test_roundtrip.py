@@ -11,14 +11,14 @@ import pytest
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.bench import Bench
-from vamgpu.hosts.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.moving import turned, web
+from vamgpu.hosts.pictures.stream import FramePictures, Mirrors, Pictures, WebPictures
+from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.run import Print
-from vamgpu.hosts.schedule import Schedule
+from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
+from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.state import State
-from vamgpu.hosts.stream import FramePictures, Mirrors, Pictures, WebPictures
-from vamgpu.hosts.triggered import TriggeredPlayer
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.web import WebProjection
 from vamgpu.optics.film import Film

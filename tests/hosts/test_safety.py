@@ -14,9 +14,9 @@ import pytest
 
 from vamgpu.errors import BadInput, DeviceBusy
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.interlock import Budget, InterlockOpen, OverDose
-from vamgpu.hosts.lease import Keeper, Lease
-from vamgpu.hosts.light import LightGuard
+from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, OverDose
+from vamgpu.hosts.safety.lease import Keeper, Lease
+from vamgpu.hosts.safety.light import LightGuard
 from vamgpu.hosts.state import NEXT, State, States, WrongState
 
 MS = 1_000_000
@@ -212,8 +212,8 @@ def test_signals_are_dark_first(number: signal.Signals) -> None:
         import os, signal, sys, time
         signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have told its children to ignore it
         from vamgpu.hosts.emulators.clock import VirtualClock
-        from vamgpu.hosts.lease import Lease
-        from vamgpu.hosts.light import LightGuard
+        from vamgpu.hosts.safety.lease import Lease
+        from vamgpu.hosts.safety.light import LightGuard
         class Lamp:
             def on(self, power): os.write(1, b"on ")
             def off(self): os.write(1, b"off ")

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vamgpu.errors import BadInput, TimingInfeasible
-from vamgpu.hosts.limits import HdmiTiming, LensTiming, MirrorTiming
-from vamgpu.hosts.moving import sla, turned, web
-from vamgpu.hosts.schedule import NONE, Schedule
-from vamgpu.hosts.timing import SECOND, Cadence
-from vamgpu.hosts.video import vial, video_frames
+from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming
+from vamgpu.hosts.schedules.moving import sla, turned, web
+from vamgpu.hosts.schedules.schedule import NONE, Schedule
+from vamgpu.hosts.schedules.timing import SECOND, Cadence
+from vamgpu.hosts.schedules.video import vial, video_frames
 from vamgpu.optics.film import Film
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller

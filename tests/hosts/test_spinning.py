@@ -13,18 +13,18 @@ from vamgpu.errors import BadInput, DeviceLost, Underrun, WrongDevice
 from vamgpu.hosts.drivers.zaber import ZaberStage
 from vamgpu.hosts.emulators.booth import MICROSTEPS, Booth
 from vamgpu.hosts.emulators.screen import Slot
-from vamgpu.hosts.interlock import InterlockOpen, OverDose
-from vamgpu.hosts.lease import DEFAULT_LENGTH
-from vamgpu.hosts.limits import HdmiTiming, MirrorTiming
-from vamgpu.hosts.moving import web
+from vamgpu.hosts.players.spinning import SpinningPlayer
+from vamgpu.hosts.players.turning import LEAD
 from vamgpu.hosts.record import Run, RunFolder, read_run
 from vamgpu.hosts.run import Limits, Print
-from vamgpu.hosts.schedule import NONE, Schedule
-from vamgpu.hosts.spinning import SpinningPlayer
+from vamgpu.hosts.safety.interlock import InterlockOpen, OverDose
+from vamgpu.hosts.safety.lease import DEFAULT_LENGTH
+from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
+from vamgpu.hosts.schedules.moving import web
+from vamgpu.hosts.schedules.schedule import NONE, Schedule
+from vamgpu.hosts.schedules.timing import SECOND
+from vamgpu.hosts.schedules.video import vial
 from vamgpu.hosts.state import State
-from vamgpu.hosts.timing import SECOND
-from vamgpu.hosts.turning import LEAD
-from vamgpu.hosts.video import vial
 
 SIZE, FRAME = (1, 4), SECOND / 60
 DISPLAY = HdmiTiming(pixels=(4, 1))

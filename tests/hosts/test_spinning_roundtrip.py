@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from vamgpu.geometry import Beam, Grid, Turntable
-from vamgpu.hosts.cable import CablePictures, VideoPictures
 from vamgpu.hosts.emulators.booth import Booth
-from vamgpu.hosts.limits import HdmiTiming
+from vamgpu.hosts.players.cable import CablePictures, VideoPictures
+from vamgpu.hosts.players.spinning import SpinningPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.run import Print
-from vamgpu.hosts.spinning import SpinningPlayer
+from vamgpu.hosts.schedules.limits import HdmiTiming
+from vamgpu.hosts.schedules.video import vial
 from vamgpu.hosts.state import State
-from vamgpu.hosts.video import vial
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve

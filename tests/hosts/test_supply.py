@@ -13,21 +13,21 @@ import pytest
 
 from vamgpu.errors import TimingInfeasible, Underrun, WrongDevice
 from vamgpu.hosts.clock import RealClock
-from vamgpu.hosts.config import read_rig
 from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.dmd import FakeAlp
-from vamgpu.hosts.limits import MirrorTiming
-from vamgpu.hosts.moving import turned
-from vamgpu.hosts.preflight import judged
+from vamgpu.hosts.pictures.sources import FrameSource
+from vamgpu.hosts.pictures.stream import FramePictures, Mirrors, PackedSource, source
+from vamgpu.hosts.pictures.supply import Supply
+from vamgpu.hosts.pictures.underrun import WebUnderrun
+from vamgpu.hosts.players.triggered import Machines
 from vamgpu.hosts.rig import check, plan, rehearsal
-from vamgpu.hosts.schedule import NONE
-from vamgpu.hosts.sources import FrameSource
-from vamgpu.hosts.stream import FramePictures, Mirrors, PackedSource, source
-from vamgpu.hosts.supply import Supply
-from vamgpu.hosts.triggered import Machines
-from vamgpu.hosts.underrun import WebUnderrun
+from vamgpu.hosts.rigs.config import read_rig
+from vamgpu.hosts.rigs.preflight import judged
+from vamgpu.hosts.schedules.limits import MirrorTiming
+from vamgpu.hosts.schedules.moving import turned
+from vamgpu.hosts.schedules.schedule import NONE
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve

@@ -13,20 +13,20 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import BadInput, DeviceError, Underrun
-from vamgpu.hosts import supply
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.bench import Bench
-from vamgpu.hosts.feed import Feed
-from vamgpu.hosts.interlock import InterlockOpen
-from vamgpu.hosts.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.moving import turned, web
+from vamgpu.hosts.pictures import supply
+from vamgpu.hosts.pictures.feed import Feed
+from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
 from vamgpu.hosts.record import Run, RunFolder, read_run
 from vamgpu.hosts.resume import interrupted
 from vamgpu.hosts.run import Print
-from vamgpu.hosts.schedule import Schedule
+from vamgpu.hosts.safety.interlock import InterlockOpen
+from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
+from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State
-from vamgpu.hosts.timing import SECOND
-from vamgpu.hosts.triggered import PREROLL, TriggeredPlayer
 
 MODEL = ArrayModel(height=2, width=16)
 MIRRORS = MirrorTiming(pixels=(16, 2), row_bytes=2, dark=2e-3)

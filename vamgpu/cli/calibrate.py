@@ -131,7 +131,7 @@ def _run(
     from vamgpu.hosts.calibrating.machines import opened, rehearsal
     from vamgpu.hosts.calibrating.rehearsed import compared
     from vamgpu.hosts.calibrating.report import free, save
-    from vamgpu.hosts.config import read_rig
+    from vamgpu.hosts.rigs.config import read_rig
 
     screen, config = console(), read_rig(rig, settings or ())
     free(out, overwrite)

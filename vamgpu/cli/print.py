@@ -44,8 +44,8 @@ def print_(
         port: of the page; a free one by default
     """
     from vamgpu.errors import BadInput
-    from vamgpu.hosts.config import read_rig
     from vamgpu.hosts.rig import plan
+    from vamgpu.hosts.rigs.config import read_rig
 
     screen, config = console(), read_rig(rig, settings or ())
     if not jobs:

@@ -16,13 +16,13 @@ from vamgpu.gallery.picture import Fact, Picture
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.bench import Bench
-from vamgpu.hosts.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.moving import turned, web
+from vamgpu.hosts.pictures.stream import FramePictures, Mirrors
+from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder
 from vamgpu.hosts.run import Print
-from vamgpu.hosts.schedule import Schedule
-from vamgpu.hosts.stream import FramePictures, Mirrors
-from vamgpu.hosts.triggered import TriggeredPlayer
+from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
+from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.operators.projection import Projection
 from vamgpu.optimize.papers import ROLL_TO_ROLL
 from vamgpu.printing.frames import Frames

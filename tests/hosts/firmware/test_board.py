@@ -83,7 +83,7 @@ def test_the_sketch_speaks_over_a_real_terminal(new_board: NewBoard, lease_ms: i
     with PtyServer(machine) as server, Controller.open(server.url) as driver:
         driver.lease(lease_ms)
         driver.arm()
-        driver.light(True)
+        driver.light(1)
         deadline = time.monotonic() + 10
         while driver.status().light and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -99,7 +99,7 @@ from vamgpu.hosts.drivers.controller import Controller
 with Controller.open(sys.argv[1]) as controller:
     controller.lease(100)
     controller.arm()
-    controller.light(True)
+    controller.light(1)
     print("on", flush=True)
     while True:
         controller.lease(100)

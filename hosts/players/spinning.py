@@ -13,23 +13,23 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import Underrun
-from vamgpu.hosts.cable import Blackout, VideoMachines, VideoPictures
-from vamgpu.hosts.lamp import ControllerLamp, Renewal
-from vamgpu.hosts.light import Switch
-from vamgpu.hosts.limits import HdmiTiming
-from vamgpu.hosts.lit import Lit
-from vamgpu.hosts.player import Look
+from vamgpu.hosts.pictures.underrun import Action, VialUnderrun
+from vamgpu.hosts.players.cable import Blackout, VideoMachines, VideoPictures
+from vamgpu.hosts.players.lit import Lit
+from vamgpu.hosts.players.player import Look
+from vamgpu.hosts.players.turning import Turning
 from vamgpu.hosts.record import Shown
-from vamgpu.hosts.schedule import Schedule
-from vamgpu.hosts.timing import SECOND
-from vamgpu.hosts.turning import Turning
-from vamgpu.hosts.underrun import Action, VialUnderrun
+from vamgpu.hosts.safety.lamp import ControllerLamp, Renewal
+from vamgpu.hosts.safety.light import Switch
+from vamgpu.hosts.schedules.limits import HdmiTiming
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
 
 STATUS = 6
 """After so many video frames the controller is asked what it does; what it says by itself is heard at each."""
 
 class SpinningPlayer:
-    """Plays the schedule of `vamgpu.hosts.video.vial`; see `vamgpu.hosts.player.Player`.
+    """Plays the schedule of `vamgpu.hosts.schedules.video.vial`; see `vamgpu.hosts.players.player.Player`.
 
     display: that the schedule was made for.  turns: most that are added for what was missed. Pose 0 is at the stage's
     zero and the vial turns on forward, so a print that is resumed, by whichever host, meets every pose at its angle.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.protocols.controller import Row
-from vamgpu.hosts.schedule import NONE, Schedule
+from vamgpu.hosts.schedules.schedule import NONE, Schedule
 
 MICRO = 1000
 

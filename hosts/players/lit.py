@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import floor
 
-from vamgpu.hosts.limits import HdmiTiming
-from vamgpu.hosts.timing import SECOND
+from vamgpu.hosts.schedules.limits import HdmiTiming
+from vamgpu.hosts.schedules.timing import SECOND
 
 ASIDE = 0.75
 """How far the stage may be from the count of slots before that is corrected; below, no image loses a slot [slots]."""

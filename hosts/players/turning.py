@@ -14,10 +14,10 @@ from math import ceil
 
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.stage import Stage
-from vamgpu.hosts.interlock import InterlockOpen
-from vamgpu.hosts.limits import HdmiTiming
-from vamgpu.hosts.schedule import Schedule
-from vamgpu.hosts.timing import SECOND
+from vamgpu.hosts.safety.interlock import InterlockOpen
+from vamgpu.hosts.schedules.limits import HdmiTiming
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
 
 log = logging.getLogger(__name__)
 SPIN_UP = 10 * SECOND

@@ -11,10 +11,10 @@ import numpy as np
 from vamgpu.errors import Underrun
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream
-from vamgpu.hosts.feed import Feed, Sink
-from vamgpu.hosts.schedule import NONE
-from vamgpu.hosts.stream import Pictures, source
-from vamgpu.hosts.underrun import Action, Underruns
+from vamgpu.hosts.pictures.feed import Feed, Sink
+from vamgpu.hosts.pictures.stream import Pictures, source
+from vamgpu.hosts.pictures.underrun import Action, Underruns
+from vamgpu.hosts.schedules.schedule import NONE
 
 log = logging.getLogger(__name__)
 BUFFERS = 2

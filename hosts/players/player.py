@@ -9,9 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.light import Lamp, Switch
 from vamgpu.hosts.record import Shown
-from vamgpu.hosts.schedule import Schedule
+from vamgpu.hosts.safety.light import Lamp, Switch
+from vamgpu.hosts.schedules.schedule import Schedule
 
 
 @dataclass(frozen=True)

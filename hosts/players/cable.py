@@ -13,9 +13,9 @@ from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.projector import HdmiProjector
 from vamgpu.hosts.drivers.stage import Stage
-from vamgpu.hosts.limits import HdmiTiming
-from vamgpu.hosts.schedule import Schedule
-from vamgpu.hosts.stream import Mirrors
+from vamgpu.hosts.pictures.stream import Mirrors
+from vamgpu.hosts.schedules.limits import HdmiTiming
+from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.printing.frames import Frames
 
 RATES = 0.01

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.interlock import InterlockOpen
-from vamgpu.hosts.rows import Rows
-from vamgpu.hosts.schedule import Schedule
+from vamgpu.hosts.safety.interlock import InterlockOpen
+from vamgpu.hosts.schedules.rows import Rows
+from vamgpu.hosts.schedules.schedule import Schedule
 
 LOOK = 20_000_000
 """Between two looks at the machines [ns]."""

@@ -13,11 +13,11 @@ import numpy as np
 from vamgpu.errors import BadInput, TimingInfeasible, WrongDevice
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.dmd import PIECE, Dmd
-from vamgpu.hosts.limits import HdmiTiming, MirrorTiming
-from vamgpu.hosts.schedule import Schedule
-from vamgpu.hosts.supply import BUFFERS
-from vamgpu.hosts.timing import SECOND
-from vamgpu.hosts.triggered import PREROLL
+from vamgpu.hosts.pictures.supply import BUFFERS
+from vamgpu.hosts.players.triggered import PREROLL
+from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
 
 log = logging.getLogger(__name__)
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.hosts.schedule import NONE
-from vamgpu.hosts.sources import FrameSource, RunSource, Source
+from vamgpu.hosts.pictures.sources import FrameSource, RunSource, Source
+from vamgpu.hosts.schedules.schedule import NONE
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.frames import Frames
 
@@ -80,7 +80,7 @@ class PackedSource:
         self._pictures, self.shape, self.frames = pictures, shape, frames
 
     def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
-        """See `vamgpu.hosts.sources.Source`."""
+        """See `vamgpu.hosts.pictures.sources.Source`."""
         lit = np.flatnonzero(frames != NONE)
         if len(lit) < len(out):
             out[:] = 0

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from vamgpu.errors import DeviceRefused, WrongDevice
-from vamgpu.hosts.cable import VideoMachines
 from vamgpu.hosts.clock import RealClock
-from vamgpu.hosts.config import RigConfig
 from vamgpu.hosts.drivers.lens import TunableLens
 from vamgpu.hosts.drivers.stage import Stage
-from vamgpu.hosts.sections import ORDERS, LensRigSection, ProjectorSection, StageSection
-from vamgpu.hosts.triggered import Machines
+from vamgpu.hosts.players.cable import VideoMachines
+from vamgpu.hosts.players.triggered import Machines
+from vamgpu.hosts.rigs.config import RigConfig
+from vamgpu.hosts.rigs.sections import ORDERS, LensRigSection, ProjectorSection, StageSection
 
 if TYPE_CHECKING:
     from vamgpu.hosts.drivers.projector import HdmiProjector

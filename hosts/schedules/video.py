@@ -10,9 +10,9 @@ import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible
 from vamgpu.geometry import counts
-from vamgpu.hosts.limits import HdmiTiming
-from vamgpu.hosts.schedule import NONE, Schedule
-from vamgpu.hosts.timing import SECOND, Cadence, Number, below, exact
+from vamgpu.hosts.schedules.limits import HdmiTiming
+from vamgpu.hosts.schedules.schedule import NONE, Schedule
+from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, exact
 
 SAME = Fraction(1, 10**9)
 """Speeds this close are the same: what a user writes is rounded."""

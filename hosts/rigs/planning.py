@@ -11,13 +11,13 @@ import numpy as np
 
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.hosts.config import RigConfig
-from vamgpu.hosts.limits import HdmiTiming, LensTiming, MirrorTiming
-from vamgpu.hosts.moving import sla, turned, web
-from vamgpu.hosts.schedule import Schedule
-from vamgpu.hosts.stream import Mirrors, Pictures
-from vamgpu.hosts.video import vial
-from vamgpu.hosts.works import Kind, Work, work
+from vamgpu.hosts.pictures.stream import Mirrors, Pictures
+from vamgpu.hosts.rigs.config import RigConfig
+from vamgpu.hosts.rigs.works import Kind, Work, work
+from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming
+from vamgpu.hosts.schedules.moving import sla, turned, web
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.video import vial
 from vamgpu.optics.lens import TunableLens
 from vamgpu.quantity import parse
 

@@ -16,7 +16,7 @@ from vamgpu.backend.device import Device
 from vamgpu.curethrough.names import is_slice
 from vamgpu.curethrough.output import RECORD
 from vamgpu.errors import BadInput, SliceError, StorageError
-from vamgpu.hosts.stream import FramePictures, Mirrors, Pictures, WebPictures
+from vamgpu.hosts.pictures.stream import FramePictures, Mirrors, Pictures, WebPictures
 from vamgpu.printing.frames import Frames
 from vamgpu.storage.folder import MANIFEST
 

@@ -18,7 +18,7 @@ class ControllerLamp:
             self._controller.power(channel, power)
         self._controller.arm()
         if self._steady:
-            self._controller.light(True)
+            self._controller.light(sum(1 << channel for channel in self._channels))
 
     def off(self) -> None:
         """Light off and not allowed; where that fails, everything stops."""

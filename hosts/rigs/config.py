@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from vamgpu.errors import JobError
 from vamgpu.hosts.calibrating.sections import CameraSection, CameraStageSection, PhotodiodeSection
-from vamgpu.hosts.sections import (
+from vamgpu.hosts.rigs.sections import (
     ControllerSection,
     LensRigSection,
     LightSection,

@@ -13,22 +13,22 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, DeviceError, Underrun
-from vamgpu.hosts.approach import LOOK, Approach, Motion
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream, SlotTiming
 from vamgpu.hosts.drivers.lens import TunableLens
-from vamgpu.hosts.lamp import ControllerLamp, Renewal
-from vamgpu.hosts.light import Switch
-from vamgpu.hosts.player import Look
+from vamgpu.hosts.pictures.stream import Pictures
+from vamgpu.hosts.pictures.supply import Dark, Supply
+from vamgpu.hosts.pictures.underrun import Underruns, VialUnderrun, WebUnderrun
+from vamgpu.hosts.players.approach import LOOK, Approach, Motion
+from vamgpu.hosts.players.player import Look
 from vamgpu.hosts.protocols.controller import Row, Status
 from vamgpu.hosts.record import Shown
-from vamgpu.hosts.rows import Rows
-from vamgpu.hosts.schedule import NONE, Schedule
-from vamgpu.hosts.stream import Pictures
-from vamgpu.hosts.supply import Dark, Supply
-from vamgpu.hosts.timing import SECOND
-from vamgpu.hosts.underrun import Underruns, VialUnderrun, WebUnderrun
+from vamgpu.hosts.safety.lamp import ControllerLamp, Renewal
+from vamgpu.hosts.safety.light import Switch
+from vamgpu.hosts.schedules.rows import Rows
+from vamgpu.hosts.schedules.schedule import NONE, Schedule
+from vamgpu.hosts.schedules.timing import SECOND
 
 PRIMING = 60 * SECOND
 """Longest wait for mirrors and buffers to be full before the light opens [ns]."""
@@ -60,7 +60,7 @@ def usual(schedule: Schedule) -> Underruns:
 
 
 class TriggeredPlayer:
-    """Plays a schedule on mirrors behind a controller; see `vamgpu.hosts.player.Player`.
+    """Plays a schedule on mirrors behind a controller; see `vamgpu.hosts.players.player.Player`.
 
     pictures: of each projector.  depth: pictures of a sequence of the mirrors, by default a second's.  sequences: of
     them; enough for all pictures make them resident.  policy: decides on late pictures, one for each projector.

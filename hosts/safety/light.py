@@ -12,8 +12,8 @@ from types import FrameType
 from typing import Any, Protocol
 
 from vamgpu.errors import BadInput, DeviceBusy
-from vamgpu.hosts.interlock import Budget, InterlockOpen, Seen, reason_dark
-from vamgpu.hosts.lease import Lease
+from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, Seen, reason_dark
+from vamgpu.hosts.safety.lease import Lease
 
 log = logging.getLogger(__name__)
 

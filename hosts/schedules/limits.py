@@ -12,7 +12,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts
-from vamgpu.hosts.timing import SECOND, Number, exact, nanoseconds
+from vamgpu.hosts.schedules.timing import SECOND, Number, exact, nanoseconds
 
 PATTERNS = {1: 24, 2: 12, 3: 8, 4: 6, 6: 4, 7: 3, 8: 2}
 """Bits → pictures that the 24 bits of one video frame hold."""

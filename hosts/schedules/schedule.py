@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, ShapeMismatch
-from vamgpu.hosts.timing import SECOND, Cadence
+from vamgpu.hosts.schedules.timing import SECOND, Cadence
 
 NONE = -1
 """In place of a time or frame: there is none."""

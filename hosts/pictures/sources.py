@@ -10,7 +10,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch, WrongDevice
-from vamgpu.hosts.schedule import NONE
+from vamgpu.hosts.schedules.schedule import NONE
 from vamgpu.kernels.planes import pick_pictures, split_planes, strips_for
 from vamgpu.kernels.signature import Kernel
 from vamgpu.printing.focus import FocusMasks

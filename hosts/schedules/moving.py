@@ -11,9 +11,9 @@ import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible
 from vamgpu.geometry import counts
-from vamgpu.hosts.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.schedule import NONE, Schedule
-from vamgpu.hosts.timing import SECOND, Cadence, Number, below, exact, nanoseconds
+from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
+from vamgpu.hosts.schedules.schedule import NONE, Schedule
+from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, exact, nanoseconds
 from vamgpu.printing.focus import slots
 
 Engines = MirrorTiming | Sequence[MirrorTiming]

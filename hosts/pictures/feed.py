@@ -11,10 +11,10 @@ import numpy as np
 
 from vamgpu.errors import BadInput, ShapeMismatch, VamError
 from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.pinned import buffers
-from vamgpu.hosts.ring import Batch, Ring
-from vamgpu.hosts.schedule import NONE
-from vamgpu.hosts.sources import Source
+from vamgpu.hosts.pictures.pinned import buffers
+from vamgpu.hosts.pictures.ring import Batch, Ring
+from vamgpu.hosts.pictures.sources import Source
+from vamgpu.hosts.schedules.schedule import NONE
 
 NAP = 2_000_000
 """How long a thread sleeps when mirrors have no room [ns]."""

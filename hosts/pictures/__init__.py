@@ -1,0 +1,1 @@
+"""From frames to the memory of mirrors, ahead of their time."""

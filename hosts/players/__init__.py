@@ -1,0 +1,1 @@
+"""What plays a schedule on machines."""

@@ -1,0 +1,1 @@
+"""Rigs and jobs: files, plans, and machines opened and checked."""
