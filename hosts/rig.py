@@ -16,7 +16,7 @@ from vamgpu.hosts.players.player import Player
 from vamgpu.hosts.players.spinning import SpinningPlayer
 from vamgpu.hosts.players.triggered import Machines, TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
-from vamgpu.hosts.rigs.config import RigConfig
+from vamgpu.hosts.rigs.config import RigConfig, read_rig
 from vamgpu.hosts.rigs.opening import close, opened
 from vamgpu.hosts.rigs.planning import Plan, plan
 from vamgpu.hosts.rigs.preflight import Judged, fits, judged
@@ -28,7 +28,9 @@ from vamgpu.printing.frames import Frames
 if TYPE_CHECKING:
     from vamgpu.hosts.resume import Interrupted
 
-__all__ = ["Plan", "Rehearsal", "carry_out", "check", "close", "limits", "opened", "plan", "player", "rehearsal"]
+__all__ = [
+    "Plan", "Rehearsal", "carry_out", "check", "close", "limits", "opened", "plan", "player", "read_rig", "rehearsal",
+]  # fmt: skip
 
 EMULATED_STEPS = 1000
 """Microsteps of an emulated motion in a pose."""
