@@ -1,10 +1,11 @@
-"""How many pictures a second go from a device to mirrors without one late.
+"""How many pictures a second go from a device to mirrors without one late, and whole prints in real time.
 
-    python profiling/feed.py --device opencl:intel:0 --seconds 10
+    python profiling/feed.py --devices opencl:intel:0 --seconds 10 --print 600 --out profiling/records/feed-cpu.json
 
-The mirrors are memory that is copied to and a counter that real time advances; the feed is that of a print. A rate is
-sustained if no picture comes later than its trigger; the greatest is searched for by halving. The last line of each bit
-depth is the greatest rate again, with its lateness and the host's share of a core.
+The greatest rate is searched for by halving, with mirrors that are memory copied to and a counter that real time
+advances; a rate is sustained if no picture comes later than its trigger. A whole print is that of `vam print`, on
+emulated machines that keep pace with real time. Late is when a picture was at the mirrors after its trigger; below 0,
+so long before. cores: of the host's time.
 """
 
 from __future__ import annotations
@@ -13,23 +14,34 @@ import argparse
 import json
 import logging
 import sys
+import tempfile
 import time
 from dataclasses import asdict, dataclass
+from math import pi
+from pathlib import Path
 
 import numpy as np
+from common import chosen_devices, machine, write_record
 
-import vamgpu
 from vamgpu.backend.device import Device
 from vamgpu.hosts.clock import RealClock
+from vamgpu.hosts.emulators.array import ArrayModel
+from vamgpu.hosts.emulators.bench import Bench
+from vamgpu.hosts.emulators.clock import PacedClock
 from vamgpu.hosts.pictures.feed import Feed
 from vamgpu.hosts.pictures.sources import FrameSource
-from vamgpu.hosts.schedules.limits import MirrorTiming
-from vamgpu.hosts.schedules.moving import turned
+from vamgpu.hosts.pictures.stream import FramePictures, Mirrors, WebPictures
+from vamgpu.hosts.players.triggered import TriggeredPlayer
+from vamgpu.hosts.record import RunFolder, read_run, timing
+from vamgpu.hosts.run import Print
+from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
+from vamgpu.hosts.schedules.moving import turned, web
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 
 ROWS, COLUMNS, ROW_BYTES, BATCH = 1080, 1920, 256, 8
 LOOK = 5_000_000
+ADVANCE, FOCUS = 9.0 * pi / 360, (0.0, 0.7, 1.4)
 
 
 @dataclass(frozen=True)
@@ -114,19 +126,54 @@ def greatest(frames: Frames, seconds: float) -> Sustained:
     return found
 
 
+def printed(device: Device, kind: str, seconds: float) -> dict[str, object]:
+    """A whole print in real time: guard, lease, controller, record and all, on emulated mirrors of 1080p.
+
+    kind: a web at 48 mm/min through three foci, or a vial at 40 deg/s of 360 angles. What resin would see is left out;
+    the emulated machines' work counts as the host's.
+    """
+    mirrors = MirrorTiming(dark=1e-3)
+    if kind == "web":
+        poses = max(int(seconds * 0.8 / ADVANCE), 4)
+        schedule = web(poses, advance=ADVANCE, speed=0.8, engines=mirrors, lens=LensTiming(), focus=FOCUS)
+        base = np.random.default_rng(1).integers(0, 256, (8, ROWS, COLUMNS), dtype=np.uint8)
+        masks = np.arange(3)[:, None] == np.arange(COLUMNS) * 3 // COLUMNS
+        array = Mirrors(ROWS, COLUMNS, ROW_BYTES)
+        pictures = WebPictures(lambda low, high: base[np.arange(low, high) % 8], poses, array, masks, device)
+    else:
+        schedule = turned(360, speed=40.0, engines=mirrors, turns=max(round(seconds / 9.0), 1))
+        pictures = FramePictures(frames_on(device, 8, 360), Mirrors(ROWS, COLUMNS, ROW_BYTES))
+    bench = Bench(1000, ArrayModel(), powers=FOCUS if kind == "web" else (), clock=PacedClock())
+    bench.alps[0].on_shown = None
+    with tempfile.TemporaryDirectory() as place, RunFolder.begin(Path(place) / "run", {}, "") as folder:
+        job = Print(TriggeredPlayer(schedule, bench.machines(1000 / float(schedule.advance)), [pictures]), folder)
+        before, began = time.process_time(), time.monotonic()
+        state = job.run()
+        spent, passed = time.process_time() - before, time.monotonic() - began
+        run = timing(read_run(folder.path).shown)
+    late = {name: 1e-6 * value for name, value in run["late_ns"].items()}
+    return {"state": state, "rate": schedule.rate, "seconds": passed, "pictures": run["pictures"], "dark": run["dark"],
+            "late_ms": late, "cores": spent / passed}  # fmt: skip
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--device", default=None)
-    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--devices", nargs="+", default=["cpu"])
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each rate that is tried")
+    parser.add_argument("--print", type=float, default=20.0, dest="printing", help="seconds of each whole print")
+    parser.add_argument("--out", type=Path, default=None, help="the record to write")
     asked = parser.parse_args()
     logging.disable(logging.WARNING)  # rates that fail are what is looked for
-    device = vamgpu.open_device(asked.device)
-    eight = frames_on(device, 8)
-    report: dict[str, object] = {"device": device.name}
-    report["sustained"] = [asdict(greatest(frames_on(device, bits), asked.seconds)) for bits in (8, 1)]
-    for rate in (30.56, 40.0):
-        report[f"at {rate:g}"] = asdict(trial(eight, rate, asked.seconds))
-    print(json.dumps(report, indent=1))
+    devices = chosen_devices(asked.devices)
+    record: dict[str, object] = {"machine": machine(*devices)}
+    for device in devices:
+        found: dict[str, object] = {kind: printed(device, kind, asked.printing) for kind in ("web", "vial")}
+        for bits in (8, 1):
+            found[f"greatest rate of {bits} bits"] = asdict(greatest(frames_on(device, bits), asked.seconds))
+        record[device.name] = found
+        print(device.name, json.dumps(found, indent=1))
+    if asked.out is not None:
+        write_record(asked.out.parent, asked.out.stem, record)
     return 0
 
 
