@@ -54,6 +54,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "designs": "Dots, bars, wedges and posts in one color and two",
         "curethrough_part": "A part of bridges, corrected for cure-through",
         "fom": "A calibration disk at five stop doses",
+        "measured": "A rig that measures itself: focus, axis, gray levels, sharpness",
         "machines": "Prints on emulated machines, and how soon they are dark",
     }
 )
