@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,14 +40,15 @@ class Limits:
 class Print:
     """One print: a player's schedule under one holder of the light.
 
-    player: machines that play the schedule.  folder: keeps what happens.  power: of the light, 0 to 1.
+    player: machines that play the schedule.  folder: keeps what happens.  power: of the light, 0 to 1.  enough: asked at
+    every look whether the part has had its light, and says why; then it is dark at once and the print complete.
     """
 
     def __init__(
         self, player: Player, folder: RunFolder, *, limits: Limits = Limits(), board: Board | None = None,
-        power: float = 1.0,
+        power: float = 1.0, enough: Callable[[], str | None] = lambda: None,
     ) -> None:  # fmt: skip
-        self.player, self.folder, self.limits, self.power = player, folder, limits, power
+        self.player, self.folder, self.limits, self.power, self._enough = player, folder, limits, power, enough
         self.board, self.states = board or Board(), States()
         self.lease = Lease(player.clock, player.renew, limits.lease)
         schedule = player.schedule
@@ -114,6 +116,8 @@ class Print:
         self.guard.look(motion=seen.motion, shown=seen.shown, scheduled=seen.scheduled, fault=seen.fault)
         self._keep(seen)
         self._show(seen)
+        if (why := self._enough()) is not None:
+            return self._rest(State.COMPLETE, why)
         if not seen.running:
             return self._over()
         self.player.feed()
@@ -154,12 +158,12 @@ class Print:
         self.states.to(State.COMPLETE)
         return False
 
-    def _rest(self, state: State) -> bool:
+    def _rest(self, state: State, why: str = "") -> bool:
         """Dark, then at rest; what was shown until then is kept."""
-        self.guard.off(state.value)
+        self.guard.off(why or state.value)
         self.player.halt()
         self.paused_at = self.player.clock.now()
-        self.states.to(state, self.guard.fault or "")
+        self.states.to(state, self.guard.fault or why)
         return False
 
     def _alive(self) -> None:
