@@ -84,6 +84,64 @@ class EmulatedCamera:
         """Nothing is held."""
 
 
+class RunningCamera(EmulatedCamera):
+    """Takes a picture each ``period`` [ns] by itself, as cameras do; nobody who asks for one holds the clock up by it.
+
+    ``grab`` gives the newest picture that was not given yet, and waits where there is none.
+    """
+
+    def __init__(
+        self, clock: VirtualClock, scene: Scene, sensor: Sensor = Sensor(), period: int = 100_000_000, samples: int = 2,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
+        super().__init__(clock, scene, sensor, samples=samples, seed=seed)
+        self._period, self._ready = period, None
+        self._begin(clock.now())
+        clock.attach(self)
+
+    def _begin(self, start: int) -> None:
+        """A picture whose exposure ends a period after ``start`` [ns]."""
+        part = self.exposure_us * MICRO / self.samples
+        self._end = start + max(self._period, round(self.samples * part))
+        self._looks = [self._end - round((k + 0.5) * part) for k in reversed(range(self.samples))]
+        self._electrons: np.ndarray | float = 0.0
+
+    def expose(self, exposure_us: float) -> None:
+        """Set the time of exposure [us], from the next picture on."""
+        with self.clock.lock:
+            super().expose(exposure_us)
+            self._ready = None
+            self._begin(self.clock.now())
+
+    def due(self) -> int | None:
+        """When it looks next, or has a picture [ns]."""
+        return self._looks[0] if self._looks else self._end
+
+    def advance(self, now: int) -> None:
+        """Look, and begin again where the picture is whole."""
+        if self._looks:
+            part = self.exposure_us * MICRO * 1e-9 / self.samples
+            self._electrons = self._electrons + self._look(self._looks.pop(0)) * part
+            return
+        self._ready = np.asarray(self._electrons)
+        self._begin(now)
+
+    def grab(self) -> np.ndarray:
+        """The newest picture ``[row, column]``."""
+        while True:
+            with self.clock.lock:
+                ready, self._ready = self._ready, None
+                until = self._end
+            if ready is not None:
+                self.grabbed += 1
+                return self._digitize(ready)
+            self.clock.sleep_until(until)
+
+    def close(self) -> None:
+        """No more pictures."""
+        self.clock.detach(self)
+
+
 @dataclass(frozen=True)
 class ResinModel:
     """How resin scatters as it gels: little before ``critical`` [mJ/mm3], up to ``gain`` times more within ``width``.

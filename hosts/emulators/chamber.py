@@ -24,6 +24,8 @@ class Chamber:
 
     position: of the motion at a time [ns], in poses.  power: of the lens [1/m] at a time.  planes: their powers.
     mirrors: rows and columns of the arrays.  first: where pose 0 begins; None for where the first light falls.
+    ``turn``: poses that come round again are one, where it is set.  ``hears`` are told of light as it falls: mirrors,
+    start and end [ns].
     """
 
     def __init__(
@@ -39,7 +41,9 @@ class Chamber:
         self.mirrors, self.engines = mirrors, engines
         self.light: dict[tuple[int, int, int], np.ndarray] = {}
         self.astray = 0.0
+        self.hears: list[Callable[[np.ndarray, int, int], None]] = []
         self.first = first
+        self.turn: int | None = None
         self._times, self._channels = [0], [0]
 
     def lamp(self, channels: int, now: int) -> None:
@@ -60,6 +64,8 @@ class Chamber:
         """Mirrors [row, column] were on, or on for a share of the time, from one time to another [ns]."""
         for begin, stop in self._lit(engine, start, end):
             self._add(engine, mirrors, begin, stop)
+            for hear in self.hears:
+                hear(mirrors, begin, stop)
 
     def _lit(self, engine: int, start: int, end: int) -> list[tuple[int, int]]:
         """When the engine's lamp shone between two times."""
@@ -92,7 +98,8 @@ class Chamber:
         if plane is None:
             self.astray += seconds * float(mirrors.sum())
             return
-        key = (engine, plane, int(np.floor(self._pose((start + end) // 2))))
+        pose = int(np.floor(self._pose((start + end) // 2)))
+        key = (engine, plane, pose if self.turn is None else pose % self.turn)
         if key not in self.light:
             self.light[key] = np.zeros(self.mirrors, np.float32)
         self.light[key] += seconds * mirrors[: self.mirrors[0]]

@@ -55,6 +55,8 @@ class Witness:
         self._poses = schedule.frames // planes
         self._light, self._next, self._at = chamber.light, 0, SECOND
         self._greatest, self._count, self._beside = 0.0, 0, 0.0
+        turns = len(schedule) // schedule.frames if self._turn else 1
+        self._times, self._cut = np.full(self._poses, turns), set[int]()
 
     def due(self) -> int | None:
         """When it looks next [ns]."""
@@ -67,8 +69,16 @@ class Witness:
             newest = max(pose for _, _, pose in self._light)
             self._compare(min(newest - BEHIND, self._poses))
 
-    def verdict(self) -> Verdict:
-        """What was found, once the print is over."""
+    def verdict(self, shown: Sequence[int] | None = None) -> Verdict:
+        """What was found, once the print is over.
+
+        shown: pictures of a vial that was stopped, in order. Where the light went out is not compared: at the last of
+        them, or the next.
+        """
+        if shown is not None:
+            self._times = np.bincount(np.asarray(shown, int), minlength=self._poses)
+            last = int(shown[-1]) if len(shown) else 0
+            self._cut = {last, (last + 1) % self._poses}
         if self._turn:
             self._light = {}
             for (engine, plane, pose), seconds in self._chamber.light.items():
@@ -83,18 +93,20 @@ class Witness:
         if stop <= self._next:
             return
         numbers = np.arange(self._next * self._planes, stop * self._planes)
-        turns = len(self._schedule) // self._schedule.frames if self._turn else 1
-        full = turns * (int(self._schedule.on[0]) // 1000) * 1e-6
+        once = (int(self._schedule.on[0]) // 1000) * 1e-6
         for engine, pictures in enumerate(self._pictures):
             levels = pictures.levels(numbers)
             down, across = self._mirrors.place(*levels.shape[1:])
             for number, wanted in zip(numbers.tolist(), levels, strict=True):
                 pose, plane = divmod(number, self._planes)
                 seconds = self._light.pop((engine, plane, pose), None)
+                if pose in self._cut:
+                    continue
+                full, right = max(int(self._times[pose]), 1) * once, wanted / FULL * (self._times[pose] > 0)
                 got = np.zeros(wanted.shape) if seconds is None else seconds[down, across] / full
-                self._greatest = max(self._greatest, float(np.abs(got - wanted / FULL).max()))
+                self._greatest = max(self._greatest, float(np.abs(got - right).max()))
                 if seconds is not None:
                     whole, own = (each.sum(dtype=np.float64) for each in (seconds, seconds[down, across]))
                     self._beside += max(0.0, float(whole - own))
-            self._count += len(numbers)
+            self._count += len(numbers) - len(self._cut & set((numbers // self._planes).tolist())) * self._planes
         self._next = stop

@@ -10,6 +10,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, WrongDevice
 from vamgpu.hosts.clock import Clock
+from vamgpu.hosts.drivers.camera import Camera
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.projector import HdmiProjector
 from vamgpu.hosts.drivers.stage import Stage
@@ -24,12 +25,16 @@ RATES = 0.01
 
 @dataclass
 class VideoMachines:
-    """The machines of a rig, opened. controller: gates the light and holds its lease.  stage: of the vial, in deg."""
+    """The machines of a rig, opened. controller: gates the light and holds its lease.  stage: of the vial, in deg.
+
+    camera: watches the resin.
+    """
 
     clock: Clock
     controller: Controller
     stage: Stage
     projector: HdmiProjector
+    camera: Camera | None = None
 
     def check(self, schedule: Schedule, display: HdmiTiming) -> None:
         """Raise `BadInput` for a schedule of no vial, `WrongDevice` for one that was made for another projector."""
