@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +13,7 @@ import numpy as np
 from vamgpu.errors import BadInput, WrongDevice
 from vamgpu.hosts.attended import attended
 from vamgpu.hosts.board import Board
+from vamgpu.hosts.exposure import Watch
 from vamgpu.hosts.players.cable import CablePictures, VideoMachines
 from vamgpu.hosts.players.player import Player
 from vamgpu.hosts.players.spinning import SpinningPlayer
@@ -21,6 +24,7 @@ from vamgpu.hosts.rigs.opening import close, opened
 from vamgpu.hosts.rigs.planning import Plan, plan
 from vamgpu.hosts.rigs.preflight import Judged, fits, judged
 from vamgpu.hosts.run import Limits, Print
+from vamgpu.hosts.rigs.stopping import stopping
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.state import State
 from vamgpu.printing.frames import Frames
@@ -31,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Plan", "Rehearsal", "carry_out", "check", "close", "limits", "opened", "plan", "player", "read_rig", "rehearsal",
 ]  # fmt: skip
+    "stopping",
 
 EMULATED_STEPS = 1000
 """Microsteps of an emulated motion in a pose."""
@@ -50,15 +55,19 @@ class Rehearsal:
     bench: Any
     witness: Any
 
-    def seen(self, planned: Plan, engine: int = 0) -> Frames:
-        """What resin saw of a vial's frames, as frames: levels that give the same light, which a proof can judge."""
+    def seen(self, planned: Plan, engine: int = 0, turns: int | None = None) -> Frames:
+        """What resin saw of a vial's frames, as frames: levels that give the same light, which a proof can judge.
+
+        turns: that were begun, which levels are told by; by default all that were planned.
+        """
         frames, table = planned.works[engine].frames, planned.schedule
         if frames is None:
             raise BadInput(f"{planned.works[engine].path!r} is no vial's job; ask the witness what resin saw of it")
         images, rows, columns = frames.shape
         light = self.bench.chamber.seconds(engine, images, turn=images)[0]
         down, across = planned.mirrors[engine].place(rows, columns)
-        share = light[:, down, across] / (len(table) // images * (int(table.on[0]) // 1000) * 1e-6)
+        turns = turns or len(table) // images
+        share = light[:, down, across] / (turns * (int(table.on[0]) // 1000) * 1e-6)
         levels = np.rint(share * (255 if frames.bits == 8 else 1)).astype(np.uint8)
         bytes_ = levels if frames.bits == 8 else np.packbits(levels, axis=-1)
         return Frames.from_bytes(
@@ -68,6 +77,7 @@ class Rehearsal:
 
 
 def rehearsal(planned: Plan, paced: bool = False) -> Rehearsal:
+    from vamgpu.hosts.emulators.resin import resin_camera
     """Emulated machines as large as a plan. paced: in step with real time, for those who watch."""
     from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
     from vamgpu.hosts.emulators.witness import Witness
@@ -76,6 +86,10 @@ def rehearsal(planned: Plan, paced: bool = False) -> Rehearsal:
     bench, machines = _bench(planned, clock) if planned.display is None else _booth(planned, planned.display, clock)
     pictures: Any = [each.pictures(mirrors) for each, mirrors in zip(planned.works, planned.mirrors, strict=True)]
     planes = max(1, len(planned.works[0].depths))
+    if planned.kind == "vial":
+        bench.chamber.turn = planned.schedule.frames
+    if planned.stop is not None:
+        machines.camera = resin_camera(bench.chamber, bench.clock, planned.stop.exposure, planned.stop.bits)
     witness = Witness(bench.chamber, planned.schedule, pictures, planned.mirrors[0], planes)
     bench.clock.attach(witness)
     return Rehearsal(machines, bench, witness)
@@ -146,22 +160,56 @@ def carry_out(
     """Print a plan into the folder of a run. Raises what went wrong, after it is dark and written down.
 
     board: of a person who attends, with buttons to pause and go on.  found: by `check`, which is run where it is
-    missing.  resume: go on with the print that a host left in the folder.
+    missing.  resume: go on with the print that a host left in the folder.  A plan with a stop is watched.
+    _may_watch(planned, machines, resume)
     """
     left = _left(planned, machines, folder) if resume else None
     playing = player(planned, machines, found, None if left is None else left.origin)
     if left is not None and isinstance(playing, TriggeredPlayer):
         playing.recall(left.lost)
     with _folder(planned, folder, left) as record:
-        job = Print(playing, record, limits=limits(planned.rig), board=board, power=planned.rig.wanted.light.power)
-        first = None if left is None else left.first
-        return (job.run(first) if board is None else attended(job, board, first)), job
+        shown, watch = board or Board(), None
+        if planned.stop is not None and machines.camera is not None:
+            speed = float(planned.schedule.speed)
+            watch = Watch(machines.camera, machines.clock, planned.stop, record, lambda: shown.now.position / speed)
+        ends: Any = {} if watch is None else {"enough": watch.enough, "short": watch.short}
+        power = planned.rig.wanted.light.power
+        job = Print(playing, record, limits=limits(planned.rig), board=shown, power=power, **ends)
+        with nullcontext() if watch is None else _before_the_light(watch, job):
+            first = None if left is None else left.first
+            return (job.run(first) if board is None else attended(job, board, first)), job
+
+
+@contextmanager
+def _before_the_light(watch: Watch, job: Print) -> Iterator[None]:
+    """A watch whose background was taken in the dark; a print that has none has failed."""
+    with watch:
+        try:
+            job.player.lamp.off()  # whatever a crashed host left
+            watch.begin()
+        except BaseException as error:
+            job.ended(error)
+            raise
+        yield
+
+
+def _may_watch(planned: Plan, machines: Machines | VideoMachines, resume: bool) -> None:
+    """Raise `WrongDevice` where the camera of a plan with a stop was not opened, `BadInput` where it comes too late."""
+    if planned.stop is None:
+        return
+    if machines.camera is None:
+        raise WrongDevice("the plan stops by what a camera sees, and none was opened; use opened(rig, camera=True)")
+    if resume:
+        raise BadInput(
+            "resin that was lit scatters already, so a print that stops by its scatter cannot be gone on with: begin "
+            "it anew with fresh resin"
+        )
 
 
 def _asked(planned: Plan) -> dict[str, Any]:
     table, jobs = planned.schedule, [each.path for each in planned.works]
     return {"jobs": jobs, "kind": planned.kind, "rig": planned.rig.source, "slots": len(table), "unit": table.unit,
-            "speed": float(table.speed)}  # fmt: skip
+            "speed": float(table.speed), "stop": None if planned.stop is None else planned.stop.threshold}  # fmt: skip
 
 
 def _left(planned: Plan, machines: Machines | VideoMachines, folder: str | Path) -> Interrupted:
@@ -174,7 +222,7 @@ def _left(planned: Plan, machines: Machines | VideoMachines, folder: str | Path)
             "print cannot be gone on with; begin it anew with fresh resin"
         )
     asked, wanted = read_run(folder).asked, _asked(planned)
-    if different := [name for name in ("kind", "slots", "speed") if asked.get(name) != wanted[name]]:
+    if different := [name for name in ("kind", "slots", "speed", "stop") if asked.get(name) != wanted[name]]:
         told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
         raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
     return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))

@@ -46,10 +46,11 @@ class Print:
 
     def __init__(
         self, player: Player, folder: RunFolder, *, limits: Limits = Limits(), board: Board | None = None,
-        power: float = 1.0, enough: Callable[[], str | None] = lambda: None,
+        power: float = 1.0, enough: Callable[[], str | None] = lambda: None, short: Callable[[], str] = lambda: "",
     ) -> None:  # fmt: skip
         self.player, self.folder, self.limits, self.power, self._enough = player, folder, limits, power, enough
         self.board, self.states = board or Board(), States()
+        self._short = short
         self.lease = Lease(player.clock, player.renew, limits.lease)
         schedule = player.schedule
         total = float(schedule.on.sum()) * 1e-9 * power
@@ -155,7 +156,7 @@ class Print:
             self.board.show(slots=len(self.player.schedule))
             self.begin(self.next)
             return True
-        self.states.to(State.COMPLETE)
+        self.states.to(State.COMPLETE, self._short())
         return False
 
     def _rest(self, state: State, why: str = "") -> bool:

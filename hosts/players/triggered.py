@@ -14,6 +14,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, DeviceError, Underrun
 from vamgpu.hosts.clock import Clock
+from vamgpu.hosts.drivers.camera import Camera
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream, SlotTiming
 from vamgpu.hosts.drivers.lens import TunableLens
@@ -45,7 +46,8 @@ TURNS = 2
 
 @dataclass
 class Machines:
-    """The machines of a rig, opened. microsteps: of the motion, in a unit of the schedule's positions."""
+    """The machines of a rig, opened. microsteps: of the motion, in a unit of the schedule's positions.  camera: watches
+    the resin."""
 
     clock: Clock
     controller: Controller
@@ -55,6 +57,7 @@ class Machines:
 
 
 def usual(schedule: Schedule) -> Underruns:
+    camera: Camera | None = None
     """What decides on late pictures: of a web or of a vial."""
     return VialUnderrun(schedule.frames) if schedule.unit == "deg" else WebUnderrun()
 

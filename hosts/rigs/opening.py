@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from vamgpu.hosts.calibrating.sections import CameraSection
 from vamgpu.errors import DeviceRefused, WrongDevice
+from vamgpu.hosts.drivers.camera import Camera
 from vamgpu.hosts.clock import RealClock
 from vamgpu.hosts.drivers.lens import TunableLens
 from vamgpu.hosts.drivers.stage import Stage
@@ -18,8 +20,11 @@ if TYPE_CHECKING:
     from vamgpu.hosts.drivers.projector import HdmiProjector
 
 
-def opened(rig: RigConfig) -> Machines | VideoMachines:
-    """The real machines of a rig. Raises `DeviceNotFound`, `DeviceBusy`, `WrongDevice`; nothing stands in for them."""
+def opened(rig: RigConfig, camera: bool = False) -> Machines | VideoMachines:
+    """The real machines of a rig; ``camera``: also the one that watches the resin.
+
+    Raises `DeviceNotFound`, `DeviceBusy`, `WrongDevice`; nothing stands in for them.
+    """
     from vamgpu.hosts.drivers.controller import Controller
     from vamgpu.hosts.drivers.dmd import Dmd
 
@@ -30,7 +35,8 @@ def opened(rig: RigConfig) -> Machines | VideoMachines:
         if wanted.stage is not None and wanted.video:
             held.append(_stage(wanted.stage))
             held.append(_screen(wanted.projector[0]))
-            return VideoMachines(RealClock(), controller, held[1], held[2])
+            watching = _camera(wanted.camera) if camera and wanted.camera is not None else None
+            return VideoMachines(RealClock(), controller, held[1], held[2], watching)
         lens = None if wanted.lens is None else _lens(wanted.lens)
         held += [] if lens is None else [lens]
         mirrors = []
@@ -39,8 +45,9 @@ def opened(rig: RigConfig) -> Machines | VideoMachines:
             held.append(mirrors[-1])
     except BaseException:
         _let_go(held)
+        watching = _camera(wanted.camera) if camera and wanted.camera is not None else None
         raise
-    return Machines(RealClock(), controller, mirrors, wanted.controller.microsteps, lens)
+    return Machines(RealClock(), controller, mirrors, wanted.controller.microsteps, lens, watching)
 
 
 def _stage(wanted: StageSection) -> Stage:
@@ -64,6 +71,12 @@ def _screen(wanted: ProjectorSection) -> HdmiProjector:
 
 def _lens(wanted: LensRigSection) -> TunableLens:
     """A lens that is what the rig's file says, in its mode, and reaches the powers that it may be told."""
+def _camera(wanted: CameraSection) -> Camera:
+    from vamgpu.hosts.drivers.camera import GenicamCamera
+
+    return GenicamCamera.open(str(wanted.producer), wanted.serial)
+
+
     lens = TunableLens.open(str(wanted.port), wanted.firmware)
     try:
         found = lens.focal_power_mode()

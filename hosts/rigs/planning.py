@@ -11,6 +11,7 @@ import numpy as np
 
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
+from vamgpu.hosts.exposure import Stop
 from vamgpu.hosts.pictures.stream import Mirrors, Pictures
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.works import Kind, Work, work
@@ -35,7 +36,8 @@ USUAL = 40.0
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Works on a rig, one for each projector. focus: powers of the lens [dpt], one for each plane.  display: of a video
-    cable; None for mirrors behind a trigger.  rehearsed: whether the machines are to be emulated."""
+    cable; None for mirrors behind a trigger.  rehearsed: whether the machines are to be emulated.
+    stop: by what the resin scatters, see `vamgpu.hosts.rigs.stopping`."""
 
     works: tuple[Work, ...]
     schedule: Schedule
@@ -45,6 +47,7 @@ class Plan:
     display: HdmiTiming | None = None
     rehearsed: bool = False
 
+    stop: Stop | None = None
     @property
     def kind(self) -> Kind:
         """How it moves."""
@@ -81,6 +84,7 @@ class Plan:
             ("light a picture", f"{int(table.on[0]) * 1e-6:.3f} ms"),
             ("memory", f"{self.bits * len(table)} bit planes in all" if self.display is None else ""),
             ("lease", f"{1e3 * self.rig.wanted.safety.lease:.0f} ms"),
+            ("stop", "" if self.stop is None else f"at scatter density {self.stop.threshold:g}, or after its turns"),
         )
         return tuple(row for row in rows if row[1])
 
