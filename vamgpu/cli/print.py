@@ -23,9 +23,9 @@ DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "sol
 
 @app.command(name="print")
 def print_(
-    *jobs: str, rig: str, speed: str | None = None, turns: int = 1, out: Path | None = None, resume: Path | None = None,
-    settings: Settings = None, device: str | None = None, dry_run: Switch = False, panel: Switch = False,
-    host: str = "127.0.0.1", port: int = 0,
+    *jobs: str, rig: str, speed: str | None = None, turns: int = 1, stop: float | None = None, out: Path | None = None,
+    resume: Path | None = None, settings: Settings = None, device: str | None = None, dry_run: Switch = False,
+    panel: Switch = False, host: str = "127.0.0.1", port: int = 0,
 ) -> None:  # fmt: skip
     """Print jobs on a rig, one for each of its projectors; the word demo makes and prints a small one.
 
@@ -34,7 +34,8 @@ def print_(
         rig: the TOML file of the rig, or emulated
         speed: of vials [deg/s], 40 by default, of webs [mm/s] and of slices [mm/h], or with its unit, such as
             "48 mm/min"; by default what the job was made for
-        turns: how often each picture of a vial is shown
+        turns: how often each picture of a vial is shown, at most where it stops by itself
+        stop: density of scatter at which a vial is done [gray levels/voxel], such as 0.35, by the rig's camera
         out: folder of the run; the job's name with .run by default
         resume: folder of a run that a host left in the midst, to go on with
         device: that makes the pictures; the best one by default, NumPy for a rehearsal
@@ -44,7 +45,7 @@ def print_(
         port: of the page; a free one by default
     """
     from vamgpu.errors import BadInput
-    from vamgpu.hosts.rig import plan
+    from vamgpu.hosts.rig import plan, stopping
     from vamgpu.hosts.rigs.config import read_rig
 
     screen, config = console(), read_rig(rig, settings or ())
@@ -56,6 +57,7 @@ def print_(
     place = resume or out or Path(first).with_suffix(".run")
     folders = tuple(_demo(screen, place.with_suffix(".job")) if job == "demo" else Path(job) for job in jobs)
     planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device)
+    planned = planned if stop is None else stopping(planned, stop)
     for name, value in planned.lines():
         screen.print(f"  {name:<27} [bold]{escape(value)}[/]")
     if not panel:
@@ -71,8 +73,8 @@ def print_(
 
 @app.command
 def panel(
-    *jobs: str, rig: str, speed: str | None = None, turns: int = 1, out: Path | None = None, resume: Path | None = None,
-    host: str = "127.0.0.1", port: int = 8521,
+    *jobs: str, rig: str, speed: str | None = None, turns: int = 1, stop: float | None = None, out: Path | None = None,
+    resume: Path | None = None, host: str = "127.0.0.1", port: int = 8521,
 ) -> None:  # fmt: skip
     """Print jobs on a rig with the live page, as ``vam print --panel`` does.
 
@@ -81,12 +83,15 @@ def panel(
         rig: the TOML file of the rig, or emulated
         speed: as for ``vam print``
         turns: how often each picture of a vial is shown
+        stop: as for ``vam print``
         out: folder of the run
         resume: folder of a run to go on with
         host: where the page is served; a token is wanted beyond this machine
         port: of the page
     """
-    print_(*jobs, rig=rig, speed=speed, turns=turns, out=out, resume=resume, panel=True, host=host, port=port)
+    print_(
+        *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, panel=True, host=host, port=port,
+    )  # fmt: skip
 
 
 def _demo(screen: Console, place: Path) -> Path:
@@ -102,7 +107,7 @@ def _printed(screen: Console, planned: Plan, place: Path, board: Board | None, r
     from vamgpu.hosts.rig import carry_out, check, close, opened, rehearsal
 
     stand = rehearsal(planned, paced=board is not None) if planned.rehearsed else None
-    machines = opened(planned.rig) if stand is None else stand.machines
+    machines = opened(planned.rig, camera=planned.stop is not None) if stand is None else stand.machines
     try:
         found = check(planned, machines)
         if found is not None:
@@ -113,13 +118,18 @@ def _printed(screen: Console, planned: Plan, place: Path, board: Board | None, r
     run = read_run(place)
     early = -timing(run.shown)["late_ns"]["max"] * 1e-6
     screen.print(f"{state.value}: {len(run.shown)} pictures, at the mirrors {early:.1f} ms early or more")
+    if run.message:
+        missed = planned.stop is not None and not any(event["event"] == "enough" for event in run.events)
+        screen.print(f"stop    [{'yellow' if missed else 'bold'}]{escape(run.message)}[/]")
     screen.print(f"run     [bold]{escape(str(place))}[/]")
     if stand is not None:
-        screen.print(f"resin   {escape(str(stand.witness.verdict()))}")
-        _report(screen, planned, stand, place)
+        lit = run.shown[(run.shown["engine"] == 0) & (run.shown["dark"] == 0)]
+        seen = None if planned.stop is None else lit["frame"]
+        screen.print(f"resin   {escape(str(stand.witness.verdict(seen)))}")
+        _report(screen, planned, stand, place, None if seen is None else -(-len(seen) // planned.schedule.frames))
 
 
-def _report(screen: Console, planned: Plan, stand: Rehearsal, place: Path) -> None:
+def _report(screen: Console, planned: Plan, stand: Rehearsal, place: Path, turns: int | None) -> None:
     """Prove what emulated resin saw of vials whose folders say what they were to print."""
     from vamgpu.errors import StorageError
     from vamgpu.jobs.run import prove
@@ -131,6 +141,6 @@ def _report(screen: Console, planned: Plan, stand: Rehearsal, place: Path) -> No
         except StorageError as error:
             screen.print(f"report  none: {escape(str(error))}")
             continue
-        proof = simulate(known.proof.operator, stand.seen(planned, number), known.proof.target)
+        proof = simulate(known.proof.operator, stand.seen(planned, number, turns), known.proof.target)
         page = proof.report(place / f"report{f'-{number + 1}' if number else ''}.html", known.plan)
         screen.print(f"report  [bold]{escape(str(page.resolve()))}[/]")
