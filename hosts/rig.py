@@ -23,8 +23,8 @@ from vamgpu.hosts.rigs.config import RigConfig, read_rig
 from vamgpu.hosts.rigs.opening import close, opened
 from vamgpu.hosts.rigs.planning import Plan, plan
 from vamgpu.hosts.rigs.preflight import Judged, fits, judged
-from vamgpu.hosts.run import Limits, Print
 from vamgpu.hosts.rigs.stopping import stopping
+from vamgpu.hosts.run import Limits, Print
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.state import State
 from vamgpu.printing.frames import Frames
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Plan", "Rehearsal", "carry_out", "check", "close", "limits", "opened", "plan", "player", "read_rig", "rehearsal",
-]  # fmt: skip
     "stopping",
+]  # fmt: skip
 
 EMULATED_STEPS = 1000
 """Microsteps of an emulated motion in a pose."""
@@ -77,21 +77,21 @@ class Rehearsal:
 
 
 def rehearsal(planned: Plan, paced: bool = False) -> Rehearsal:
-    from vamgpu.hosts.emulators.resin import resin_camera
     """Emulated machines as large as a plan. paced: in step with real time, for those who watch."""
     from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
+    from vamgpu.hosts.emulators.resin import resin_camera
     from vamgpu.hosts.emulators.witness import Witness
 
     clock = PacedClock() if paced else VirtualClock()
     bench, machines = _bench(planned, clock) if planned.display is None else _booth(planned, planned.display, clock)
     pictures: Any = [each.pictures(mirrors) for each, mirrors in zip(planned.works, planned.mirrors, strict=True)]
     planes = max(1, len(planned.works[0].depths))
+    witness = Witness(bench.chamber, planned.schedule, pictures, planned.mirrors[0], planes)
+    bench.clock.attach(witness)
     if planned.kind == "vial":
         bench.chamber.turn = planned.schedule.frames
     if planned.stop is not None:
         machines.camera = resin_camera(bench.chamber, bench.clock, planned.stop.exposure, planned.stop.bits)
-    witness = Witness(bench.chamber, planned.schedule, pictures, planned.mirrors[0], planes)
-    bench.clock.attach(witness)
     return Rehearsal(machines, bench, witness)
 
 
@@ -161,8 +161,8 @@ def carry_out(
 
     board: of a person who attends, with buttons to pause and go on.  found: by `check`, which is run where it is
     missing.  resume: go on with the print that a host left in the folder.  A plan with a stop is watched.
-    _may_watch(planned, machines, resume)
     """
+    _may_watch(planned, machines, resume)
     left = _left(planned, machines, folder) if resume else None
     playing = player(planned, machines, found, None if left is None else left.origin)
     if left is not None and isinstance(playing, TriggeredPlayer):

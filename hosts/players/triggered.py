@@ -54,10 +54,10 @@ class Machines:
     mirrors: Sequence[Dmd]
     microsteps: float
     lens: TunableLens | None = None
+    camera: Camera | None = None
 
 
 def usual(schedule: Schedule) -> Underruns:
-    camera: Camera | None = None
     """What decides on late pictures: of a web or of a vial."""
     return VialUnderrun(schedule.frames) if schedule.unit == "deg" else WebUnderrun()
 

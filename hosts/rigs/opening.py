@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from vamgpu.hosts.calibrating.sections import CameraSection
 from vamgpu.errors import DeviceRefused, WrongDevice
-from vamgpu.hosts.drivers.camera import Camera
+from vamgpu.hosts.calibrating.sections import CameraSection
 from vamgpu.hosts.clock import RealClock
+from vamgpu.hosts.drivers.camera import Camera
 from vamgpu.hosts.drivers.lens import TunableLens
 from vamgpu.hosts.drivers.stage import Stage
 from vamgpu.hosts.players.cable import VideoMachines
@@ -43,9 +43,9 @@ def opened(rig: RigConfig, camera: bool = False) -> Machines | VideoMachines:
         for each in wanted.projector:
             mirrors.append(Dmd.open(str(each.library), each.serial, each.array))
             held.append(mirrors[-1])
+        watching = _camera(wanted.camera) if camera and wanted.camera is not None else None
     except BaseException:
         _let_go(held)
-        watching = _camera(wanted.camera) if camera and wanted.camera is not None else None
         raise
     return Machines(RealClock(), controller, mirrors, wanted.controller.microsteps, lens, watching)
 
@@ -69,14 +69,14 @@ def _screen(wanted: ProjectorSection) -> HdmiProjector:
     return HdmiProjector(PygletWindow(wanted.screen, wanted.array, wanted.refresh), layout, wanted.latency)
 
 
-def _lens(wanted: LensRigSection) -> TunableLens:
-    """A lens that is what the rig's file says, in its mode, and reaches the powers that it may be told."""
 def _camera(wanted: CameraSection) -> Camera:
     from vamgpu.hosts.drivers.camera import GenicamCamera
 
     return GenicamCamera.open(str(wanted.producer), wanted.serial)
 
 
+def _lens(wanted: LensRigSection) -> TunableLens:
+    """A lens that is what the rig's file says, in its mode, and reaches the powers that it may be told."""
     lens = TunableLens.open(str(wanted.port), wanted.firmware)
     try:
         found = lens.focal_power_mode()
@@ -94,10 +94,11 @@ def _camera(wanted: CameraSection) -> Camera:
 
 
 def close(machines: Machines | VideoMachines) -> None:
-    """Let go of all machines, the mirrors first."""
+    """Let go of all machines, a camera and the mirrors first."""
+    watching = [] if machines.camera is None else [machines.camera]
     if isinstance(machines, VideoMachines):
-        return _let_go([machines.controller, machines.stage, machines.projector])
-    _let_go([machines.controller, *([] if machines.lens is None else [machines.lens]), *machines.mirrors])
+        return _let_go([machines.controller, machines.stage, machines.projector, *watching])
+    _let_go([machines.controller, *([] if machines.lens is None else [machines.lens]), *machines.mirrors, *watching])
 
 
 def _let_go(held: Sequence[Any]) -> None:

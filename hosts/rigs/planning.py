@@ -46,8 +46,8 @@ class Plan:
     focus: tuple[float, ...] = ()
     display: HdmiTiming | None = None
     rehearsed: bool = False
-
     stop: Stop | None = None
+
     @property
     def kind(self) -> Kind:
         """How it moves."""
