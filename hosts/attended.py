@@ -38,10 +38,12 @@ def attended(job: Print, board: Board, first: int | None = None) -> State:
 def _rested(job: Print, going: threading.Event) -> bool:
     """Wait for the button; False where the print was cancelled, or rested for too long."""
     clock = job.player.clock
-    while not going.is_set():
-        over = clock.now() - (job.paused_at or 0) > job.limits.resume
-        if job.asked is State.CANCELLED or over:
-            job.states.end(State.CANCELLED, "rested for too long" if over else "cancelled at rest")
+    while job.asked is not State.CANCELLED:
+        if going.is_set():
+            return True
+        if clock.now() - (job.paused_at or 0) > job.limits.resume:
+            job.states.end(State.CANCELLED, "rested for too long")
             return False
         clock.sleep_until(clock.now() + LOOK)
-    return True
+    job.states.end(State.CANCELLED, "cancelled at rest")
+    return False

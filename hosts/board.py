@@ -43,9 +43,10 @@ class Board:
     """The newest snapshot, and the buttons. Writing costs the printing thread one reference; readers never block it."""
 
     def __init__(self, **fields: object) -> None:
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a signal may put the light out, and tell it, in the midst of telling
         self._now = Snapshot(**fields)  # type: ignore[arg-type]
         self._stops: list[Callable[[str], None]] = []
+        self._stopped: str | None = None
         self._buttons: dict[str, Callable[[], None]] = {}
 
     @property
@@ -59,11 +60,14 @@ class Board:
             self._now = replace(self._now, **fields)  # type: ignore[arg-type]
 
     def on_stop(self, stop: Callable[[str], None]) -> None:
-        """What an emergency stop calls, in the order of telling: the light first."""
+        """What an emergency stop calls, in the order of telling: the light first. One that came before is not lost."""
         self._stops.append(stop)
+        if self._stopped is not None:
+            stop(self._stopped)
 
     def stop(self, why: str) -> None:
         """Emergency stop in the caller's thread, which waits for no print to look; all are called, come what may."""
+        self._stopped = why
         failed: list[Exception] = []
         for stop in tuple(self._stops):
             try:

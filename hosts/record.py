@@ -7,6 +7,7 @@ handed to the system before the next is shown: a host that is killed loses none 
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import struct
@@ -24,6 +25,8 @@ from vamgpu.errors import StorageError
 from vamgpu.hosts.state import Change, State
 from vamgpu.storage.atomic import explained
 
+RESERVE = ".reserve"
+"""Room that is kept for the last state, should the disk be full by then."""
 MAGIC = b"VAMSHOWN\x01\x00\x00\x00"
 _RECORD = struct.Struct("<6q2HI")
 _FIELDS = ("slot", "frame", "position", "start", "on_time", "late", "engine", "dark")
@@ -73,6 +76,7 @@ class RunFolder:
         place = Path(path)
         try:
             place.mkdir(parents=True)
+            (place / RESERVE).write_bytes(b"\xff" * 16384)
             (place / "rig.toml").write_text(rig, encoding="utf-8")
             (place / "run.json").write_text(json.dumps(dict(asked), indent=2) + "\n", encoding="utf-8")
         except FileExistsError as error:
@@ -104,11 +108,15 @@ class RunFolder:
         """Keep the state, whole or not at all."""
         text = json.dumps({"state": change.after.value, "message": change.message, "wall": round(time.time(), 3)})
         draft = self.path / ".state.json"
-        try:
-            draft.write_text(text + "\n", encoding="utf-8")
-            os.replace(draft, self.path / "state.json")
-        except OSError as error:
-            raise explained("write", self.path / "state.json", error) from error
+        for room in (True, False):
+            try:
+                draft.write_text(text + "\n", encoding="utf-8")
+                os.replace(draft, self.path / "state.json")
+                return
+            except OSError as error:
+                if error.errno != errno.ENOSPC or not room:
+                    raise explained("write", self.path / "state.json", error) from error
+                (self.path / RESERVE).unlink(missing_ok=True)  # a full disk shall still learn how the print ended
 
     def close(self) -> None:
         """Write the timing and let go of the files; more than once does no harm."""
@@ -120,6 +128,7 @@ class RunFolder:
             self._events = self._shown = -1
         try:
             text = json.dumps(timing(read_run(self.path).shown), indent=2)
+            (self.path / RESERVE).unlink(missing_ok=True)
             (self.path / "timing.json").write_text(text + "\n", encoding="utf-8")
         except OSError as error:
             raise explained("write", self.path / "timing.json", error) from error
@@ -127,8 +136,12 @@ class RunFolder:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        try:
+            self.close()
+        except StorageError:
+            if error is None:
+                raise  # else the first error is the one to tell
 
     def _put(self, file: int, data: bytes, name: str) -> None:
         with self._lock:
@@ -137,11 +150,15 @@ class RunFolder:
             except OSError as error:
                 raise explained("write", self.path / name, error) from error
             if written != len(data):
+                os.ftruncate(file, os.fstat(file).st_size - written)
                 raise StorageError(f"{str(self.path / name)!r} took {written} of {len(data)} bytes: the disk is full")
 
     def _cut(self) -> None:
+        """Cut off what a kill tore."""
         whole = len(MAGIC) + len(read_run(self.path).shown) * _RECORD.size
         os.truncate(self.path / "shown.bin", whole)
+        lines = (self.path / "events.jsonl").read_bytes()
+        os.truncate(self.path / "events.jsonl", lines.rfind(b"\n") + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +187,7 @@ def read_run(path: str | Path) -> Run:
         state = State(told["state"])
     except OSError as error:
         raise explained("read", place, error) from error
-    except (ValueError, KeyError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise StorageError(f"{str(path)!r} is no folder of a run: {error}; check the path") from error
     if not data.startswith(MAGIC):
         raise StorageError(f"{str(place / 'shown.bin')!r} is no record of pictures; check the path")
@@ -178,7 +195,16 @@ def read_run(path: str | Path) -> Run:
     count = next((n for n in range(len(body) // _RECORD.size) if not _whole(body, n)), len(body) // _RECORD.size)
     shown = np.frombuffer(body, SHOWN, count)
     torn = len(body) - count * _RECORD.size
-    return Run(place, asked, state, told["message"], shown, tuple(json.loads(line) for line in lines), torn)
+    events = tuple(event for line in lines if (event := _event(line)) is not None)
+    return Run(place, asked, state, told["message"], shown, events, torn)
+
+
+def _event(line: bytes) -> dict[str, Any] | None:
+    """An event; None for a line that a full disk tore."""
+    try:
+        return json.loads(line)
+    except ValueError:
+        return None
 
 
 def _whole(body: bytes, number: int) -> bool:

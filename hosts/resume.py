@@ -31,10 +31,13 @@ class Interrupted:
 
     def take_up(self, folder: RunFolder, schedule: Schedule) -> None:
         """Write down what was shown after the host's last look; the last of it may have been cut short."""
-        for slot in range(self.recorded, self.first):
+        have = set(zip(self.run.shown["slot"].tolist(), self.run.shown["engine"].tolist(), strict=True))
+        for slot in range(max(self.recorded - 1, 0), self.first):
             row = (int(getattr(schedule, name)[slot]) for name in ("frame", "pose", "light", "on"))
             frame, pose, light, on = row
             for engine in range(schedule.engines):
+                if (slot, engine) in have:
+                    continue
                 folder.shown(Shown(slot, frame, pose, light, on, engine=engine))
 
 

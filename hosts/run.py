@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from vamgpu.hosts.safety.interlock import Budget, InterlockOpen
 from vamgpu.hosts.safety.lease import DEFAULT_LENGTH, Lease
 from vamgpu.hosts.safety.light import LightGuard
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import State, States
+from vamgpu.hosts.state import State, States, WrongState
 
 log = logging.getLogger(__name__)
 PICTURES = SECOND // 5
@@ -40,8 +40,9 @@ class Limits:
 class Print:
     """One print: a player's schedule under one holder of the light.
 
-    player: machines that play the schedule.  folder: keeps what happens.  power: of the light, 0 to 1.  enough: asked at
-    every look whether the part has had its light, and says why; then it is dark at once and the print complete.
+    player: machines that play the schedule.  folder: keeps what happens.  power: over the schedule's, 0 to 1.  enough:
+    asked at every look whether the part has had its light, and says why; then it is dark at once and all is complete.
+    short: what is said of a print that came to its end without that.
     """
 
     def __init__(
@@ -49,11 +50,11 @@ class Print:
         power: float = 1.0, enough: Callable[[], str | None] = lambda: None, short: Callable[[], str] = lambda: "",
     ) -> None:  # fmt: skip
         self.player, self.folder, self.limits, self.power, self._enough = player, folder, limits, power, enough
-        self.board, self.states = board or Board(), States()
         self._short = short
+        self.board, self.states = board or Board(), States()
         self.lease = Lease(player.clock, player.renew, limits.lease)
         schedule = player.schedule
-        total = float(schedule.on.sum()) * 1e-9 * power
+        total = float((schedule.on[:, None] * schedule.power).sum()) * 1e-9 * power
         self.guard = LightGuard(
             player.lamp, self.lease, tolerance=limits.tolerance, budget=Budget(total * limits.budget),
             others=player.switches, told=self._told,
@@ -61,7 +62,7 @@ class Print:
         self.next = 0
         self.asked: State | None = None
         self.paused_at: int | None = None
-        self._finishing, self._pictured = False, -PICTURES
+        self._finishing, self._lit, self._pictured = False, False, -PICTURES
         self.states.listen(folder.state)
         self.states.listen(lambda change: self.board.show(state=change.after, message=change.message))
         self.board.on_stop(self.stop)
@@ -70,23 +71,36 @@ class Print:
     # ---- from any thread -------------------------------------------------------------------------------------
     def stop(self, why: str = "emergency stop") -> None:
         """Light off now; the print is cancelled when its thread looks."""
+        self.asked = State.CANCELLED  # first: who sees the light fail shall know why
         self.guard.fail(why)
-        self.asked = State.CANCELLED
 
     def pause(self) -> None:
         """Dark after the picture that is shown, and the motion at rest, until `run` is called again."""
         self.asked = self.asked or State.PAUSED
 
+    def recall(self, shown: np.ndarray) -> None:
+        """Count light that an earlier host gave, records of its folder."""
+        lit = shown[shown["dark"] == 0]
+        power = self.player.schedule.power[0]
+        for engine in range(self.player.schedule.engines):
+            self.guard.spend(self.power * power[engine], int(lit["on_time"][lit["engine"] == engine].sum()))
+
     # ---- the printing thread ---------------------------------------------------------------------------------
     def run(self, first: int | None = None) -> State:
         """Print from a slot on (by default where it paused) until it is complete, paused, cancelled or failed.
 
-        Raises what went wrong, after it is dark and written down.
+        Raises what went wrong, after it is dark and written down; `WrongState` for a print that has ended.
         """
+        if self.states.state.ended:
+            raise WrongState(f"the print is {self.states.state.value}; begin another one, in a folder of its own")
+        start = self.next if first is None else first
+        if not 0 <= start < len(self.player.schedule):
+            raise BadInput(f"slot {start} is none of the {len(self.player.schedule)} slots")
         try:
             self._may_resume()
+            self._stopped()
             with self.guard:
-                self.begin(self.next if first is None else first)
+                self.begin(start)
                 while self.step():
                     self.player.wait()
         except BaseException as error:
@@ -98,24 +112,32 @@ class Print:
 
     def begin(self, first: int) -> None:
         """Prime the machines and make light from a slot on; the guard is held already."""
-        self.next, self._finishing = first, False
+        self.next, self._finishing, self._lit = first, False, False
         self.player.prime(first, self._alive)
         self.states.to(State.PRINTING, "" if first == 0 else f"from slot {first}")
         self._event("leg", first=first, **self.player.facts())
         self.guard.look(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
+        self._stopped()
         self.guard.on(self.power)
+        self._lit = True
         self.player.start()
 
     def step(self) -> bool:
         """One look at the machines; False once the print is over or at rest."""
         if self.asked is State.CANCELLED:
+            self._last_look()
             return self._rest(State.CANCELLED)
         if self.asked is State.PAUSED and not self._finishing:
             self._finishing = True
             self.player.finish()
         seen = self.player.look()
-        self.guard.look(motion=seen.motion, shown=seen.shown, scheduled=seen.scheduled, fault=seen.fault)
-        self._keep(seen)
+        lit = self.guard.lit
+        try:
+            self.guard.look(motion=seen.motion, shown=seen.shown, scheduled=seen.scheduled, fault=seen.fault)
+        finally:
+            self._keep(seen, lit)
+        if not self.guard.lit:
+            raise InterlockOpen(f"the light is off: {self.guard.fault or 'somebody turned it off'}")
         self._show(seen)
         if (why := self._enough()) is not None:
             return self._rest(State.COMPLETE, why)
@@ -127,10 +149,11 @@ class Print:
 
     def ended(self, error: BaseException) -> None:
         """Bring all to rest after an error; it is dark already. A second error is logged: the first is to be told."""
-        wanted = self.asked is State.CANCELLED or isinstance(error, KeyboardInterrupt)
-        state, why = State.CANCELLED if wanted else State.ERROR, str(error) or type(error).__name__
-        acts = (self.player.halt, lambda: self._event("ended", error=repr(error)), lambda: self.states.end(state, why))
-        for act in acts:
+        wanted = self.asked is State.CANCELLED or isinstance(error, (KeyboardInterrupt, SystemExit))
+        state = State.CANCELLED if wanted else State.ERROR
+        why = self.guard.fault if wanted and self.guard.fault else str(error) or type(error).__name__
+        told, end = lambda: self._event("ended", error=repr(error)), lambda: self.states.end(state, why)  # noqa: E731
+        for act in (self._last_look, self.player.halt, told, end):
             try:
                 act()
             except Exception as second:
@@ -140,13 +163,14 @@ class Print:
         if self.paused_at is None:
             return
         may_resume(self.player.clock.now() - self.paused_at, self.limits)
-        self.asked = None
+        self.asked = None if self.asked is State.PAUSED else self.asked
 
     def _over(self) -> bool:
         """No light is to come: a rest, the end, or a turn more for what was missed."""
         if self.asked is State.PAUSED and self.next < len(self.player.schedule):
             return self._rest(State.PAUSED)
         self.guard.off("complete")
+        self._lit = False
         if self.next < len(self.player.schedule):
             raise InterlockOpen(
                 f"the controller stopped after {self.next} of {len(self.player.schedule)} pictures; look at its events"
@@ -162,23 +186,37 @@ class Print:
     def _rest(self, state: State, why: str = "") -> bool:
         """Dark, then at rest; what was shown until then is kept."""
         self.guard.off(why or state.value)
+        self._lit = False
         self.player.halt()
         self.paused_at = self.player.clock.now()
         self.states.to(state, self.guard.fault or why)
         return False
 
     def _alive(self) -> None:
+        self._stopped()
         self.lease.beat()
         self.lease.keep()
 
-    def _keep(self, seen: Look) -> None:
-        """Write down what was shown, and count its light."""
+    def _stopped(self) -> None:
+        """Raise `InterlockOpen` where somebody has stopped the print."""
+        if self.asked is State.CANCELLED:
+            raise InterlockOpen(f"the print was stopped: {self.guard.fault or 'cancelled'}")
+
+    def _last_look(self) -> None:
+        """In the dark: keep what was shown since the last look; the last picture may have been cut."""
+        if self._lit:
+            self._lit = False
+            self._keep(self.player.look())
+
+    def _keep(self, seen: Look, lit: bool = True) -> None:
+        """Write down what was shown, in the dark where the light had been put out, and count its light."""
         schedule = self.player.schedule
         for shown in seen.pictures:
+            shown = shown if lit else replace(shown, dark=True)
             self.folder.shown(shown)
             self.next = shown.slot + 1
             if not shown.dark:
-                self.guard.spend(self.power / schedule.engines, shown.on_time)
+                self.guard.spend(self.power * float(schedule.power[shown.slot, shown.engine]), shown.on_time)
         if not seen.pictures:  # a look that writes nothing would not see a full disk
             self._event("look", shown=seen.shown)
 

@@ -73,7 +73,7 @@ class Memory:
     def shown(self) -> int:
         return int(np.searchsorted(self._triggers, self._clock.now() - self.began)) if self.began else 0
 
-    def room(self) -> bool:
+    def room(self, pictures: int = 2) -> bool:
         return len(self._ends) < 3 or self._ends[-2] <= self.shown()
 
     def put(self, pictures: np.ndarray) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
-from collections import deque
 from ctypes import byref
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +15,6 @@ from vamgpu.hosts.drivers import alp
 from vamgpu.hosts.drivers.alp import Alp, Progress
 
 log = logging.getLogger(__name__)
-PIECE = 2**21
-"""Bytes of one call that uploads: some milliseconds of a wire."""
 
 
 @dataclass(frozen=True)
@@ -218,69 +214,3 @@ class Sequence:
     def free(self) -> None:
         """Give the memory back."""
         self.dmd.call("AlpSeqFree", self.id)
-
-
-class PlaneStream:
-    """More pictures than fit: sequences in turn, filled while another is shown.
-
-    length: pictures of a sequence.  sequences: how many there are; enough for all pictures make them resident.
-    ``put`` fills and queues a sequence that is not in the queue; ``shown`` counts pictures by the device's own
-    progress, so it is right whatever the host's time does. Whether a picture counts when it begins or when it ends is
-    the device's to say: compare with the count of triggers once, before the first print.
-
-    One thread may put while another asks: uploads go in pieces of `PIECE` bytes, so that nobody waits longer than one.
-    """
-
-    def __init__(
-        self, dmd: Dmd, length: int, bits: int, timing: SlotTiming = SlotTiming(), sequences: int = 2
-    ) -> None:
-        if sequences < 2:
-            raise BadInput(f"{sequences} sequences; wanted 2 or more, one to show and one to fill")
-        self.dmd, self.length, self.bits = dmd, length, bits
-        self._sequences = deque(dmd.sequence(length, bits, timing) for _ in range(sequences))
-        self._queued: deque[int] = deque()
-        self.queued = 0
-        self._asking = threading.RLock()
-        self._piece = max(1, PIECE // (bits * dmd.height * dmd.row_bytes))
-
-    def limits(self) -> Limits:
-        """What the device allows for these pictures."""
-        return self._sequences[0].limits()
-
-    def room(self) -> bool:
-        """Whether a sequence can be filled now."""
-        with self._asking:
-            self.shown()
-            return len(self._queued) < len(self._sequences)
-
-    def put(self, planes: np.ndarray) -> None:
-        """Upload up to ``length`` pictures ``[picture, plane, row, byte]`` and queue them."""
-        if not self.room():
-            raise DeviceError("all sequences are in the queue; wait for room() before the next pictures")
-        sequence = self._sequences[0]
-        for first in range(0, len(planes), self._piece):
-            with self._asking:
-                sequence.put(planes[first : first + self._piece], first)
-        with self._asking:
-            sequence.start(len(planes))
-            self._sequences.rotate(-1)
-            self._queued.append(len(planes))
-            self.queued += len(planes)
-
-    def shown(self) -> int:
-        """How many pictures have begun to show since the start."""
-        with self._asking:
-            progress = self.dmd.progress()
-            if progress.flags & alp.FLAG_QUEUE_IDLE:
-                self._queued.clear()
-                return self.queued
-            while len(self._queued) > 1 + progress.waiting:
-                self._queued.popleft()
-            waiting = sum(list(self._queued)[1:])
-            return self.queued - waiting - progress.frames_left
-
-    def close(self) -> None:
-        """Halt and give the memory back."""
-        self.dmd.halt()
-        while self._sequences:
-            self._sequences.pop().free()

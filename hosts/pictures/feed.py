@@ -23,8 +23,8 @@ NAP = 2_000_000
 class Sink(Protocol):
     """Mirrors that take pictures ahead of their time and show one a trigger."""
 
-    def room(self) -> bool:
-        """Whether ``put`` would not have to wait."""
+    def room(self, pictures: int = 2) -> bool:
+        """Whether ``put`` of so many would not have to wait."""
         ...
 
     def put(self, pictures: np.ndarray) -> None:
@@ -125,10 +125,10 @@ class Feed:
 
         None where pictures are ready, are being uploaded, or have no room: this waits for nobody.
         """
-        if self.ring.fill or not self._sending.acquire(blocking=False):
+        if not self._sending.acquire(blocking=False):
             return None
         try:
-            if not self._sink.room():
+            if self.ring.fill or not self._sink.room(1):
                 return None
             slot = self.uploaded
             self._put(self._black, np.zeros(1, np.int64))

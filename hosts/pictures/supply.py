@@ -10,7 +10,8 @@ import numpy as np
 
 from vamgpu.errors import Underrun
 from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream
+from vamgpu.hosts.drivers.dmd import Dmd
+from vamgpu.hosts.drivers.stream import PlaneStream
 from vamgpu.hosts.pictures.feed import Feed, Sink
 from vamgpu.hosts.pictures.stream import Pictures, source
 from vamgpu.hosts.pictures.underrun import Action, Underruns
@@ -21,6 +22,11 @@ BUFFERS = 2
 """Of pictures made ahead, each as long as a sequence of the mirrors."""
 GUARD = 0.06
 """How far ahead of the counter [s] a missing picture is given up: three looks of the print."""
+
+
+def guard(rate: float) -> int:
+    """How many pictures ahead of the counter a missing one is given up, at so many a second."""
+    return max(2, math.ceil(GUARD * rate))
 
 
 class Dark:
@@ -51,7 +57,7 @@ class Supply:
         shape = (pictures.bits, *stream.dmd.plane_shape)
         made = source(pictures, shape, int(slots.max(initial=0)) + 1, stream.length)
         self._feed = Feed(made, order, cast(Sink, stream), clock, batch=stream.length, depth=BUFFERS)
-        self._guard = max(2, math.ceil(GUARD * rate))
+        self._guard = guard(rate)
         self.ahead, self.share = 0, 0.0
         if threaded:
             self._feed.start()

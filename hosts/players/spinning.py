@@ -42,7 +42,7 @@ class SpinningPlayer:
     ) -> None:  # fmt: skip
         machines.check(schedule, display)
         self.schedule, self.display, self.machines, self.clock = schedule, display, machines, machines.clock
-        self.lamp = ControllerLamp(machines.controller, steady=True)
+        self.lamp = ControllerLamp(machines.controller, steady=True, shares=schedule.power[0])
         self._blackout = Blackout(machines.projector)
         self.switches: Mapping[str, Switch] = {"projector": self._blackout}
         self.renew = Renewal(machines.controller)

@@ -16,10 +16,11 @@ from vamgpu.errors import BadInput, DeviceError, Underrun
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.camera import Camera
 from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream, SlotTiming
+from vamgpu.hosts.drivers.dmd import Dmd, SlotTiming
 from vamgpu.hosts.drivers.lens import TunableLens
+from vamgpu.hosts.drivers.stream import PlaneStream
 from vamgpu.hosts.pictures.stream import Pictures
-from vamgpu.hosts.pictures.supply import Dark, Supply
+from vamgpu.hosts.pictures.supply import Dark, Supply, guard
 from vamgpu.hosts.pictures.underrun import Underruns, VialUnderrun, WebUnderrun
 from vamgpu.hosts.players.approach import LOOK, Approach, Motion
 from vamgpu.hosts.players.player import Look
@@ -40,6 +41,8 @@ APART = SECOND // 7
 """Least time between them, and to the first slot [ns]: some looks."""
 PATIENCE = 0.25
 """How long a trigger may be overdue [s], by where the motion is."""
+REST = 20_000
+"""Least time from a picture's last light to the next trigger [ns]."""
 TURNS = 2
 """Most turns of a vial that are added for what was missed."""
 
@@ -62,6 +65,18 @@ def usual(schedule: Schedule) -> Underruns:
     return VialUnderrun(schedule.frames) if schedule.unit == "deg" else WebUnderrun()
 
 
+def _checked(schedule: Schedule) -> None:
+    """Raise `BadInput` for slots that triggered mirrors do not show."""
+    if len(set(schedule.on.tolist())) != 1 or (schedule.power != schedule.power[0]).any():
+        raise BadInput("pictures differ in how long or how brightly they are lit; the mirrors take one time for all")
+    gap = int(np.diff(schedule.light).min(initial=SECOND))
+    if gap - int(schedule.on[0]) < REST:
+        raise BadInput(
+            f"pictures are lit for {int(schedule.on[0]) / 1000:.6g} of the {gap / 1000:.6g} us that they have; mirrors "
+            f"need {REST // 1000} us more for the next trigger: plan with MirrorTiming(dark=…)"
+        )
+
+
 class TriggeredPlayer:
     """Plays a schedule on mirrors behind a controller; see `vamgpu.hosts.players.player.Player`.
 
@@ -81,10 +96,9 @@ class TriggeredPlayer:
                 f"the schedule is for {schedule.engines} projectors, the rig has {len(machines.mirrors)} and pictures "
                 f"are for {len(pictures)}; choose the rig that the job was made for"
             )
-        if len(set(schedule.on.tolist())) != 1:
-            raise BadInput("pictures differ in how long they are lit; the mirrors take one time for all")
         self.schedule, self.machines, self.clock = schedule, machines, machines.clock
-        self.lamp = ControllerLamp(machines.controller, tuple(range(schedule.engines)))
+        _checked(schedule)
+        self.lamp = ControllerLamp(machines.controller, range(schedule.engines), shares=schedule.power[0])
         self.switches: Mapping[str, Switch] = {f"mirrors {k}": Dark(dmd) for k, dmd in enumerate(machines.mirrors)}
         self.renew = Renewal(machines.controller)
         self._pictures, self._depth = tuple(pictures), depth or max(2, round(schedule.rate))
@@ -124,7 +138,8 @@ class TriggeredPlayer:
         for engine, (dmd, pictures) in enumerate(zip(self.machines.mirrors, self._pictures, strict=True)):
             dmd.halt()
             dmd.slave()
-            stream = PlaneStream(dmd, self._depth, pictures.bits, SlotTiming(on, on), self._sequences)
+            timing = SlotTiming(illuminate_us=on)
+            stream = PlaneStream(dmd, self._depth, pictures.bits, timing, self._sequences, guard(self.schedule.rate))
             self._supplies.append(
                 Supply(stream, pictures, self._orders[engine][first:], self.schedule.pose[first:], self.clock,
                        self.schedule.rate, policy=self._policies[engine], preroll=PREROLL,
@@ -153,12 +168,12 @@ class TriggeredPlayer:
     def look(self) -> Look:
         """Compare what the controller triggered with what the mirrors counted."""
         before = [supply.shown() for supply in self._supplies]
-        status = self.machines.controller.status()
+        status, now = self.machines.controller.status(), self.clock.now()
         after = [supply.shown() for supply in self._supplies]
         counts = (each for low, each in zip(before, after, strict=True) if not low <= status.shown <= each)
-        error = self._motion.error(self.clock.now(), status.position)
+        error = self._motion.error(now, status.position)
         pictures = self._since(status.shown)
-        self._looked, self._free = self.clock.now(), status.free
+        self._looked, self._free = now, status.free
         return Look(
             status.state == "running", error, next(counts, status.shown), status.shown, pictures,
             status.position / self.machines.microsteps - (self._origin or 0.0),
@@ -189,8 +204,9 @@ class TriggeredPlayer:
         for slot in range(self._kept, stop):
             for engine, supply in enumerate(self._supplies):
                 frame, dark = int(self._orders[engine][slot]), supply.black(slot - first)
+                on = 0 if frame == NONE else int(table.on[slot])
                 found.append(
-                    Shown(slot, frame, int(table.pose[slot]), int(table.light[slot]), int(table.on[slot]),
+                    Shown(slot, frame, int(table.pose[slot]), int(table.light[slot]), on,
                           late=supply.arrived(slot - first) - self._looked, engine=engine, dark=dark)
                 )  # fmt: skip
         self._kept = stop

@@ -12,8 +12,9 @@ import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible, WrongDevice
 from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.drivers.dmd import PIECE, Dmd
-from vamgpu.hosts.pictures.supply import BUFFERS
+from vamgpu.hosts.drivers.dmd import Dmd
+from vamgpu.hosts.drivers.stream import PIECE
+from vamgpu.hosts.pictures.supply import BUFFERS, guard
 from vamgpu.hosts.players.triggered import PREROLL
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedules.schedule import Schedule
@@ -53,7 +54,7 @@ class Preflight:
 
     def __str__(self) -> str:
         wire = f"of {1e-6 * self.measured:.3g} MB/s" if np.isfinite(self.measured) else "on a wire that takes no time"
-        held = f"; the source may stand still for {self.stall:.3g} s, the host for {self.freeze:.3g} s"
+        held = f"; pictures made ahead last {self.stall:.3g} s, those at the mirrors {self.freeze:.3g} s"
         return (
             f"{self.planes} planes, room for {self.memory}: {self.residence.value}; "
             f"{1e-6 * self.demand:.3g} MB/s {wire}{held if np.isfinite(self.stall) else ''}"
@@ -84,7 +85,9 @@ def judged(
     binds.
     """
     timings = [MirrorTiming(pixels=(dmd.width, dmd.height), row_bytes=dmd.row_bytes) for dmd in mirrors]
-    real, free = clock.real, min(dmd.free_planes() for dmd in mirrors)
+    for dmd in mirrors:
+        _in_time(schedule, dmd, bits)
+    real, free = clock.real, min(dmd.free_planes() for dmd in mirrors) - guard(schedule.rate) * bits
     with ThreadPoolExecutor(len(mirrors)) as pool:
         wires = list(pool.map(lambda dmd: _wire(dmd, bits, clock, seconds), mirrors)) if real else [np.inf]
     pictures, slowest = len(schedule) + PREROLL, min(wires)
@@ -98,6 +101,31 @@ def judged(
         preflight(schedule, timing, slowest, bits=bits, batch=depth, depth=BUFFERS, memory=memory) for timing in timings
     )
     return Judged(tuple(replace(found, memory=free) for found in each), depth, sequences)
+
+
+def _in_time(schedule: Schedule, dmd: Dmd, bits: int) -> None:
+    """Raise `TimingInfeasible` for pictures that follow each other faster than the device itself allows."""
+    sequence = dmd.sequence(1, bits)
+    try:
+        allowed = sequence.limits()
+    finally:
+        sequence.free()
+    least, most_us = 1000 * allowed.least_picture_us, allowed.greatest_picture_us
+    if schedule.on.max() >= 1000 * most_us:
+        slowest = float(schedule.speed) * float(schedule.on.max()) / (1000 * most_us)
+        raise TimingInfeasible(
+            f"pictures are lit for {1e-9 * float(schedule.on.max()):.4g} s; these mirrors show one for "
+            f"{1e-6 * most_us:.4g} s at most: move at {slowest:.4g} {schedule.unit}/s at least",
+            "mirrors", slowest, f"{schedule.unit}/s",
+        )  # fmt: skip
+    gap, on = int(np.diff(schedule.light).min(initial=SECOND)), int(schedule.on.max())
+    if min(gap, on + 1000) < least:
+        most = float(schedule.speed) * min(gap, on + 1000) / least
+        raise TimingInfeasible(
+            f"pictures of {bits} bits are lit for {1e-6 * on:.4g} ms every {1e-6 * gap:.4g} ms; these mirrors need "
+            f"{1e-6 * least:.4g} ms: move at {most:.4g} {schedule.unit}/s at most, or tell the rig's file their time",
+            "mirrors", most, f"{schedule.unit}/s",
+        )  # fmt: skip
 
 
 def _wire(dmd: Dmd, bits: int, clock: Clock, seconds: float) -> float:

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from vamgpu.errors import DeviceError, ProtocolError
 from vamgpu.hosts.drivers.controller import Controller
 
 
 class ControllerLamp:
-    """The light behind a controller's gate. ``on`` allows it; with ``steady`` it shines at once, else row by row."""
+    """The light behind a controller's gate. ``on`` allows it; with ``steady`` it shines at once, else row by row.
 
-    def __init__(self, controller: Controller, channels: tuple[int, ...] = (0,), steady: bool = False) -> None:
-        self._controller, self._channels, self._steady = controller, channels, steady
+    shares: of the power, for each channel.
+    """
+
+    def __init__(
+        self, controller: Controller, channels: Sequence[int] = (0,), steady: bool = False,
+        shares: Sequence[float] | None = None,
+    ) -> None:  # fmt: skip
+        self._controller, self._channels, self._steady = controller, tuple(channels), steady
+        self._shares = (1.0,) * len(channels) if shares is None else tuple(shares)
 
     def on(self, power: float) -> None:
         """Drive the channels at a share of full, and allow the light."""
-        for channel in self._channels:
-            self._controller.power(channel, power)
+        for channel, share in zip(self._channels, self._shares, strict=True):
+            self._controller.power(channel, power * share)
         self._controller.arm()
         if self._steady:
             self._controller.light(sum(1 << channel for channel in self._channels))

@@ -16,6 +16,8 @@ from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, Seen, reason_da
 from vamgpu.hosts.safety.lease import Lease
 
 log = logging.getLogger(__name__)
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""What ends a process that holds the light: keys, systems, and terminals that are closed."""
 
 
 class Switch(Protocol):
@@ -38,8 +40,8 @@ class LightGuard:
     """Holds the light of one rig. Entered last and left first; the only place that calls a lamp's ``on``.
 
     lamp: what is switched on.  others: further ways to make it dark, named, tried after the lamp, each whatever the
-    one before it did.  tolerance: of motion, in the unit that `look` is given.  signals: whether SIGINT and SIGTERM put
-    the light out before they do what they did (main thread only).  told: hears "on" and "off" with the reason.
+    one before it did.  tolerance: of motion, in the unit that `look` is given.  signals: whether SIGINT, SIGTERM and
+    SIGHUP put the light out before they do what they did (main thread only).  told: hears "on" and "off" with the reason.
 
     A fault latches: light stays off until the guard is left. Use::
 
@@ -70,6 +72,7 @@ class LightGuard:
         self._lit = False
         self._entered = False
         self._fault: str | None = None
+        self._outside = False
         self._before: dict[int, Any] = {}
 
     # ---- as a context --------------------------------------------------------------------------------------
@@ -77,7 +80,8 @@ class LightGuard:
         with self._lock:
             if self._entered:
                 raise DeviceBusy("the light is held already; one holder at a time")
-            self._seen, self._fault, self._entered = Seen(), None, True
+            self._seen, self._entered = Seen(), True
+            self._fault = self._fault if self._outside else None  # somebody may have stopped it before
         self._guard_process()
         try:
             self._dark("begin")  # whatever state a crashed host left
@@ -170,7 +174,7 @@ class LightGuard:
     def fail(self, why: str) -> None:
         """Make it dark for good: no light before the guard is left, and no lease either."""
         with self._lock:
-            self._fault = self._fault or why
+            self._fault, self._outside = self._fault or why, self._outside or not self._entered
             self.lease.revoke()  # first, as it cannot fail: should every line be dead, the controller closes by itself
             self.off(why)
 
@@ -196,7 +200,7 @@ class LightGuard:
         if not self._signals or threading.current_thread() is not threading.main_thread():
             return
         mine = weakref.ref(self)
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in SIGNALS:
             before = signal.getsignal(number)
 
             def dark_first(number: int, frame: FrameType | None, before: Any = before) -> None:

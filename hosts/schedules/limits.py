@@ -73,7 +73,7 @@ class LensTiming:
 class MirrorTiming:
     """Mirrors that show a picture at each trigger.
 
-    picture: bits → least seconds from picture to picture.  pixels: columns, rows.  row_bytes: of a packed row in the
+    picture: bits → least seconds that a picture is shown.  pixels: columns, rows.  row_bytes: of a packed row in the
     mirrors' memory; None for what the columns need.  trigger_delay: seconds from trigger to light, set in the device.
     greatest_delay: that the device allows [s].  dark: least seconds without light after a picture.  memory: bit planes
     that fit.  link: bytes a second from the host; None where it was not measured. Raises `BadInput`.

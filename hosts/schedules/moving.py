@@ -16,6 +16,8 @@ from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, exact, nanoseconds
 from vamgpu.printing.focus import slots
 
+SLOWEST = 3600 * SECOND
+"""Longest time of a pose [ns]."""
 Engines = MirrorTiming | Sequence[MirrorTiming]
 
 
@@ -119,7 +121,7 @@ class _Pose:
             settling = lens.settling(int(before[*place]), int(order[*place]))
             gaps[*place] = lens.wire + max(settling, shown.delay)
         wanted = None if on is None else nanoseconds("on [s]", exact("on [s]", on))
-        picture = max(shown.least, (wanted or 0) + shown.pause, shown.pause + 1)
+        picture = max(shown.least, wanted or 0, 1) + shown.pause  # light lasts as long as the mirrors show all planes
         return cls(gaps, moved, picture, wanted, shown, lens.wire if lens else 0)
 
     @property
@@ -135,6 +137,9 @@ class _Pose:
     def period(self, way: Fraction, speed: Fraction, unit: str) -> Fraction:
         """Nanoseconds a pose at a speed. Raises `TimingInfeasible` where that is too short."""
         period = way / speed * SECOND
+        if period > SLOWEST:
+            seconds = float(period / SECOND)
+            raise BadInput(f"{float(speed):.4g} {unit}/s is a pose in {seconds:.4g} s; wanted an hour at most")
         parts = self.parts
         limit, need = max(parts, key=lambda name: parts[name]), sum(parts.values())
         linked = self.gaps.shape[1] * self.shown.transfer

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isnan
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.protocols.controller import Row
@@ -54,5 +55,7 @@ class Rows:
         return Row(index, self.at(acts), lens, delay, int(table.on[slot]) // MICRO, self.channels)
 
     def dark(self, slot: int, before: int, index: int) -> Row:
-        """A row that shows a picture without light, ``before`` a slot [ns]."""
-        return Row(index, self.at(self.acts(slot) - before), None, 0, 0, 0)
+        """A row that shows a picture without light, ``before`` a slot [ns]; the lens goes to that slot's focus."""
+        focus = float(self.schedule.focus[slot])
+        lens = None if self.code is None or isnan(focus) else self.code(focus)
+        return Row(index, self.at(self.acts(slot) - before), lens, 0, 0, 0)

@@ -52,6 +52,8 @@ def slots_per_image(images: int, speed: Number, display: HdmiTiming) -> int:
     wanted = exact("speed [deg/s]", speed)
     turn = 360 * display.slot_rate / images
     ratio = turn / wanted
+    if ratio > 3600 * display.slot_rate:
+        raise BadInput(f"{float(wanted):.4g} deg/s is an image in more than an hour; turn faster")
     whole = max(round(ratio), 1)
     if abs(ratio - whole) <= SAME * ratio:
         return whole

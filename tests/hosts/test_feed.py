@@ -37,7 +37,7 @@ class Mirrors:
         self.pending: list[int] = []
         self.triggers, self.batches = 0, batches
 
-    def room(self) -> bool:
+    def room(self, pictures: int = 2) -> bool:
         done, kept = self.triggers, []
         for size in self.pending:
             if done >= size:

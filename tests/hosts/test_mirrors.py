@@ -19,8 +19,9 @@ from vamgpu.errors import (
 )
 from vamgpu.hosts.drivers import alp
 from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.drivers.dmd import Dmd, PlaneStream, SlotTiming
+from vamgpu.hosts.drivers.dmd import Dmd, SlotTiming
 from vamgpu.hosts.drivers.lens import TunableLens
+from vamgpu.hosts.drivers.stream import PlaneStream
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.array import ArrayModel, Shown
 from vamgpu.hosts.emulators.clock import VirtualClock
