@@ -30,7 +30,7 @@ def checked(rig: RigFile, tables: Collection[str]) -> None:
 
 def channels(rig: RigFile) -> tuple[int, ...]:
     """The controller's channel of light of each projector."""
-    return (rig.controller.channel,) if len(rig.projector) == 1 else tuple(range(len(rig.projector)))
+    return tuple(range(len(rig.projector)))
 
 
 def opened(config: RigConfig, tables: Collection[str]) -> Stand:

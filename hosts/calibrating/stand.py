@@ -16,6 +16,7 @@ from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.lens import TunableLens
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stage import Stage
+from vamgpu.hosts.rigs.closing import let_go
 from vamgpu.hosts.rigs.config import RigFile
 
 T = TypeVar("T")
@@ -108,9 +109,9 @@ class Stand:
         return found
 
     def close(self) -> None:
-        """Let go of all machines."""
-        while self.closers:
-            self.closers.pop()()
+        """Let go of all machines, the last opened first; raises what went wrong first."""
+        closers, self.closers = self.closers, []
+        let_go(closers)
 
 
 def need(part: T | None, table: str) -> T:

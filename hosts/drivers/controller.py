@@ -196,11 +196,22 @@ class Controller:
 
     def move(self, speed_mm_s: float) -> None:
         """Run the web at a speed [mm/s]; 0 brings it to rest."""
+        self._within("speed", speed_mm_s, "mm/s", protocol.FASTEST)
         self.ask("move", round(speed_mm_s * self.microsteps_per_mm * 1000))
 
     def ramp(self, acceleration_mm_s2: float) -> None:
         """How fast the web changes its speed [mm/s2]."""
+        if not acceleration_mm_s2 > 0:
+            raise BadInput(f"the web changes its speed by {acceleration_mm_s2:g} mm/s2; wanted more than 0")
+        self._within("change of speed", acceleration_mm_s2, "mm/s2", protocol.STEEPEST)
         self.ask("ramp", max(round(acceleration_mm_s2 * self.microsteps_per_mm), 1))
+
+    def _within(self, what: str, value: float, unit: str, most: int) -> None:
+        if not abs(value) * self.microsteps_per_mm <= most:
+            raise BadInput(
+                f"a {what} of {value:g} {unit} is {abs(value) * self.microsteps_per_mm:.4g} microsteps; the controller "
+                f"steps {most:.4g} at most: go slower, or take fewer microsteps"
+            )
 
     def zero(self) -> None:
         """Call this position of the web 0."""

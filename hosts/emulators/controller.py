@@ -16,7 +16,7 @@ from binascii import crc_hqx
 from pathlib import Path
 
 from vamgpu.hosts.emulators.line import Outbox
-from vamgpu.hosts.emulators.rows import MICRO, RowPlayer
+from vamgpu.hosts.emulators.rows import MICRO, RAMP, RowPlayer
 from vamgpu.hosts.emulators.servers import PtyServer
 
 MILLI = 1_000_000
@@ -26,6 +26,10 @@ LONGEST_LINE = 96
 GREATEST = 10**15
 """The greatest count of microseconds or microsteps, some thirty years."""
 LONGEST_US = 2**31 - 1
+FASTEST = 200_000
+"""The greatest speed of the web [microsteps/s]."""
+STEEPEST = 10**8
+"""The greatest change of its speed [microsteps/s2]."""
 NUMBER = re.compile(r"-?[0-9]{1,18}")
 ARGUMENTS = {
     "hello": 0, "lease": 1, "arm": 0, "disarm": 0, "power": 2, "light": 1, "mode": 1, "row": 6, "end": 1, "go": 0,
@@ -106,6 +110,7 @@ class EmulatedController(RowPlayer):
     def _do_hello(self, now: int) -> str:
         self.close("hello", now)
         self.reset()
+        self.web.acceleration = RAMP
         return f"ok vam-controller 1 {self.capacity} {LONGEST_LEASE_MS} {self.channels}"
 
     def _do_lease(self, now: int, milliseconds: int) -> str:
@@ -183,11 +188,13 @@ class EmulatedController(RowPlayer):
         return "ok"
 
     def _do_move(self, now: int, speed: int) -> str:
+        if abs(speed) > 1000 * FASTEST:
+            return "no range"
         self.web.run(now, speed / 1000)
         return "ok"
 
     def _do_ramp(self, _: int, acceleration: int) -> str:
-        if acceleration < 1:
+        if not 1 <= acceleration <= STEEPEST:
             return "no range"
         self.web.acceleration = float(acceleration)
         return "ok"

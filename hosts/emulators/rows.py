@@ -11,6 +11,8 @@ from vamgpu.hosts.emulators.track import Track
 MICRO = 1000
 TRIGGER_GAP = 50 * MICRO
 """From trigger to trigger at least [ns]."""
+RAMP = 200_000.0
+"""How fast the web changes its speed until a host tells it otherwise [microsteps/s2]."""
 
 
 class RowPlayer:
@@ -26,7 +28,7 @@ class RowPlayer:
         self.on_trigger: Callable[[int], None] | None = None
         self.on_lens: Callable[[bytes, int], None] | None = None
         self.on_light: Callable[[int, int], None] | None = None
-        self.web = Track(acceleration=200_000.0)
+        self.web = Track(acceleration=RAMP)
         self.interlock_closed = True
         self.powers = [65535] * channels
         self.intervals: deque[tuple[int, int, int, tuple[int, ...]]] = deque(maxlen=4096)

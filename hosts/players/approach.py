@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.protocols.controller import FASTEST
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.rows import Rows
 from vamgpu.hosts.schedules.schedule import Schedule
@@ -88,7 +89,8 @@ class Approach:
             short = run_up - self._before(time, origin)
             return origin + 360.0 * max(0, -int(-short // 360))
         while self._before(time, origin) < run_up:
-            self._controller.move(-max(self._speed, 1e-3) * 4 / self._per_mm)
+            fastest = FASTEST / self._microsteps
+            self._controller.move(-min(max(self._speed, 1e-3) * 4, fastest) / self._per_mm)
             self._look(LOOK, alive)
         self._controller.move(0.0)
         return origin

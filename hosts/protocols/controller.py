@@ -9,8 +9,9 @@ heard nothing may repeat itself; ``hello`` and ``stat`` are answered afresh. Lin
 ========= =========================================== =================================================================
 verb      arguments                                   effect; answer
 ========= =========================================== =================================================================
-hello     \\-                                           light off, rows dropped, disarmed; ``vam-controller`` version,
-                                                      rows it can hold, longest lease [ms], channels of light
+hello     \\-                                           light off, rows dropped, disarmed, the first ``ramp`` again;
+                                                      ``vam-controller`` version, rows it can hold, longest lease [ms],
+                                                      channels of light
 lease     milliseconds                                the light may stay on for so long from now
 arm       \\-                                           allow light; refused without a lease or with an open interlock
 disarm    \\-                                           light off and not allowed
@@ -26,6 +27,10 @@ zero      \\-                                           call this position 0
 stop      \\-                                           light off, then rows dropped, then the web ramped to rest
 stat      \\-                                           see ``Status``
 ========= =========================================== =================================================================
+
+The web goes 200 000 microsteps per second at most, and changes its speed by 1 to 100 000 000 microsteps per second
+squared; what is outside is refused. It is stepped a few microsteps at a time, with lease and interlock looked at after
+each. What it owes when it cannot keep up is forgotten beyond 1000 microsteps: ``position`` counts the steps it went.
 
 A row acts when ``at`` is reached: a lens driver's focal power code is sent (``-`` for none), and ``delay`` microseconds
 later the projector is triggered and the light of the channels (a sum of powers of two) is on for ``on`` microseconds.
@@ -54,6 +59,11 @@ NAME = "vam-controller"
 VERSION = 1
 LONGEST_LINE = 96
 NUMBERS = 65536
+FASTEST = 200_000
+"""The greatest speed of the web [microsteps/s]."""
+STEEPEST = 100_000_000
+"""The greatest change of its speed [microsteps/s2]."""
+LONGEST_LEASE_MS = 1000
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from vamgpu.errors import DeviceRefused, WrongDevice
@@ -13,6 +12,7 @@ from vamgpu.hosts.drivers.lens import TunableLens
 from vamgpu.hosts.drivers.stage import Stage
 from vamgpu.hosts.players.cable import VideoMachines
 from vamgpu.hosts.players.triggered import Machines
+from vamgpu.hosts.rigs.closing import let_go
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.sections import ORDERS, LensRigSection, ProjectorSection, StageSection
 
@@ -32,6 +32,8 @@ def opened(rig: RigConfig, camera: bool = False) -> Machines | VideoMachines:
     try:
         controller = Controller.open(str(wanted.controller.port), wanted.controller.microsteps, wanted.controller.baud)
         held.append(controller)
+        if wanted.controller.ramp is not None:
+            controller.ramp(wanted.controller.ramp)
         if wanted.stage is not None and wanted.video:
             held.append(_stage(wanted.stage))
             held.append(_screen(wanted.projector[0]))
@@ -45,7 +47,7 @@ def opened(rig: RigConfig, camera: bool = False) -> Machines | VideoMachines:
             held.append(mirrors[-1])
         watching = _camera(wanted.camera) if camera and wanted.camera is not None else None
     except BaseException:
-        _let_go(held)
+        let_go([each.close for each in held])
         raise
     return Machines(RealClock(), controller, mirrors, wanted.controller.microsteps, lens, watching)
 
@@ -97,16 +99,7 @@ def close(machines: Machines | VideoMachines) -> None:
     """Let go of all machines, a camera and the mirrors first."""
     watching = [] if machines.camera is None else [machines.camera]
     if isinstance(machines, VideoMachines):
-        return _let_go([machines.controller, machines.stage, machines.projector, *watching])
-    _let_go([machines.controller, *([] if machines.lens is None else [machines.lens]), *machines.mirrors, *watching])
-
-
-def _let_go(held: Sequence[Any]) -> None:
-    failed: list[Exception] = []
-    for each in reversed(held):
-        try:
-            each.close()
-        except Exception as error:  # the others are let go of all the same
-            failed.append(error)
-    if failed:
-        raise failed[0]
+        held: list[Any] = [machines.controller, machines.stage, machines.projector, *watching]
+    else:
+        held = [machines.controller, *([] if machines.lens is None else [machines.lens]), *machines.mirrors, *watching]
+    let_go([each.close for each in held])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from vamgpu.hosts.protocols.controller import LONGEST_LEASE_MS, STEEPEST
 from vamgpu.jobs.model import Count, Listed, Section
 from vamgpu.jobs.quantity import Exposure, Irradiance, Length, Rate, Time
 from vamgpu.optics.lens import TunableLens
@@ -13,6 +14,10 @@ from vamgpu.optics.lens import TunableLens
 Share = Annotated[float, Field(gt=0, le=1)]
 Baud = Annotated[int, Field(ge=300, le=4_000_000)]
 Color = Literal["red", "green", "blue"]
+FINEST = 1e6
+"""Most microsteps of a millimeter or degree; more are a slip of the pen."""
+SHORTEST_LEASE_MS = 20
+"""A host renews it four times meanwhile."""
 MIRRORS = (1080, 1920)
 SCREEN = (1140, 912)
 ORDERS: dict[int, tuple[Color, ...]] = {8: ("green", "red"), 7: ("green", "red", "blue")}
@@ -33,13 +38,23 @@ class RigSection(Section):
 
 
 class ControllerSection(Section):
-    """What keeps trigger, lease, motion and light. microsteps: of the motion, a millimeter or degree."""
+    """What keeps trigger, lease, motion and light. microsteps: of the motion, a millimeter or degree.
+
+    ramp: how fast the motion changes its speed [mm/s2] or [deg/s2]; without it as the controller's own firmware does.
+    """
 
     driver: Literal["vam-controller", "emulated"]
     port: str | None = None
     baud: Baud = 115200
-    microsteps: Annotated[float, Field(gt=0)] = 3200.0
-    channel: Annotated[int, Field(ge=0, le=7)] = 0
+    microsteps: Annotated[float, Field(gt=0, le=FINEST)] = 3200.0
+    ramp: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _stepped(self) -> ControllerSection:
+        if self.ramp is not None and self.ramp * self.microsteps > STEEPEST:
+            found = self.ramp * self.microsteps
+            raise ValueError(f"ramp = {self.ramp:g} is {found:.4g} microsteps/s2; wanted {STEEPEST:.4g} at most")
+        return self
 
 
 class ProjectorSection(Section):
@@ -124,11 +139,18 @@ class LightSection(Section):
 class SafetySection(Section):
     """What holds the light. tolerance: of motion, in poses.  budget: light over what the plan needs.
 
-    lease: how long the controller keeps the light by itself.  resume: the longest pause after which a print goes on;
-    resin forgets a dose meanwhile.
+    lease: how long the controller keeps the light by itself, 20 ms to 1 s.  resume: the longest pause after which a
+    print goes on; resin forgets a dose meanwhile.
     """
 
     lease: Time = 0.25
     tolerance: Annotated[float, Field(gt=0, le=5)] = 0.5
     budget: Annotated[float, Field(ge=1, le=2)] = 1.01
     resume: Time = 30.0
+
+    @field_validator("lease")
+    @classmethod
+    def _kept(cls, lease: float) -> float:
+        if not SHORTEST_LEASE_MS <= 1000 * lease <= LONGEST_LEASE_MS:
+            raise ValueError(f"wanted {SHORTEST_LEASE_MS} ms to {LONGEST_LEASE_MS} ms, as the controller keeps a lease")
+        return lease

@@ -67,6 +67,9 @@ def test_the_web_and_the_lamp() -> None:
     driver = Controller(_wire(machine, clock), microsteps_per_mm=1000.0)
     driver.ramp(1.0)
     driver.move(0.8)
+    for wrong in (lambda: driver.move(-200.1), lambda: driver.ramp(1e6), lambda: driver.ramp(0.0)):
+        with pytest.raises(BadInput, match="at most|more than 0"):
+            wrong()
     clock.sleep(10 * SECOND)
     assert driver.position_mm() == pytest.approx(8.0 - 0.32, abs=2e-3)
     assert driver.status().speed == 800_000

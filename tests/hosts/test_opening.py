@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vamgpu.errors import DeviceNotFound, WrongDevice
+from vamgpu.errors import DeviceLost, DeviceNotFound, WrongDevice
+from vamgpu.hosts.calibrating.stand import Stand
 from vamgpu.hosts.drivers import alp, projector
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import VirtualClock
@@ -36,6 +37,7 @@ class Lab:
     lens: str
     stage: str
     alps: list[FakeAlp]
+    box: EmulatedController
 
     @property
     def head(self) -> str:
@@ -60,14 +62,15 @@ class Lab:
 @pytest.fixture
 def lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
     with ExitStack() as stack:
+        box = EmulatedController()
         lines: list[str] = [
             stack.enter_context(PtyServer(machine)).url
-            for machine in (EmulatedController(), EmulatedLens(), EmulatedStage(rotary=True))
+            for machine in (box, EmulatedLens(), EmulatedStage(rotary=True))
         ]
         alps = [FakeAlp(VirtualClock(), ArrayModel(height=12, width=64)) for _ in range(2)]
         monkeypatch.setattr(alp, "load", lambda path: alps[int(path)].library)
         controller, lens, stage = lines
-        yield Lab(controller, lens, stage, alps)
+        yield Lab(controller, lens, stage, alps, box)
 
 
 class Screen:
@@ -96,7 +99,9 @@ def test_a_rig_is_opened_measured_and_let_go_of(lab: Lab) -> None:
     assert len(found.found) == 2 and np.isfinite(found.found[0].measured), "both wires at once"
     close(machines)
     assert not any(each.allocated for each in lab.alps)
-    close(opened(lab.rig()))
+    ramping = parse_rig(lab.rig().text.replace("[lens]", "microsteps = 100.0\nramp = 30.0\n[lens]"))
+    close(opened(ramping))
+    assert lab.box.web.acceleration == 3000.0, "30 deg/s2 of 100 microsteps a degree"
 
 
 def test_what_fails_leaves_nothing_open(lab: Lab) -> None:
@@ -127,3 +132,19 @@ def test_a_video_projector_and_its_stage(lab: Lab, monkeypatch: pytest.MonkeyPat
     assert screen.frames[-1][0, 0].tolist() == [7, 9, 0], "red first, as the file says"
     close(machines)
     assert screen.closed
+
+
+def test_one_that_does_not_close_keeps_none_open() -> None:
+    closed: list[str] = []
+
+    def fail() -> None:
+        raise DeviceLost("its plug is out")
+
+    nothing: Any = None
+    stand = Stand(nothing, nothing, nothing, (), ())
+    stand.closers += [lambda: closed.append("controller"), fail, lambda: closed.append("lens")]
+    with pytest.raises(DeviceLost, match="plug"):
+        stand.close()
+    assert closed == ["lens", "controller"]
+    stand.close()
+    assert closed == ["lens", "controller"]

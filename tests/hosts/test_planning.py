@@ -18,7 +18,7 @@ from vamgpu.hosts.pictures.sources import RunSource
 from vamgpu.hosts.pictures.stream import Mirrors, PackedSource, WebPictures, source
 from vamgpu.hosts.players.turning import STEP
 from vamgpu.hosts.record import RunFolder, read_run
-from vamgpu.hosts.rig import EMULATED_STEPS, Rehearsal, carry_out, player, rehearsal
+from vamgpu.hosts.rig import Rehearsal, carry_out, player, rehearsal
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig, read_rig
 from vamgpu.hosts.rigs.planning import Plan, plan
 from vamgpu.hosts.run import Print
@@ -227,7 +227,7 @@ def test_another_host_goes_on_where_one_died(tmp_path: Path) -> None:
         begun.guard._release_process()  # the host is gone: nobody leaves the guard
     stand.bench.clock.sleep(SECOND)
     stand.bench.alps[0].forsake()
-    again = stand.bench.machines(EMULATED_STEPS / float(planned.schedule.advance))
+    again = stand.bench.machines(stand.bench.microsteps / float(planned.schedule.advance))
     other = plan(tmp_path / "web.vam", read_rig("emulated"), speed=0.7)
     with pytest.raises(BadInput, match="another print, with speed"):
         carry_out(other, again, place, resume=True)

@@ -123,6 +123,11 @@ def test_bad_rigs_are_told(tmp_path: Path) -> None:
         (('port = "/dev/does-not-exist"\n', ""), "wanted port"),
         (('library = "/does/not/exist.so"\n', ""), "wanted library"),
         (('[rig]', '[safety]\nlease = "0 furlongs"\n[rig]'), "furlongs"),
+        (('[rig]', '[safety]\nlease = "1.1 s"\n[rig]'), "wanted 20 ms to 1000 ms"),
+        (('[rig]', '[safety]\nlease = "1 ms"\n[rig]'), "wanted 20 ms to 1000 ms"),
+        (("[projector]", "microsteps = 3.2e9\n[projector]"), "less than or equal to 1000000"),
+        (("[projector]", "ramp = 1e5\n[projector]"), "wanted 1e.08 at most"),
+        (("[projector]", "channel = 0\n[projector]"), "channel"),
     ):
         with pytest.raises(JobError, match=why):
             parse_rig(REAL.replace(*change))
@@ -133,6 +138,10 @@ def test_bad_rigs_are_told(tmp_path: Path) -> None:
 def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
     with pytest.raises(TimingInfeasible):
         planned(job, speed=4000.0)
+    real = parse_rig(REAL.replace("[projector]", "microsteps = 8000\n[projector]"))
+    with pytest.raises(TimingInfeasible, match="3.2e.05 microsteps/s.*move at 25 deg/s at most"):
+        plan(job, real, speed=40.0, device="numpy")
+    assert len(plan(job, real, speed=25.0, device="numpy").schedule) == 36
     with pytest.raises(BadInput, match="another projector"):
         Mirrors(4, 8, 1).place(6, 10)
     with pytest.raises(StorageError):

@@ -42,6 +42,7 @@ static void answer_hello(char *values) {
   reset_rows();
   shown = late_rows = 0;
   done = steps_mode = false;
+  accel = RAMP;
   fault = "none";
   add(values, "vam-controller 1 ");
   int64_t numbers[3] = {CAPACITY, LONGEST_LEASE_MS, CHANNELS};
@@ -98,9 +99,10 @@ static const char *command_rows(const char *verb, const int64_t *n, bool dash, c
     shown = late_rows = 0;
     started = earliest = now;
   } else if (!strcmp(verb, "move")) {
+    if (n[0] > FASTEST * 1000 || n[0] < -FASTEST * 1000) return "range";
     wanted = n[0] / 1000.0;
   } else if (!strcmp(verb, "ramp")) {
-    if (n[0] < 1) return "range";
+    if (n[0] < 1 || n[0] > STEEPEST) return "range";
     accel = n[0];
   } else if (!strcmp(verb, "zero")) {
     if (running) return "state";

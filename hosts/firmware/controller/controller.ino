@@ -44,7 +44,7 @@ static void read_line(int64_t now) {
 }
 
 static void listen(int64_t now) {
-  while (HOST.available()) {
+  for (uint8_t i = 0; i < LONGEST_LINE && HOST.available(); i++) {
     char c = HOST.read();
     if (c == '\n') {
       line[length] = 0;
@@ -52,7 +52,7 @@ static void listen(int64_t now) {
       else if (length) read_line(now);
       length = 0;
       overlong = false;
-      return;  // one line a turn, so that the light is never kept waiting
+      return;  // one line a turn at most, so that the light is never kept waiting
     }
     if (c == '\r') continue;
     if (length >= LONGEST_LINE) overlong = true;
@@ -83,13 +83,7 @@ void setup() {
 void loop() {
   int64_t now = now_us();
   WATCHDOG_FEED();
-  bool shut = digitalRead(INTERLOCK_PIN) == LOW;
-  if (closed && !shut) {
-    closed = false;
-    close_light("interlock", true);
-  }
-  closed = shut;
-  if ((light || armed) && lease_end >= 0 && now >= lease_end) close_light("lease", true);
+  watch(now);
   step_web(now);
   play(now);
   listen(now);

@@ -23,8 +23,8 @@ static int64_t lease_end = -1, started, earliest, wait_until, pulse_end, trigger
 static Row current;
 
 static int64_t position;              // microsteps
-static double speed, wanted, accel = 200000.0;  // microsteps per second, and per second squared
-static double fraction;               // of the next microstep
+static double speed, wanted, accel = RAMP;  // microsteps per second, and per second squared
+static double fraction;               // microsteps owed
 static int64_t stepped;
 
 // ---- time: 64 bits of microseconds ---------------------------------------------------------------------------------
@@ -116,7 +116,27 @@ static void play(int64_t now) {
   finish();
 }
 
+// ---- what may close the light at any time ----------------------------------------------------------------------------
+static void watch(int64_t now) {
+  bool shut = digitalRead(INTERLOCK_PIN) == LOW;
+  if (closed && !shut) {
+    closed = false;
+    close_light("interlock", true);
+  }
+  closed = shut;
+  if ((light || armed) && lease_end >= 0 && now >= lease_end) close_light("lease", true);
+}
+
 // ---- web -----------------------------------------------------------------------------------------------------------
+static void step(bool up) {
+  digitalWrite(DIRECTION_PIN, up ? HIGH : LOW);
+  digitalWrite(STEP_PIN, HIGH);
+  delayMicroseconds(STEP_US);
+  digitalWrite(STEP_PIN, LOW);
+  position += up ? 1 : -1;
+  fraction -= up ? 1.0 : -1.0;
+}
+
 static void step_web(int64_t now) {
   double seconds = (now - stepped) * 1e-6;
   stepped = now;
@@ -124,13 +144,11 @@ static void step_web(int64_t now) {
   if (speed < wanted) speed = speed + change < wanted ? speed + change : wanted;
   else if (speed > wanted) speed = speed - change > wanted ? speed - change : wanted;
   fraction += (before + speed) / 2 * seconds;
-  while (fraction >= 1.0 || fraction <= -1.0) {
-    bool up = fraction > 0;
-    digitalWrite(DIRECTION_PIN, up ? HIGH : LOW);
-    digitalWrite(STEP_PIN, HIGH);
-    delayMicroseconds(2);
-    digitalWrite(STEP_PIN, LOW);
-    position += up ? 1 : -1;
-    fraction -= up ? 1.0 : -1.0;
+  if (fraction > LONGEST_DEBT) fraction = LONGEST_DEBT;
+  if (fraction < -LONGEST_DEBT) fraction = -LONGEST_DEBT;
+  for (uint8_t i = 0; i < STEPS_A_TURN && (fraction >= 1.0 || fraction <= -1.0); i++) {
+    if (i) delayMicroseconds(STEP_US);
+    step(fraction > 0);
+    watch(now_us());
   }
 }

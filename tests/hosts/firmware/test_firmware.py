@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -155,6 +156,40 @@ def test_rows_by_steps_follow_the_web(both: Both) -> None:
     for one, other in zip(*seen, strict=True):
         assert abs(one.position - other.position) <= 3 and abs(one.speed - other.speed) <= 20_000
         assert (one.state, one.row, one.shown) == (other.state, other.row, other.shown)
+
+
+def test_speeds_and_ramps_out_of_range_are_refused(both: Both) -> None:
+    def scenario(bench: Any) -> None:
+        at = itertools.count(100, 10)
+        for verb, wrong in (("move", (200_000_001, -200_000_001, 9 * 10**17)), ("ramp", (-1, 100_000_001, 9 * 10**17))):
+            assert all(bench.ask(next(at), verb, value) == "range" for value in wrong)
+        for verb, right in (("ramp", (1, 100_000_000)), ("move", (200_000_000, -200_000_000, 0))):
+            assert all(bench.ask(next(at), verb, value) == () for value in right)
+        seen = bench.status(next(at))
+        assert seen.speed == 0 and abs(seen.position - 400) <= 60
+        bench.ask(next(at), "hello")
+        bench.ask(next(at), "move", 1_000_000)
+        assert abs(bench.status(next(at) - 6).speed - 800_000) <= 5000, "hello forgets the ramp: 200 microsteps/s a ms"
+
+    both(scenario)
+
+
+@pytest.mark.parametrize("close", ["lease", "interlock"])
+def test_light_is_closed_in_time_at_the_greatest_speed(both: Both, close: str) -> None:
+    def scenario(bench: Any) -> None:
+        bench.ask(80, "ramp", 100_000_000)
+        bench.ask(90, "move", 200_000_000)
+        _allow(bench, 100, 250)
+        bench.ask(120, "light", 1)
+        if close == "interlock":
+            bench.clock.sleep_until(200 * MILLI)
+            bench.machine.open_interlock(bench.clock.now())
+        assert bench.status(400).fault == close
+        assert abs(bench.status(590).position - 99_800) <= 100
+
+    emulated, real = both(scenario, 100_000)
+    assert [channels for channels, _ in real.lights] == [1, 0]
+    assert abs(real.lights[1][1] - (350 if close == "lease" else 200) * MILLI) <= 100_000
 
 
 def test_steady_light_does_not_outlive_what_closed_it(both: Both) -> None:
