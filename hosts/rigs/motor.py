@@ -17,8 +17,8 @@ def steppable(schedule: Schedule, microsteps: float) -> None:
         most, unit = FASTEST / microsteps, f"{schedule.unit}/s"
         raise TimingInfeasible(
             f"{float(schedule.speed):.4g} {unit} are {rate:.4g} microsteps/s, and the controller steps {FASTEST:.4g} "
-            f"at most: move at {most:.4g} {unit} at most, or set a coarser division at the motor's driver and tell it as "
-            "microsteps in [controller]",
+            f"at most: move at {most:.4g} {unit} at most, or set a coarser division at the motor's driver and tell it "
+            "as microsteps in [controller]",
             "motor", most, unit,
         )  # fmt: skip
 

@@ -14,6 +14,7 @@ from vamgpu.errors import BadInput
 from vamgpu.hosts.exposure import Stop
 from vamgpu.hosts.pictures.stream import Mirrors, Pictures
 from vamgpu.hosts.rigs.config import RigConfig
+from vamgpu.hosts.rigs.motor import steppable
 from vamgpu.hosts.rigs.works import Kind, Work, work
 from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming
 from vamgpu.hosts.schedules.moving import sla, turned, web
@@ -111,6 +112,8 @@ def plan(
         return _on_a_cable(works[0], rig, going, turns, rehearsed)
     mirrors = _mirrors(works, rig, rehearsed)
     schedule = _schedule(works[0], rig, going, turns, mirrors, focus)
+    if not rehearsed:
+        steppable(schedule, rig.wanted.controller.microsteps)
     return Plan(works, schedule, mirrors, rig, focus, rehearsed=rehearsed)
 
 
