@@ -20,6 +20,7 @@ from vamgpu.hosts.players.spinning import SpinningPlayer
 from vamgpu.hosts.players.triggered import Machines, TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.rigs.config import RigConfig, read_rig
+from vamgpu.hosts.rigs.motor import emulated_microsteps
 from vamgpu.hosts.rigs.opening import close, opened
 from vamgpu.hosts.rigs.planning import Plan, plan
 from vamgpu.hosts.rigs.preflight import Judged, fits, judged
@@ -36,9 +37,6 @@ __all__ = [
     "Plan", "Rehearsal", "carry_out", "check", "close", "limits", "opened", "plan", "player", "read_rig", "rehearsal",
     "stopping",
 ]  # fmt: skip
-
-EMULATED_STEPS = 1000
-"""Microsteps of an emulated motion in a pose."""
 
 
 def limits(rig: RigConfig) -> Limits:
@@ -101,10 +99,11 @@ def _bench(planned: Plan, clock: Any) -> tuple[Any, Machines]:
 
     size, lens = planned.mirrors[0], planned.rig.wanted.lens
     model = ArrayModel(height=size.rows, width=size.columns)
-    bench = Bench(EMULATED_STEPS, model, len(planned.works), planned.focus, clock)
+    steps = emulated_microsteps(planned.schedule)
+    bench = Bench(steps, model, len(planned.works), planned.focus, clock)
     if bench.lens is not None and lens is not None:
         bench.lens.model = replace(bench.lens.model, least=lens.lowest, greatest=lens.highest)
-    return bench, bench.machines(EMULATED_STEPS / float(planned.schedule.advance))
+    return bench, bench.machines(steps / float(planned.schedule.advance))
 
 
 def _booth(planned: Plan, display: HdmiTiming, clock: Any) -> tuple[Any, VideoMachines]:
