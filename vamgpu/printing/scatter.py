@@ -58,8 +58,9 @@ class ScatterStop:
         if not self.readings:
             self._background, self._shape = total, image.shape
         density = (total - self._background) / self.voxels
-        reached = [*(r.density for r in self.readings), density][-self.steady :]
-        stop = self.stopped is not None or (len(reached) == self.steady and min(reached) >= self.threshold)
+        reached = [*(r.density for r in self.readings[-self.steady :]), density][-self.steady :]
+        stopped = bool(self.readings) and self.readings[-1].stop
+        stop = stopped or (len(reached) == self.steady and min(reached) >= self.threshold)
         self.readings.append(Reading(float(seconds), density, stop))
         return self.readings[-1]
 
