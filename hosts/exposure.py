@@ -67,6 +67,7 @@ class Watch:
         self._origin: int | None = None
         self._last = self._due = clock.now()
         self._said: str | None = None
+        self._saturated: float | None = None
         self._failed: BaseException | None = None
         self._seen, self._leave = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True) if clock.real else None
@@ -101,13 +102,16 @@ class Watch:
                 log.warning("the camera still holds its thread after %g s", LEAVE)
         self._file.close()
 
+    def _over(self, image: np.ndarray) -> float:
+        """Share of pixels at the camera's top."""
+        return float((image >= 2**self._wanted.bits - 1).mean())
+
     def _check(self) -> None:
         self._alive()
         if self._background is None:
             raise DeviceLost("the camera gave no picture before the light; check its cable and its exposure")
         image = self._background[1]
-        over = float((image >= 2**self._wanted.bits - 1).mean())
-        if over > SATURATED:
+        if (over := self._over(image)) > SATURATED:
             raise BadInput(
                 f"{100 * over:.1f} % of the camera's pixels are saturated before the light; wanted "
                 f"{100 * SATURATED:g} % at most: lower camera.exposure, or dim what lights the resin for the camera"
@@ -131,6 +135,8 @@ class Watch:
             f"scatter density reached {most:.3g} of {self._wanted.threshold:g} in all its turns: the part may lack "
             "light; allow more turns, or a lower density"
         )
+        if self._saturated is not None:
+            said += f". The camera was overexposed from {self._saturated:.1f} s on: lower camera.exposure"
         log.warning("%s", said)
         return said
 
@@ -165,7 +171,11 @@ class Watch:
             self._seen.set()
         elif self._origin is not None and now >= self._due and self._said is None:
             self._due += self._period * (1 + (now - self._due) // self._period)
-            self._keep(self.rule.see((now - self._origin) / SECOND, image))
+            seconds = (now - self._origin) / SECOND
+            if self._saturated is None and (over := self._over(image)) > SATURATED:
+                self._saturated = seconds
+                self._folder.event("overexposed", now, seconds=seconds, share=over)
+            self._keep(self.rule.see(seconds, image))
 
     def _open(self, origin: int) -> None:
         """The first picture had light from a time on: seconds count from there."""

@@ -150,6 +150,18 @@ def test_a_rest_takes_no_new_background(job: Path, tmp_path: Path) -> None:
     assert len(seconds) == 3 and seconds[2] - seconds[1] == pytest.approx(5.0, abs=0.1)
 
 
+def test_an_overexposed_camera_is_told(job: Path, tmp_path: Path) -> None:
+    wanted = stopping(plan(job, RIGS["mirrors"], speed=120.0, turns=3), 50.0)
+    emulated, _ = stand(wanted)
+    assert isinstance(emulated.machines.camera, RunningCamera)
+    emulated.machines.camera.sensor = Sensor(full_well=5000.0)
+    carry_out(wanted, emulated.machines, tmp_path / "run")
+    run = read_run(tmp_path / "run")
+    told = [event for event in run.events if event["event"] == "overexposed"]
+    assert len(told) == 1 and told[0]["share"] > exposure.SATURATED
+    assert f"overexposed from {told[0]['seconds']:.1f} s on" in run.message
+
+
 class Failing:
     """A camera that gives some pictures and then fails, or hangs until it is closed."""
 
@@ -213,12 +225,12 @@ def test_a_camera_without_a_background_gets_no_light(job: Path, tmp_path: Path) 
 
 
 def test_a_print_in_real_time_stops(job: Path, tmp_path: Path) -> None:
-    wanted = planned(job)
+    wanted = planned(job, speed=240.0, turns=8)
     emulated, _ = stand(wanted, ResinModel(critical=1.0, width=0.2), paced=True)
     found = check(wanted, emulated.machines, seconds=0.02)
     state, _ = carry_out(wanted, emulated.machines, tmp_path / "run", found=found)
     run = read_run(tmp_path / "run")
-    assert state is State.COMPLETE and run.message.startswith("scatter density") and len(run.shown) < 36
+    assert state is State.COMPLETE and run.message.startswith("scatter density") and len(run.shown) < 4 * 36
     assert [to for to, _ in light(run)] == ["on", "off"] and table(run.path)[-1, 1] >= THRESHOLD
     assert not any(thread.name == "camera" for thread in threading.enumerate())
 
