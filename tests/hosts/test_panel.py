@@ -6,7 +6,6 @@ import http.client
 import json
 import shutil
 import threading
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,7 +15,6 @@ import pytest
 from vamgpu.errors import BadInput, DeviceError
 from vamgpu.hosts.board import Board
 from vamgpu.hosts.panel import Panel, loopback
-from vamgpu.hosts.safety.lease import DEFAULT_LENGTH
 from vamgpu.hosts.state import State
 
 
@@ -41,11 +39,11 @@ def browser() -> Iterator[Any]:
 
 def test_the_page_shows_and_stops(browser: Any) -> None:
     board = Board(job="boat", slots=360, unit="deg")
-    stopped: list[tuple[str, int]] = []
+    stopped: list[str] = []
     happened = threading.Event()
 
     def light_off(why: str) -> None:
-        stopped.append((why, time.monotonic_ns()))
+        stopped.append(why)
         board.show(light=False, state=State.CANCELLED, message=why)
         happened.set()
 
@@ -70,22 +68,21 @@ def test_the_page_shows_and_stops(browser: Any) -> None:
         page.get_by_test_id("frame").get_by_text("18 (slot 18 of 360)").wait_for()
         assert text("buffer") == "25 % full"
         page.get_by_test_id("pause").click()
-        pressed = time.monotonic_ns()
         page.get_by_test_id("stop").click()
         assert happened.wait(10)
         page.get_by_test_id("light").get_by_text("off").wait_for()
-        assert text("state") == "cancelled: emergency stop at the panel" and paused == [True]
+        assert text("state") == "cancelled: emergency stop at the panel"
+        assert paused == [True] and stopped == ["emergency stop at the panel"]
     with pytest.raises(DeviceError, match="a process of its own"), Panel(Board()):
         pass
-        # Bound loosely here, as a test's machine may be busy; the lease bounds it whatever the page does.
-        assert stopped[0][1] - pressed < 20 * DEFAULT_LENGTH
 
 
 def test_a_program_may_stop_too() -> None:
-    board, heard = Board(), []
+    board, heard = Board(position=float("nan")), []
     board.on_stop(heard.append)
     with Panel(board, page=False) as panel:
-        assert json.loads(asked(panel, "/state")[1])["state"] == "standby"
+        told = json.loads(asked(panel, "/state")[1])
+        assert told["state"] == "standby" and told["position"] is None
         assert asked(panel, "/stop", "POST")[0] == 200
         assert heard == ["emergency stop over the network"]
 
