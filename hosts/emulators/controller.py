@@ -1,23 +1,19 @@
 """The emulated controller of web, trigger, lens and light; also a process of its own on a pseudo terminal.
 
 ``python -m vamgpu.hosts.emulators.controller --link PATH --log FILE`` serves until it is ended. PATH becomes a link to
-the terminal; each change of the light is written to FILE as a line of JSON with the time [ns] of the monotonic clock,
-which all processes of a computer share.
+the terminal; what it did is written to FILE, see `vamgpu.hosts.emulators.served`.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import re
-import time
 from binascii import crc_hqx
 from pathlib import Path
 
 from vamgpu.hosts.emulators.line import Outbox
-from vamgpu.hosts.emulators.rows import MICRO, RAMP, RowPlayer
-from vamgpu.hosts.emulators.servers import PtyServer
+from vamgpu.hosts.emulators.rows import FASTEST, MICRO, RAMP, STEEPEST, RowPlayer
+from vamgpu.hosts.emulators.served import serve
 
 MILLI = 1_000_000
 LONGEST_LEASE_MS = 1000
@@ -26,10 +22,6 @@ LONGEST_LINE = 96
 GREATEST = 10**15
 """The greatest count of microseconds or microsteps, some thirty years."""
 LONGEST_US = 2**31 - 1
-FASTEST = 200_000
-"""The greatest speed of the web [microsteps/s]."""
-STEEPEST = 10**8
-"""The greatest change of its speed [microsteps/s2]."""
 NUMBER = re.compile(r"-?[0-9]{1,18}")
 ARGUMENTS = {
     "hello": 0, "lease": 1, "arm": 0, "disarm": 0, "power": 2, "light": 1, "mode": 1, "row": 6, "end": 1, "go": 0,
@@ -224,33 +216,14 @@ class EmulatedController(RowPlayer):
         return " ".join(["ok", state, *map(str, numbers), self.fault])
 
 
-def serve(link: Path, record: Path, latency_us: float = 50.0) -> None:
-    """Serve a controller on a pseudo terminal until the process ends."""
-    machine = EmulatedController(latency_us=latency_us)
-    server = PtyServer(machine)
-    with record.open("a", buffering=1, encoding="utf-8") as file:
-
-        def note(channels: int, at: int) -> None:
-            file.write(json.dumps({"light": channels, "due_ns": at, "done_ns": time.monotonic_ns()}) + "\n")
-
-        machine.on_light = note
-        link.unlink(missing_ok=True)
-        os.symlink(server.url, link)
-        try:
-            while True:
-                server.step(1.0)
-        finally:
-            link.unlink(missing_ok=True)
-
-
 def main() -> None:
     """Read the command line and serve."""
     parser = argparse.ArgumentParser(description="An emulated controller on a pseudo terminal.")
     parser.add_argument("--link", type=Path, required=True, help="becomes a link to the terminal")
-    parser.add_argument("--log", type=Path, required=True, help="takes each change of the light")
+    parser.add_argument("--log", type=Path, required=True, help="takes what it did")
     parser.add_argument("--latency-us", type=float, default=50.0, help="from a command to its answer")
     given = parser.parse_args()
-    serve(given.link, given.log, given.latency_us)
+    serve(EmulatedController(latency_us=given.latency_us), given.link, given.log)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,10 @@ from vamgpu.hosts.emulators.track import Track
 MICRO = 1000
 TRIGGER_GAP = 50 * MICRO
 """From trigger to trigger at least [ns]."""
+FASTEST = 200_000
+"""The greatest speed of the web [microsteps/s]."""
+STEEPEST = 10**8
+"""The greatest change of its speed [microsteps/s2]."""
 RAMP = 200_000.0
 """How fast the web changes its speed until a host tells it otherwise [microsteps/s2]."""
 
@@ -19,7 +23,8 @@ class RowPlayer:
     """Queue, web, lease and gate.
 
     What it does to the other machines goes out through functions that are given the time [ns]: ``on_trigger(now)``,
-    ``on_lens(bytes, now)`` on its second serial line, ``on_light(channels, now)`` at each change of the light.
+    ``on_lens(bytes, now)`` on its second serial line, ``on_light(channels, now)`` at each change of the light,
+    ``on_close(reason, now)`` when it closes it by itself or is told to.
     ``intervals`` remembers when which channels were lit with which drive, ``row_times`` when each row acted.
     """
 
@@ -28,6 +33,7 @@ class RowPlayer:
         self.on_trigger: Callable[[int], None] | None = None
         self.on_lens: Callable[[bytes, int], None] | None = None
         self.on_light: Callable[[int, int], None] | None = None
+        self.on_close: Callable[[str, int], None] | None = None
         self.web = Track(acceleration=RAMP)
         self.interlock_closed = True
         self.powers = [65535] * channels
@@ -157,6 +163,8 @@ class RowPlayer:
         self.lease_end = None
         if reason in ("lease", "interlock"):
             self.fault = reason
+        if self.on_close is not None:
+            self.on_close(reason, at)
         self.say(at, "light", "off", reason)
 
     def open_interlock(self, now: int) -> None:

@@ -78,32 +78,3 @@ class Lease:
         """Never renew again; needs no line and cannot fail."""
         self._revoked = True
         self._until = None
-
-
-class Keeper:
-    """A thread that renews a lease in real time; ``lost`` is called once where the line fails or work stalls."""
-
-    def __init__(self, lease: Lease, lost: Callable[[str], None]) -> None:
-        self._lease, self._lost = lease, lost
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="lease", daemon=True)
-
-    def __enter__(self) -> Keeper:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        if self._thread is not threading.current_thread():
-            self._thread.join(timeout=1.0)
-
-    def _run(self) -> None:
-        while not self._stop.wait(self._lease.length / 8e9):
-            try:
-                self._lease.keep()
-            except Exception as error:  # whatever a line raises: the light must go
-                self._lost(f"the lease could not be renewed: {error}")
-                return
-            if not self._lease.fresh() and not self._stop.is_set():
-                self._lost("the lease ran out: the print gave no sign of work")
-                return

@@ -7,15 +7,13 @@ import signal
 import subprocess
 import sys
 import textwrap
-import threading
-import time
 
 import pytest
 
 from vamgpu.errors import BadInput, DeviceBusy
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, OverDose
-from vamgpu.hosts.safety.lease import Keeper, Lease
+from vamgpu.hosts.safety.lease import Lease
 from vamgpu.hosts.safety.light import LightGuard
 from vamgpu.hosts.state import NEXT, State, States, WrongState
 
@@ -162,32 +160,6 @@ def test_a_lease_is_renewed_for_work_only() -> None:
     held.clock.sleep(251 * MS)
     assert not held.lease.keep(), "a thread that lives renews nothing for work that has stalled"
     assert not held.lease.fresh()
-
-
-def test_a_keeper_tells_that_the_line_is_lost() -> None:
-    class Wall:
-        def now(self) -> int:
-            return time.monotonic_ns()
-
-    calls: list[int] = []
-
-    def renew(length: int) -> None:
-        calls.append(length)
-        if len(calls) > 1:
-            raise OSError("port gone")
-
-    told = threading.Event()
-    heard: list[str] = []
-
-    def lost(why: str) -> None:
-        heard.append(why)
-        told.set()
-
-    lease = Lease(Wall(), renew, 20 * MS, stall=10_000 * MS)
-    lease.begin()
-    with Keeper(lease, lost):
-        assert told.wait(10)
-    assert "port gone" in heard[0]
 
 
 def test_a_budget_counts_light_that_was_on() -> None:
