@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -147,8 +146,3 @@ def parse_rig(text: str, settings: Iterable[str] = (), *, source: str = "rig") -
     except JobError as error:
         alone = "[[projector]]" not in text
         raise JobError(str(error).replace("projector.0", "projector") if alone else str(error)) from error
-
-
-def given(text: str) -> dict[str, Any]:
-    """The tables of a rig's file as written."""
-    return tomllib.loads(text)

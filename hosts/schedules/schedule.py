@@ -142,7 +142,3 @@ class Schedule:
     def position_at(self, time: int) -> Fraction:
         """Where the motion is at a time [ns], in ``unit``, if it runs at ``speed`` and pose 0 is at position 0."""
         return (time - self.cadence.start) * self.advance / self.cadence.period
-
-    def pose_at(self, counts: int, counts_per_pose: Fraction) -> int:
-        """The pose that a motion has reached, from what its encoder or stepper counted since pose 0."""
-        return counts * counts_per_pose.denominator // counts_per_pose.numerator

@@ -1,4 +1,4 @@
-"""Exact times, whole nanoseconds of fractions: a million frames later nothing has drifted. And how late it got."""
+"""Exact times, whole nanoseconds of fractions: a million frames later nothing has drifted."""
 
 from __future__ import annotations
 
@@ -67,36 +67,3 @@ class Cadence:
     def beat(self, time: int) -> int:
         """The last beat at or before a time [ns]."""
         return ((time - self.start + 1) * self.period.denominator - 1) // self.period.numerator
-
-
-class Lateness:
-    """How late events were [ns]; what was early counts as its negative."""
-
-    def __init__(self) -> None:
-        self._values: list[int] = []
-
-    def add(self, late: int) -> None:
-        """Note one."""
-        self._values.append(int(late))
-
-    def __len__(self) -> int:
-        return len(self._values)
-
-    @property
-    def values(self) -> np.ndarray:
-        """All in their order [ns], int64."""
-        return np.array(self._values, np.int64)
-
-    def percentile(self, share: float) -> float:
-        """Lateness [ns] that ``share`` % stay below; 0 without events."""
-        return float(np.percentile(self.values, share)) if self._values else 0.0
-
-    @property
-    def most(self) -> int:
-        """The greatest [ns]; 0 without events."""
-        return max(self._values, default=0)
-
-    def histogram(self, edges: np.ndarray) -> np.ndarray:
-        """Events between rising edges [ns], int64; those beyond them count in the first and the last."""
-        inside = np.clip(self.values, edges[0], edges[-1])
-        return np.histogram(inside, edges)[0]

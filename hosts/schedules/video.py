@@ -64,11 +64,3 @@ def slots_per_image(images: int, speed: Number, display: HdmiTiming) -> int:
         f"{float(display.slot_rate):.6g} slots a second; wanted a whole number, or images jump to and fro: turn at "
         f"{most:.6g} deg/s, or take another number of images", limit, most, "deg/s",
     )  # fmt: skip
-
-
-def video_frames(schedule: Schedule, display: HdmiTiming) -> np.ndarray:
-    """Which frame each slot of every video frame shows, int64 (video frames, slots); `NONE` is black, after the end."""
-    repeats = int(schedule.cadence.period * display.slot_rate / SECOND)
-    shown = np.repeat(schedule.frame, repeats)
-    whole = -(-shown.size // display.patterns) * display.patterns
-    return np.pad(shown, (0, whole - shown.size), constant_values=NONE).reshape(-1, display.patterns)

@@ -8,7 +8,6 @@ import pytest
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused
 from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.drivers.lamp import ControllerChannel, Lamp, PowerCurve
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
@@ -62,7 +61,7 @@ def test_a_dead_controller_is_lost() -> None:
         driver.status()
 
 
-def test_the_web_and_the_lamp() -> None:
+def test_the_web_and_the_power() -> None:
     clock, machine = VirtualClock(), EmulatedController()
     driver = Controller(_wire(machine, clock), microsteps_per_mm=1000.0)
     driver.ramp(1.0)
@@ -73,12 +72,9 @@ def test_the_web_and_the_lamp() -> None:
     clock.sleep(10 * SECOND)
     assert driver.position_mm() == pytest.approx(8.0 - 0.32, abs=2e-3)
     assert driver.status().speed == 800_000
-    lamp = Lamp(ControllerChannel(driver, 1), PowerCurve((0.0, 0.5, 1.0), (0.0, 100.0, 160.0)))
-    lamp.set_power(130.0)
+    driver.power(1, 0.75)
     assert machine.powers == [65535, round(0.75 * 65535)]
-    with pytest.raises(BadInput, match="mW"):
-        lamp.set_power(200.0)
-    with pytest.raises(BadInput):
-        ControllerChannel(driver, 2)
-    with pytest.raises(BadInput):
-        PowerCurve((0.0, 1.0), (1.0, 1.0))
+    with pytest.raises(BadInput, match="of full"):
+        driver.power(1, 1.1)
+    with pytest.raises(DeviceRefused, match="outside what it can do"):
+        driver.power(2, 1.0)

@@ -155,3 +155,17 @@ def test_the_command(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     (tmp_path / "lab.toml").write_text(REAL)
     assert main(["print", str(job), "--rig", str(tmp_path / "lab.toml"), "--out", str(tmp_path / "x")]) == 1
     assert "does-not-exist" in capsys.readouterr().err
+
+
+def test_a_print_that_was_stopped_has_the_status_of_a_command_that_was(
+    job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def pressed(wanted: Plan, machines: Any, folder: Path, _: Any, *rest: Any) -> Any:
+        board = Board()
+        board.stop("pressed")
+        return carry_out(wanted, machines, folder, board, *rest)
+
+    monkeypatch.setattr("vamgpu.hosts.rig.carry_out", pressed)
+    assert main(["print", str(job), "--rig", "emulated", "--out", str(tmp_path / "run")]) == 130
+    assert "cancelled: 0 pictures" in capsys.readouterr().out
+    assert read_run(tmp_path / "run").message == "pressed"

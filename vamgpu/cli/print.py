@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 Switch = Annotated[bool, Parameter(negative="")]
 DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "solve.iterations=10")
 """A small boat: the chain counts here, not the part."""
+CANCELLED = 130
+"""The exit status of a print that somebody stopped, as of any other command."""
 
 
 @app.command(name="print")
@@ -26,7 +28,7 @@ def print_(
     *jobs: str, rig: str, speed: str | None = None, turns: int = 1, stop: float | None = None, out: Path | None = None,
     resume: Path | None = None, settings: Settings = None, device: str | None = None, dry_run: Switch = False,
     panel: Switch = False, host: str = "127.0.0.1", port: int = 0,
-) -> None:  # fmt: skip
+) -> int:  # fmt: skip
     """Print jobs on a rig, one for each of its projectors; the word demo makes and prints a small one.
 
     Args:
@@ -68,14 +70,14 @@ def print_(
     board = Board(job=" ".join(jobs))
     with Panel(board, host, port) as page:
         screen.print(f"page    [bold]{escape(page.url)}[/]")
-        _printed(screen, planned, place, board, resume is not None)
+        return _printed(screen, planned, place, board, resume is not None)
 
 
 @app.command
 def panel(
     *jobs: str, rig: str, speed: str | None = None, turns: int = 1, stop: float | None = None, out: Path | None = None,
     resume: Path | None = None, host: str = "127.0.0.1", port: int = 8521,
-) -> None:  # fmt: skip
+) -> int:  # fmt: skip
     """Print jobs on a rig with the live page, as ``vam print --panel`` does.
 
     Args:
@@ -89,7 +91,7 @@ def panel(
         host: where the page is served; a token is wanted beyond this machine
         port: of the page
     """
-    print_(
+    return print_(
         *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, panel=True, host=host, port=port,
     )  # fmt: skip
 
@@ -102,9 +104,11 @@ def _demo(screen: Console, place: Path) -> Path:
         return demo(place, DEMO, told=told).folder
 
 
-def _printed(screen: Console, planned: Plan, place: Path, board: Board | None, resume: bool) -> None:
+def _printed(screen: Console, planned: Plan, place: Path, board: Board | None, resume: bool) -> int:
+    """Print, and say what became of it; the exit status."""
     from vamgpu.hosts.record import read_run, timing
     from vamgpu.hosts.rig import carry_out, check, close, opened, rehearsal
+    from vamgpu.hosts.state import State
 
     stand = rehearsal(planned, paced=board is not None) if planned.rehearsed else None
     machines = opened(planned.rig, camera=planned.stop is not None) if stand is None else stand.machines
@@ -127,6 +131,7 @@ def _printed(screen: Console, planned: Plan, place: Path, board: Board | None, r
         seen = None if planned.stop is None else lit["frame"]
         screen.print(f"resin   {escape(str(stand.witness.verdict(seen)))}")
         _report(screen, planned, stand, place, None if seen is None else -(-len(seen) // planned.schedule.frames))
+    return CANCELLED if state is State.CANCELLED else 0
 
 
 def _report(screen: Console, planned: Plan, stand: Rehearsal, place: Path, turns: int | None) -> None:
