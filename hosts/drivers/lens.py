@@ -56,7 +56,7 @@ class TunableLens:
             raise WrongDevice(f"the lens driver has firmware type {self.firmware}, the configuration wants {expected}")
         numbers = self.ask(ld4.VERSION)
         self.version = f"{numbers[0]}.{numbers[1]}.{int.from_bytes(numbers[2:4])}.{int.from_bytes(numbers[4:6])}"
-        self.full_current_ma = ld4.unsigned(self.ask(ld4.GET_FULL_CURRENT)) / 100
+        self.full_current_ma = int.from_bytes(self.ask(ld4.GET_FULL_CURRENT), "big") / 100
         log.info("lens driver: firmware %s %s, %.2f mA", self.firmware, self.version, self.full_current_ma)
 
     def ask(self, request: ld4.Request, wear_memory: bool = False) -> bytes:

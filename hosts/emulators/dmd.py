@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from vamgpu.hosts.emulators.array import MICRO, ArrayModel, EmulatedArray, Queued, Stored
+from vamgpu.hosts.emulators.array import ArrayModel, Queued
 from vamgpu.hosts.emulators.clock import VirtualClock
+from vamgpu.hosts.emulators.sequences import INVALID, EmulatedSequences
 
 N, U, P = ctypes.c_int32, ctypes.c_uint32, ctypes.c_void_p
 LONGS, IDS = ctypes.POINTER(N), ctypes.POINTER(U)
@@ -37,11 +38,11 @@ ENTRIES = {
     "AlpProjInquire": (U, N, LONGS),
     "AlpProjInquireEx": (U, N, P),
 }
-NOT_ONLINE, NOT_IDLE, _, NOT_READY, INVALID, _, FULL, IN_USE = range(1001, 1009)
+NOT_ONLINE, NOT_IDLE, _, NOT_READY = range(1001, 1005)
 FAILED, REMOVED = 1011, 1012
 
 
-class FakeAlp(EmulatedArray):
+class FakeAlp(EmulatedSequences):
     """The device; ``library`` is what a driver is given in place of the maker's library.
 
     ``removed`` set to True is a plug pulled: every call fails from then on, and triggers do nothing. ``crash`` keeps
@@ -53,8 +54,7 @@ class FakeAlp(EmulatedArray):
         self.allocated = self.floating = False
         self.rising = True
         self.crash: Exception | None = None
-        self._stored: dict[int, Stored] = {}
-        self._next_id = self._next_queue = 1
+        self._next_queue = 1
         self.library = SimpleNamespace(**{name: self._entry(name, types) for name, types in ENTRIES.items()})
 
     def _entry(self, name: str, types: tuple[Any, ...]) -> Any:
@@ -96,8 +96,7 @@ class FakeAlp(EmulatedArray):
         return 0
 
     def _AlpDevInquire(self, _: int, kind: int, answer: Any) -> int:  # noqa: N802
-        used = sum(stored.bits * stored.count for stored in self._stored.values())
-        known = {2000: self.model.serial, 2003: self.model.planes - used, 2057: self.model.height, 2021: 3}
+        known = {2000: self.model.serial, 2003: self.free_planes(), 2057: self.model.height, 2021: 3}
         known |= {2058: self.model.width, 2005: 2009 if self.rising else 2008, 2064: int(self.floating)}
         if kind not in known:
             return INVALID
@@ -126,108 +125,6 @@ class FakeAlp(EmulatedArray):
         self.allocated = False
         self._stored.clear()
         return 0
-
-    # sequences
-
-    def _AlpSeqAlloc(self, _: int, bits: int, count: int, answer: Any) -> int:  # noqa: N802
-        if not 1 <= bits <= 8 or count < 1:
-            return INVALID
-        used = sum(stored.bits * stored.count for stored in self._stored.values())
-        if used + bits * count > self.model.planes:
-            return FULL
-        self._stored[self._next_id] = Stored(bits, count, bits, count - 1)
-        answer[0] = self._next_id
-        self._next_id += 1
-        return 0
-
-    def _in_use(self, sequence: int) -> bool:
-        return any(entry.sequence == sequence for entry in self._queue)
-
-    def _AlpSeqFree(self, _: int, sequence: int) -> int:  # noqa: N802
-        if sequence not in self._stored:
-            return INVALID
-        if self._in_use(sequence):
-            return IN_USE
-        del self._stored[sequence]
-        return 0
-
-    def _AlpSeqControl(self, _: int, sequence: int, kind: int, value: int) -> int:  # noqa: N802
-        stored = self._stored.get(sequence)
-        if stored is None:
-            return INVALID
-        if self._in_use(sequence):
-            return IN_USE
-        if kind == 2100 and value >= 1:
-            stored.repeat = value
-        elif kind == 2102 and 0 <= value < stored.count:
-            stored.last = value
-        elif kind == 2103 and 1 <= value <= stored.bits:
-            stored.shown_bits = value
-        elif kind == 2104 and value in (2105, 2106) and stored.shown_bits == 1:
-            stored.uninterrupted = value == 2106
-        elif kind == 2110 and value in (0, 2):
-            stored.format = value
-        else:
-            return INVALID
-        return 0
-
-    def _AlpSeqTiming(self, _: int, sequence: int, lit: int, picture: int, *rest: int) -> int:  # noqa: N802
-        stored = self._stored.get(sequence)
-        if stored is None or min(lit, picture, *rest) < 0:
-            return INVALID
-        if self._in_use(sequence):
-            return IN_USE
-        least = self.model.least_picture_us(stored.shown_bits)
-        if picture == 0:
-            picture = max(lit + 1, least) if lit else max(33334, least)
-        if lit == 0:
-            lit = picture
-        if picture < least or lit > picture or lit < least - 1 or picture > 10_000_000 or rest[2] > 130_000:
-            return INVALID
-        stored.picture_us, stored.illuminate_us, stored.delay_us = picture, lit, rest[2]
-        return 0
-
-    def _AlpSeqInquire(self, _: int, sequence: int, kind: int, answer: Any) -> int:  # noqa: N802
-        stored = self._stored.get(sequence)
-        if stored is None:
-            return INVALID
-        least = self.model.least_picture_us(stored.shown_bits)
-        lit_us = self._lit_ns(stored) // MICRO
-        known = {2200: stored.bits, 2201: stored.count, 2203: stored.picture_us, 2204: stored.illuminate_us}
-        known |= {2207: stored.delay_us, 2210: 130_000, 2211: least, 2212: max(least - 1, 1), 2213: 10_000_000}
-        known |= {2214: lit_us, 2215: stored.picture_us - lit_us, 2103: stored.shown_bits}
-        if kind not in known:
-            return INVALID
-        answer[0] = known[kind]
-        return 0
-
-    def _AlpSeqPut(self, _: int, sequence: int, first: int, count: int, address: int) -> int:  # noqa: N802
-        stored = self._stored.get(sequence)
-        if stored is None or first < 0 or first + count > stored.count or not address:
-            return INVALID
-        if self._in_use(sequence):
-            return IN_USE
-        rows, row_bytes = self.model.height, self.model.row_bytes
-        size = rows * (row_bytes * stored.bits if stored.format == 2 else self.model.width)
-        raw = np.frombuffer(ctypes.string_at(address, size * count), np.uint8)
-        for i, data in enumerate(raw.reshape(count, size)):
-            stored.pictures[first + i] = self._planes(data, stored)
-        self.counts["uploaded"] += count
-        self.counts["upload_bytes"] += size * count
-        if self.model.bytes_per_s:
-            self.clock.sleep(round(size * count / self.model.bytes_per_s * 1e9))
-        return 0
-
-    def _planes(self, data: np.ndarray, stored: Stored) -> np.ndarray:
-        """Bit planes, the most significant first, of one picture as it was sent."""
-        rows, row_bytes = self.model.height, self.model.row_bytes
-        if stored.format == 2:
-            return data.reshape(stored.bits, rows, row_bytes)
-        planes = np.zeros((stored.bits, rows, row_bytes), np.uint8)
-        for plane in range(stored.bits):
-            lit = np.packbits(data.reshape(rows, -1) >> (7 - plane) & 1, axis=-1)
-            planes[plane, :, : lit.shape[1]] = lit
-        return planes
 
     # projection
 

@@ -83,7 +83,6 @@ GET_POWER = Request(b"PrDA" + bytes(4), b"PD", 8)
 GET_TEMPERATURE = Request(b"TCA", b"TCA", 9)
 GET_TEMPERATURE_OLD = Request(b"TA", b"TA", 9)
 GET_STATUS = Request(b"Sr", b"S", 9)
-GET_ANALOG = Request(b"GAA", b"GAA", 9)
 _MODES = {
     Mode.CURRENT: Request(b"MwDA", b"MDA", 7),
     Mode.SINE: Request(b"MwSA", b"MSA", 7),
@@ -245,8 +244,3 @@ def power_range(body: bytes, firmware: str) -> PowerRange:
 def signed(body: bytes) -> int:
     """The signed number a body of two bytes holds."""
     return struct.unpack(">h", body)[0]
-
-
-def unsigned(body: bytes) -> int:
-    """The unsigned number a body of two bytes holds."""
-    return struct.unpack(">H", body)[0]

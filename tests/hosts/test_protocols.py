@@ -65,7 +65,7 @@ def test_replies_are_read_by_length_though_they_hold_line_ends() -> None:
     for received in range(len(reply)):
         assert ld4.missing(ld4.GET_FULL_CURRENT, reply[:received]) > 0
     assert ld4.missing(ld4.GET_FULL_CURRENT, reply) == 0
-    assert ld4.unsigned(ld4.parse(ld4.GET_FULL_CURRENT, reply)) == 0x0D0A
+    assert ld4.parse(ld4.GET_FULL_CURRENT, reply) == bytes.fromhex("0d0a")
 
 
 def test_golden_replies() -> None:
