@@ -152,7 +152,7 @@ class TriggeredPlayer:
             alive()
             if self.clock.now() > end:
                 raise DeviceError(f"mirrors and buffers are not full after {PRIMING // SECOND} s; check their source")
-            if self._threaded:
+            if not all(supply.primed for supply in self._supplies):
                 self.wait()
 
     def facts(self) -> dict[str, Any]:

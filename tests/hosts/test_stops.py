@@ -1,0 +1,289 @@
+"""Stops that come at odd times, light that others put out, and what a print's record and budget say then."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.hosts.board import Board
+from vamgpu.hosts.emulators.array import ArrayModel
+from vamgpu.hosts.emulators.bench import Bench
+from vamgpu.hosts.pictures import supply
+from vamgpu.hosts.pictures.feed import Feed
+from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
+from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.run import Print
+from vamgpu.hosts.safety.interlock import InterlockOpen
+from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
+from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
+from vamgpu.hosts.state import State, WrongState
+
+STEPS = 1000
+MODEL = ArrayModel(height=2, width=16)
+MIRRORS = MirrorTiming(pixels=(16, 2), row_bytes=2, dark=1e-3)
+
+
+class White:
+    """Pictures that are full on."""
+
+    bits = 8
+
+    def planes(self, numbers: np.ndarray) -> np.ndarray:
+        return np.full((len(numbers), 8, 2, 2), 255, np.uint8)
+
+    def picture(self, number: int) -> np.ndarray:
+        return np.full((2, 16), 255, np.uint8)
+
+
+class Scene:
+    """A print on a bench."""
+
+    def __init__(
+        self, path: Path, schedule: Schedule, board: Board | None = None, powers: tuple[float, ...] = (), **options: Any
+    ) -> None:
+        self.path, self.schedule = path, schedule
+        self.bench = Bench(STEPS, MODEL, schedule.engines, powers)
+        pictures: Any = [White()] * schedule.engines
+        self.player = TriggeredPlayer(schedule, self.machines(), pictures, **options)
+        self.print = Print(self.player, RunFolder.begin(path, {}, ""), board=board)
+
+    def machines(self) -> Any:
+        return self.bench.machines(STEPS / float(self.schedule.advance))
+
+    def until(self, slot: int) -> None:
+        while self.print.next < slot:
+            self.player.wait()
+            assert self.print.step()
+
+    def paused(self) -> None:
+        with self.print.guard:
+            self.print.begin(0)
+            self.until(3)
+            self.print.pause()
+            while self.print.step():
+                self.player.wait()
+
+    def lit(self) -> bool:
+        return bool(self.bench.controller.intervals) or bool(self.bench.controller.light)
+
+    def seconds(self, engine: int = 0, turn: int | None = None) -> np.ndarray:
+        count = turn or len(self.schedule)
+        return self.bench.chamber.seconds(engine, count, turn)[:, :, 0, 0].sum(axis=0)
+
+    def read(self) -> Any:
+        self.print.folder.close()
+        return read_run(self.path)
+
+
+def roll(poses: int = 60, speed: float = 0.8, **options: Any) -> Schedule:
+    return web(poses, advance=0.0785, speed=speed, **{"engines": MIRRORS, **options})
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return tmp_path / "run"
+
+
+def test_a_stop_at_rest_is_not_forgotten(run: Path) -> None:
+    scene = Scene(run, roll())
+    scene.paused()
+    before = len(scene.bench.controller.intervals)
+    scene.print.stop("at rest")
+    scene.print.pause()
+    assert scene.print.run() is State.CANCELLED and scene.print.guard.fault == "at rest"
+    assert len(scene.bench.controller.intervals) == before, "no light after the stop"
+
+
+def test_a_stop_while_a_resumed_print_gets_ready_is_not_forgotten(run: Path) -> None:
+    scene = Scene(run, roll())
+    scene.paused()
+    before, wait = len(scene.bench.controller.intervals), scene.bench.clock.sleep_until
+
+    def stopping(until: int) -> None:
+        scene.bench.clock.sleep_until = wait  # type: ignore[method-assign]
+        scene.print.stop("in the run-up")
+        wait(until)
+
+    scene.bench.clock.sleep_until = stopping  # type: ignore[method-assign]
+    assert scene.print.run() is State.CANCELLED
+    assert len(scene.bench.controller.intervals) == before and not scene.bench.controller.light
+
+
+def test_a_stop_before_the_print_exists_or_runs_is_not_forgotten(run: Path, tmp_path: Path) -> None:
+    board = Board()
+    board.stop("before")
+    early = Scene(run, roll(), board)
+    assert early.print.run() is State.CANCELLED and not early.lit()
+    late = Scene(tmp_path / "late", roll())
+    late.print.stop("not yet")
+    assert late.print.run() is State.CANCELLED and not late.lit()
+    assert late.read().message == "not yet"
+
+
+def test_an_ended_print_does_not_run_again(run: Path) -> None:
+    scene = Scene(run, roll(4))
+    with pytest.raises(BadInput, match="none of the 4 slots"):
+        scene.print.run(4)
+    scene.print.run()
+    with pytest.raises(WrongState, match="is complete"):
+        scene.print.run()
+
+
+def test_light_that_somebody_puts_out_ends_the_print(run: Path) -> None:
+    scene = Scene(run, roll())
+    with scene.print.guard:
+        scene.print.begin(0)
+        scene.until(5)
+        scene.print.guard.off("watchdog")
+        with pytest.raises(InterlockOpen, match="somebody turned it off"):
+            scene.until(60)
+    shown = scene.read().shown
+    assert (scene.seconds()[shown["slot"][shown["dark"] == 0]] > 0).all(), "lit is what the resin saw"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_signals_that_end_a_process_cancel(run: Path, number: signal.Signals) -> None:
+    scene, before = Scene(run, roll()), signal.getsignal(number)
+    wait = scene.player.wait
+
+    def signalled() -> None:
+        if scene.print.next == 5:
+            os.kill(os.getpid(), number)
+        wait()
+
+    scene.player.wait = signalled  # type: ignore[method-assign]
+    with pytest.raises(SystemExit):
+        scene.print.run()
+    assert not scene.bench.controller.light and signal.getsignal(number) == before
+    found = scene.read()
+    assert found.state is State.CANCELLED and found.message == number.name
+
+
+def test_what_was_shown_before_a_fault_is_kept(run: Path) -> None:
+    scene = Scene(run, roll(speed=4.0))
+    with scene.print.guard:
+        scene.print.begin(0)
+        scene.until(20)
+        scene.bench.lose_triggers = 1
+        scene.bench.clock.sleep(SECOND // 10)
+        with pytest.raises(InterlockOpen) as error:
+            scene.until(60)
+    scene.print.ended(error.value)
+    slots = scene.read().shown["slot"]
+    assert len(slots) == scene.bench.controller.shown - PREROLL and slots.tolist() == list(range(len(slots)))
+
+
+def test_each_engine_has_its_own_power(run: Path) -> None:
+    scene = Scene(run, turned(12, speed=40, engines=(MIRRORS, MIRRORS), power=(1.0, 0.25)))
+    assert scene.print.run() is State.COMPLETE
+    assert scene.bench.controller.powers == [65535, round(0.25 * 65535)]
+    budget = scene.print.guard.budget
+    assert budget is not None and budget.spent == pytest.approx(1.25e-9 * scene.schedule.on.sum())
+
+
+def hide(monkeypatch: pytest.MonkeyPatch, slots: set[int], which: int = 0) -> None:
+    """Pictures of some slots of one projector are not made before black stands for them."""
+    made: list[Feed] = []
+
+    class Torn(Feed):
+        def make(self, timeout: float = 0.0) -> bool:
+            if self not in made:
+                made.append(self)
+            late = self.made - PREROLL in slots and self.uploaded <= self.made
+            return False if late and made.index(self) == which else super().make(timeout)
+
+    monkeypatch.setattr(supply, "Feed", Torn)
+
+
+def test_an_added_turn_lights_only_the_engine_that_missed(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hide(monkeypatch, {10, 12, 14, 16, 18, 20}, which=1)
+    scene = Scene(run, turned(24, speed=40, engines=(MIRRORS, MIRRORS)), depth=2)
+    assert scene.print.run() is State.COMPLETE
+    for engine in (0, 1):
+        seconds = scene.seconds(engine, 24)
+        assert np.abs(seconds / seconds[0] - 1).max() < 2e-3
+    shown = scene.read().shown
+    again = shown[(shown["slot"] >= 24) & (shown["on_time"] > 0)]
+    assert set(again["engine"]) == {1} and len(again) == 6
+
+
+@pytest.mark.parametrize("speed", [2.4, 5.0, 8.0])
+def test_two_lost_poses_are_borne_at_any_rate(run: Path, monkeypatch: pytest.MonkeyPatch, speed: float) -> None:
+    hide(monkeypatch, {298, 398})
+    scene = Scene(run, roll(500, speed), depth=50)
+    assert scene.print.run() is State.COMPLETE
+    shown = scene.read().shown
+    assert shown["slot"][shown["dark"] > 0].tolist() == [298, 398]
+
+
+def test_a_full_disk_still_learns_how_the_print_ended(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(run, roll())
+    write, replace = os.write, os.replace
+
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    def replaced(draft: Any, place: Any) -> None:
+        if (run / ".reserve").exists():
+            raise OSError(28, "No space left on device")
+        replace(draft, place)
+
+    with scene.print.guard:
+        scene.print.begin(0)
+        scene.until(5)
+        scene.print.folder._write = full
+        monkeypatch.setattr("vamgpu.hosts.record.os.replace", replaced)
+        with pytest.raises(StorageError) as error:
+            scene.until(60)
+    scene.print.ended(error.value)
+    scene.print.folder._write = write
+    assert scene.read().state is State.ERROR
+
+
+def test_half_a_line_does_not_spoil_the_record(run: Path) -> None:
+    folder = RunFolder.begin(run, {}, "")
+    folder.event("one", 1)
+    folder._write = lambda file, data: os.write(file, data[: len(data) // 2])
+    with pytest.raises(StorageError, match="is full"):
+        folder.event("two", 2)
+    folder._write = os.write
+    folder.event("three", 3)
+    folder.close()
+    assert [event["event"] for event in read_run(run).events] == ["one", "three"]
+
+
+def test_a_lens_is_brought_back_to_its_focus_by_another_host(run: Path) -> None:
+    powers = (0.0, 0.7, 1.4)
+    schedule = roll(40, lens=LensTiming(settle=6e-3), focus=powers)
+    for first in range(1, 7):
+        scene = Scene(run.with_name(f"run{first}"), schedule, powers=powers)
+        assert scene.print.run(first) is State.COMPLETE
+        assert scene.bench.chamber.astray == 0.0
+
+
+def test_light_of_an_earlier_host_counts(run: Path) -> None:
+    scene = Scene(run, roll(20))
+    assert scene.print.run() is State.COMPLETE
+    budget, shown = scene.print.guard.budget, scene.read().shown
+    later = Scene(run.with_name("later"), roll(20))
+    later.print.recall(shown)
+    assert budget is not None and later.print.guard.budget is not None
+    assert later.print.guard.budget.spent == pytest.approx(budget.spent)
+
+
+def test_a_board_may_be_told_in_the_midst_of_telling() -> None:
+    board = Board()
+    with board._lock:
+        board.show(light=False)
+    done: list[int] = []
+    threading.Thread(target=lambda: (board.show(slot=1), done.append(1))).start()
+    assert board.now.light is False
