@@ -119,7 +119,7 @@ def work(lane: Lane, found: list[Killed | None]) -> None:
         found.append(lane.killed(number, chance))
 
 
-def test_killed_prints_leave_no_light_and_a_whole_record(tmp_path: Path) -> None:
+def test_a_killed_host_leaves_no_light(tmp_path: Path) -> None:
     pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "bufsize": 1}
     found: list[Killed | None] = []
     with ExitStack() as stack:
