@@ -172,8 +172,7 @@ def carry_out(
             speed = float(planned.schedule.speed)
             watch = Watch(machines.camera, machines.clock, planned.stop, record, lambda: shown.now.position / speed)
         ends: Any = {} if watch is None else {"enough": watch.enough, "short": watch.short}
-        power = planned.rig.wanted.light.power
-        job = Print(playing, record, limits=limits(planned.rig), board=shown, power=power, **ends)
+        job = Print(playing, record, limits=limits(planned.rig), board=shown, **ends)
         with nullcontext() if watch is None else _before_the_light(watch, job):
             first = None if left is None else left.first
             return (job.run(first) if board is None else attended(job, board, first)), job

@@ -81,7 +81,7 @@ class Supply:
             slot = self._feed.black()
             if slot is None:
                 return
-            self._count()
+            self.prime()
             pose = int(self._poses[slot - self._preroll]) if slot >= self._preroll else -1
             log.warning("pose %d is black: its picture is not there", pose)
             if self._policy.lost(pose) is Action.STOP:

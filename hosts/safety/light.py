@@ -41,7 +41,8 @@ class LightGuard:
 
     lamp: what is switched on.  others: further ways to make it dark, named, tried after the lamp, each whatever the
     one before it did.  tolerance: of motion, in the unit that `look` is given.  signals: whether SIGINT, SIGTERM and
-    SIGHUP put the light out before they do what they did (main thread only).  told: hears "on" and "off" with the reason.
+    SIGHUP put the light out before they do what they did (main thread only).  told: hears "on" and "off", and
+    why.
 
     A fault latches: light stays off until the guard is left. Use::
 
