@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import logging
 import secrets
 import socket
 import threading
@@ -125,6 +126,7 @@ class Panel:
 
     def __exit__(self, *_: object) -> None:
         if self._server is not None and self._thread is not None:
+            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # it reports connections that are cut
             self._server.should_exit = True
             self._server.force_exit = True  # browsers keep their connection as long as they are let
             self._thread.join(timeout=5.0)
@@ -137,9 +139,10 @@ def _listening(host: str, port: int) -> socket.socket:
     server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         server.bind((host, port))
-    except OSError as error:
+    except (OSError, OverflowError) as error:
         server.close()
-        raise DeviceError(f"the panel cannot be served at {host}:{port}: {error}; choose another port") from error
+        told = f"the panel cannot be served at {host}:{port}: {error}; choose another host or port"
+        raise DeviceError(told) from error
     server.listen(32)
     return server
 

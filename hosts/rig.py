@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -173,6 +174,8 @@ def carry_out(
             watch = Watch(machines.camera, machines.clock, planned.stop, record, lambda: shown.now.position / speed)
         ends: Any = {} if watch is None else {"enough": watch.enough, "short": watch.short}
         job = Print(playing, record, limits=limits(planned.rig), board=shown, **ends)
+        if left is not None:
+            job.recall(left.run.shown)
         with nullcontext() if watch is None else _before_the_light(watch, job):
             first = None if left is None else left.first
             return (job.run(first) if board is None else attended(job, board, first)), job
@@ -206,8 +209,20 @@ def _may_watch(planned: Plan, machines: Machines | VideoMachines, resume: bool) 
 
 def _asked(planned: Plan) -> dict[str, Any]:
     table, jobs = planned.schedule, [each.path for each in planned.works]
-    return {"jobs": jobs, "kind": planned.kind, "rig": planned.rig.source, "slots": len(table), "unit": table.unit,
-            "speed": float(table.speed), "stop": None if planned.stop is None else planned.stop.threshold}  # fmt: skip
+    return {
+        "jobs": jobs, "digests": [_digest(Path(job)) for job in jobs], "kind": planned.kind, "rig": planned.rig.source,
+        "slots": len(table), "unit": table.unit, "speed": float(table.speed),
+        "stop": None if planned.stop is None else planned.stop.threshold,
+    }  # fmt: skip
+
+
+def _digest(job: Path) -> str:
+    """Of what a job's folder says of its frames; of the names and sizes of slices."""
+    manifest = job / "manifest.json"
+    if manifest.is_file():
+        return sha256(manifest.read_bytes()).hexdigest()
+    files = sorted((file.name, file.stat().st_size) for file in job.iterdir()) if job.is_dir() else []
+    return sha256(repr(files or job.name).encode()).hexdigest()
 
 
 def _left(planned: Plan, machines: Machines | VideoMachines, folder: str | Path) -> Interrupted:
@@ -220,7 +235,7 @@ def _left(planned: Plan, machines: Machines | VideoMachines, folder: str | Path)
             "print cannot be gone on with; begin it anew with fresh resin"
         )
     asked, wanted = read_run(folder).asked, _asked(planned)
-    if different := [name for name in ("kind", "slots", "speed", "stop") if asked.get(name) != wanted[name]]:
+    if different := [name for name in ("digests", "kind", "slots", "speed", "stop") if asked.get(name) != wanted[name]]:
         told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
         raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
     return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))

@@ -169,3 +169,26 @@ def test_a_print_that_was_stopped_has_the_status_of_a_command_that_was(
     assert main(["print", str(job), "--rig", "emulated", "--out", str(tmp_path / "run")]) == 130
     assert "cancelled: 0 pictures" in capsys.readouterr().out
     assert read_run(tmp_path / "run").message == "pressed"
+
+
+def test_the_run_of_another_job_is_not_gone_on_with(job: Path, tmp_path: Path) -> None:
+    images = np.random.default_rng(9).integers(0, 256, (36, 6, 10), dtype=np.uint8)
+    frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
+    other = save_frames(tmp_path / "other.vam", frames).path
+    wanted = planned(job)
+    carry_out(wanted, rehearsal(wanted).machines, tmp_path / "run")
+    another = planned(other)
+    with pytest.raises(BadInput, match="digests"):
+        carry_out(another, rehearsal(another).machines, tmp_path / "run", resume=True)
+
+
+def test_commands_look_at_folders_first(
+    job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "part.run").mkdir()
+    assert main(["print", str(job), "--rig", "emulated"]) == 1
+    assert main(["print", ".", "--rig", "emulated"]) == 1
+    assert main(["print", str(job), "--rig", "emulated", "--panel", "--port", "99999", "--out", "x"]) == 1
+    told = capsys.readouterr().err
+    assert "exists" in told and "has no name" in told and "another host or port" in told

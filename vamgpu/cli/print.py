@@ -38,7 +38,7 @@ def print_(
             "48 mm/min"; by default what the job was made for
         turns: how often each picture of a vial is shown, at most where it stops by itself
         stop: density of scatter at which a vial is done [gray levels/voxel], such as 0.35, by the rig's camera
-        out: folder of the run; the job's name with .run by default
+        out: folder of the run; the job's name with .run by default, with .rehearsal for a dry run
         resume: folder of a run that a host left in the midst, to go on with
         device: that makes the pictures; the best one by default, NumPy for a rehearsal
         dry_run: rehearse on emulated machines and a program's clock, whatever the rig
@@ -55,9 +55,10 @@ def print_(
         raise BadInput("no job was given; wanted the folder of a job for each projector, or the word demo")
     if resume is not None and (dry_run or config.wanted.emulated):
         raise BadInput("a rehearsal has no machines that remember a print; wanted --resume with the rig that began it")
-    first = "vamgpu-demo" if jobs[0] == "demo" else jobs[0]
-    place = resume or out or Path(first).with_suffix(".run")
+    place = resume or _place(out, jobs[0], dry_run)
     folders = tuple(_demo(screen, place.with_suffix(".job")) if job == "demo" else Path(job) for job in jobs)
+    if dry_run and not config.wanted.emulated:
+        plan(folders, config, speed=speed, turns=turns, device="numpy")  # the rig itself is judged too
     planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device)
     planned = planned if stop is None else stopping(planned, stop)
     for name, value in planned.lines():
@@ -94,6 +95,19 @@ def panel(
     return print_(
         *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, panel=True, host=host, port=port,
     )  # fmt: skip
+
+
+def _place(out: Path | None, job: str, dry_run: bool) -> Path:
+    """The folder of a run, which must not exist. Raises `BadInput`, `StorageError`."""
+    from vamgpu.errors import BadInput, StorageError
+
+    first = Path("vamgpu-demo" if job == "demo" else job)
+    if out is None and not first.name:
+        raise BadInput(f"the job {job!r} has no name to call its run by; give the folder of the job, or --out")
+    place = out or first.with_suffix(".rehearsal" if dry_run else ".run")
+    if place.exists():
+        raise StorageError(f"{str(place)!r} exists; a run wants a folder of its own: choose another with --out")
+    return place
 
 
 def _demo(screen: Console, place: Path) -> Path:
