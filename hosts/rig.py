@@ -16,9 +16,10 @@ from vamgpu.hosts.attended import attended
 from vamgpu.hosts.board import Board
 from vamgpu.hosts.exposure import Watch
 from vamgpu.hosts.players.cable import CablePictures, VideoMachines
+from vamgpu.hosts.players.mirrors import Machines
 from vamgpu.hosts.players.player import Player
 from vamgpu.hosts.players.spinning import SpinningPlayer
-from vamgpu.hosts.players.triggered import Machines, TriggeredPlayer
+from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.rigs.config import RigConfig, read_rig
 from vamgpu.hosts.rigs.motor import emulated_microsteps
@@ -235,7 +236,8 @@ def _left(planned: Plan, machines: Machines | VideoMachines, folder: str | Path)
             "print cannot be gone on with; begin it anew with fresh resin"
         )
     asked, wanted = read_run(folder).asked, _asked(planned)
-    if different := [name for name in ("digests", "kind", "slots", "speed", "stop") if asked.get(name) != wanted[name]]:
+    names = ("digests", "kind", "slots", "speed", "stop")
+    if different := [name for name in names if name in asked and asked[name] != wanted[name]]:
         told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
         raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
     return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))

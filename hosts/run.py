@@ -218,7 +218,7 @@ class Print:
             if not shown.dark:
                 self.guard.spend(self.power * float(schedule.power[shown.slot, shown.engine]), shown.on_time)
         if not seen.pictures:  # a look that writes nothing would not see a full disk
-            self._event("look", shown=seen.shown)
+            self._event("look", shown=seen.scheduled)
 
     def _show(self, seen: Look) -> None:
         schedule, slot = self.player.schedule, max(self.next - 1, 0)

@@ -16,7 +16,7 @@ from vamgpu.hosts.emulators.dmd import FakeAlp
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Cable, Faults
 from vamgpu.hosts.emulators.ports import plug
-from vamgpu.hosts.players.triggered import Machines
+from vamgpu.hosts.players.mirrors import Machines
 
 LENS_BAUD = 38400
 

@@ -7,22 +7,18 @@ from a host's time; this side keeps pictures and rows ahead of the counter, and 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from vamgpu.errors import BadInput, DeviceError, Underrun
-from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.drivers.camera import Camera
-from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.drivers.dmd import Dmd, SlotTiming
-from vamgpu.hosts.drivers.lens import TunableLens
+from vamgpu.hosts.drivers.dmd import SlotTiming
 from vamgpu.hosts.drivers.stream import PlaneStream
 from vamgpu.hosts.pictures.stream import Pictures
 from vamgpu.hosts.pictures.supply import Dark, Supply, guard
-from vamgpu.hosts.pictures.underrun import Underruns, VialUnderrun, WebUnderrun
+from vamgpu.hosts.pictures.underrun import Underruns
 from vamgpu.hosts.players.approach import LOOK, Approach, Motion
+from vamgpu.hosts.players.mirrors import Machines, shows, usual
 from vamgpu.hosts.players.player import Look
 from vamgpu.hosts.protocols.controller import Row, Status
 from vamgpu.hosts.record import Shown
@@ -41,40 +37,8 @@ APART = SECOND // 7
 """Least time between them, and to the first slot [ns]: some looks."""
 PATIENCE = 0.25
 """How long a trigger may be overdue [s], by where the motion is."""
-REST = 20_000
-"""Least time from a picture's last light to the next trigger [ns]."""
 TURNS = 2
 """Most turns of a vial that are added for what was missed."""
-
-
-@dataclass
-class Machines:
-    """The machines of a rig, opened. microsteps: of the motion, in a unit of the schedule's positions.  camera: watches
-    the resin."""
-
-    clock: Clock
-    controller: Controller
-    mirrors: Sequence[Dmd]
-    microsteps: float
-    lens: TunableLens | None = None
-    camera: Camera | None = None
-
-
-def usual(schedule: Schedule) -> Underruns:
-    """What decides on late pictures: of a web or of a vial."""
-    return VialUnderrun(schedule.frames) if schedule.unit == "deg" else WebUnderrun()
-
-
-def _checked(schedule: Schedule) -> None:
-    """Raise `BadInput` for slots that triggered mirrors do not show."""
-    if len(set(schedule.on.tolist())) != 1 or (schedule.power != schedule.power[0]).any():
-        raise BadInput("pictures differ in how long or how brightly they are lit; the mirrors take one time for all")
-    gap = int(np.diff(schedule.light).min(initial=SECOND))
-    if gap - int(schedule.on[0]) < REST:
-        raise BadInput(
-            f"pictures are lit for {int(schedule.on[0]) / 1000:.6g} of the {gap / 1000:.6g} us that they have; mirrors "
-            f"need {REST // 1000} us more for the next trigger: plan with MirrorTiming(dark=…)"
-        )
 
 
 class TriggeredPlayer:
@@ -97,7 +61,7 @@ class TriggeredPlayer:
                 f"are for {len(pictures)}; choose the rig that the job was made for"
             )
         self.schedule, self.machines, self.clock = schedule, machines, machines.clock
-        _checked(schedule)
+        shows(schedule)
         self.lamp = ControllerLamp(machines.controller, range(schedule.engines), shares=schedule.power[0])
         self.switches: Mapping[str, Switch] = {f"mirrors {k}": Dark(dmd) for k, dmd in enumerate(machines.mirrors)}
         self.renew = Renewal(machines.controller)
@@ -121,6 +85,7 @@ class TriggeredPlayer:
         start = Rows(self.schedule).acts(first) - PREROLL * self._apart
         approach = Approach(self.schedule, controller, self.clock, self.machines.microsteps)
         if self._origin is None:
+            controller.move(0.0)  # a host that died may have left it running
             controller.zero()
             self._origin = approach.fresh(start)
         self._origin = approach.to(start, self._origin, alive)
@@ -129,7 +94,7 @@ class TriggeredPlayer:
         self._rows = Rows(self.schedule, self.machines.microsteps, self._origin, code, channels)
         self._motion = Motion(self.schedule, self.machines.microsteps)
         self._sent = 0
-        self._send(controller.capacity)
+        self._send(controller.capacity, alive)
         controller.end(len(self.schedule) - first + PREROLL)
 
     def _fill(self, first: int, alive: Callable[[], None]) -> None:
@@ -218,11 +183,13 @@ class TriggeredPlayer:
             supply.fill()
         self._send(self._free)
 
-    def _send(self, free: int) -> None:
+    def _send(self, free: int, alive: Callable[[], None] = lambda: None) -> None:
         """Send rows while there is room: the black pictures before the first slot, then slots."""
         stop = min(self._sent + free, len(self.schedule) - self._first + PREROLL)
         for number in range(self._sent, stop):
             self.machines.controller.row(self._row(number))
+            if number % 16 == 15:  # a slow line takes a while
+                alive()
         self._sent = max(self._sent, stop)
 
     def _row(self, number: int) -> Row:

@@ -11,7 +11,7 @@ from vamgpu.hosts.drivers.camera import Camera
 from vamgpu.hosts.drivers.lens import TunableLens
 from vamgpu.hosts.drivers.stage import Stage
 from vamgpu.hosts.players.cable import VideoMachines
-from vamgpu.hosts.players.triggered import Machines
+from vamgpu.hosts.players.mirrors import Machines
 from vamgpu.hosts.rigs.closing import let_go
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.sections import ORDERS, LensRigSection, ProjectorSection, StageSection

@@ -21,7 +21,8 @@ from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import PacedClock
 from vamgpu.hosts.emulators.dmd import FakeAlp
-from vamgpu.hosts.players.triggered import Machines, TriggeredPlayer
+from vamgpu.hosts.players.mirrors import Machines
+from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.limits import MirrorTiming

@@ -22,7 +22,7 @@ from vamgpu.hosts.record import read_run
 from vamgpu.hosts.safety.lease import DEFAULT_LENGTH
 from vamgpu.hosts.state import State
 
-LANES, TIMES = 8, 80
+LANES, TIMES = 8, 104
 READING = 40_000_000
 """What a busy machine may take to let the controller's process read a renewal sent just before the kill [ns]."""
 PREROLL = 2

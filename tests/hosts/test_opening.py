@@ -21,7 +21,7 @@ from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.players.cable import VideoMachines
-from vamgpu.hosts.players.triggered import Machines
+from vamgpu.hosts.players.mirrors import Machines
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
 from vamgpu.hosts.rigs.opening import close, opened
 from vamgpu.hosts.rigs.preflight import judged

@@ -119,5 +119,5 @@ def test_other_sites_are_kept_out_on_loopback() -> None:
         assert asked(panel, "/stop", "POST", Origin="http://evil.example")[0] == 403
         own = f"http://127.0.0.1:{panel.port}"
         assert asked(panel, "/stop", "POST", Origin=own)[0] == 200
-        with pytest.raises(DeviceError, match="another port"):
+        with pytest.raises(DeviceError, match="another host or port"):
             Panel(Board(), port=panel.port)

@@ -22,7 +22,7 @@ from vamgpu.hosts.pictures.sources import FrameSource
 from vamgpu.hosts.pictures.stream import FramePictures, Mirrors, PackedSource, source
 from vamgpu.hosts.pictures.supply import Supply
 from vamgpu.hosts.pictures.underrun import WebUnderrun
-from vamgpu.hosts.players.triggered import Machines
+from vamgpu.hosts.players.mirrors import Machines
 from vamgpu.hosts.rig import check, plan, rehearsal
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.hosts.rigs.preflight import judged
