@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass
+from fractions import Fraction
 from math import pi
 from pathlib import Path
 
@@ -92,7 +93,7 @@ def trial(frames: Frames, rate: float, seconds: float) -> Sustained:
     """Run at a rate for so long."""
     count = max(int(rate * seconds), 4 * BATCH)
     mirrors = MirrorTiming(picture={8: 1e-6, 1: 1e-6})
-    schedule = turned(count, speed=360.0 * rate / count, engines=mirrors, bits=frames.bits)
+    schedule = turned(count, speed=360 * Fraction(rate) / count, engines=mirrors, bits=frames.bits)
     source, clock = FrameSource(frames, row_bytes=ROW_BYTES, batch=BATCH), RealClock()
     memory = Memory(source.shape, schedule.trigger, clock)
     order = np.arange(count) % source.frames

@@ -19,6 +19,8 @@ log = logging.getLogger(__name__)
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """What ends a process that holds the light: keys, systems, and terminals that are closed."""
 
+HANG_UP = getattr(signal, "SIGHUP", None)
+
 
 class Switch(Protocol):
     """Something that can make it dark: a controller's gate, a lamp's driver, a projector that shows black."""
@@ -41,8 +43,8 @@ class LightGuard:
 
     lamp: what is switched on.  others: further ways to make it dark, named, tried after the lamp, each whatever the
     one before it did.  tolerance: of motion, in the unit that `look` is given.  signals: whether SIGINT, SIGTERM and
-    SIGHUP put the light out before they do what they did (main thread only).  told: hears "on" and "off", and
-    why.
+    SIGHUP put the light out before they do what they did (main thread only; a SIGHUP that is ignored, as under
+    `nohup`, stays ignored).  told: hears "on" and "off", and why.
 
     A fault latches: light stays off until the guard is left. Use::
 
@@ -203,6 +205,8 @@ class LightGuard:
         mine = weakref.ref(self)
         for number in SIGNALS:
             before = signal.getsignal(number)
+            if before == signal.SIG_IGN and number == HANG_UP:
+                continue  # `nohup`: whoever started the print wants it to outlive the terminal
 
             def dark_first(number: int, frame: FrameType | None, before: Any = before) -> None:
                 guard = mine()

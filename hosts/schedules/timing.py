@@ -60,7 +60,7 @@ class Cadence:
         top, bottom = self.period.numerator, self.period.denominator
         whole, rest = divmod(top, bottom)
         beats = first + stride * np.arange(count, dtype=np.int64)
-        if rest * max(abs(first), abs(first + stride * count)) < 2**62:
+        if max(bottom, rest * max(abs(first), abs(first + stride * count))) < 2**62:
             return self.start + beats * whole + beats * rest // bottom
         return np.array([self.start + beat * top // bottom for beat in beats.tolist()], np.int64)  # beyond 64 bits
 

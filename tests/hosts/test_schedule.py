@@ -123,6 +123,8 @@ def test_nothing_drifts_in_a_million_frames() -> None:
     assert odd.times(0, million)[-1] == (million - 1) * odd.period.numerator // odd.period.denominator
     assert [odd.beat(odd.at(k)) for k in (0, 1, million)] == [0, 1, million]
     assert odd.beat(odd.at(million) - 1) == million - 1
+    fine = Cadence(5 + Fraction(1, 2**70 + 1))  # so fine that its parts leave 64 bits by themselves
+    assert fine.times(7, 3).tolist() == [fine.at(beat) for beat in (7, 8, 9)] == [35, 40, 45]
 
 
 def test_position_follows_the_frame_not_the_clock() -> None:
@@ -142,7 +144,12 @@ def test_a_web_agrees_with_the_limits_of_its_machine(turning: bool) -> None:
     assert schedule.duty == pytest.approx(limits.duty, rel=2e-2)  # before the first pose there is darkness
     most = greatest(
         lambda speed: web(
-            9, advance=limits.advance, speed=speed, engines=MirrorTiming(), lens=LensTiming(), focus=(5.0, 7.0, 9.0),
+            9,
+            advance=limits.advance,
+            speed=speed,
+            engines=MirrorTiming(),
+            lens=LensTiming(),
+            focus=(5.0, 7.0, 9.0),
             turning=turning,
         )  # fmt: skip
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -151,8 +152,25 @@ def test_light_that_somebody_puts_out_ends_the_print(run: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_signals_that_end_a_process_cancel(run: Path, number: signal.Signals) -> None:
-    scene, before = Scene(run, roll()), signal.getsignal(number)
+def test_signals_that_end_a_process_cancel(run: Path, number: signal.Signals, request: pytest.FixtureRequest) -> None:
+    request.addfinalizer(partial(signal.signal, number, signal.signal(number, signal.SIG_DFL)))
+    scene = signalling(run, number)
+    with pytest.raises(SystemExit):
+        scene.print.run()
+    assert not scene.bench.controller.light and signal.getsignal(number) == signal.SIG_DFL
+    found = scene.read()
+    assert found.state is State.CANCELLED and found.message == number.name
+
+
+def test_a_print_outlives_its_terminal_where_that_is_asked(run: Path, request: pytest.FixtureRequest) -> None:
+    """Under `nohup`, SIGHUP is ignored from the start."""
+    request.addfinalizer(partial(signal.signal, signal.SIGHUP, signal.signal(signal.SIGHUP, signal.SIG_IGN)))
+    assert signalling(run, signal.SIGHUP).print.run() is State.COMPLETE
+
+
+def signalling(run: Path, number: signal.Signals) -> Scene:
+    """A print that hears a signal after its fifth picture."""
+    scene = Scene(run, roll())
     wait = scene.player.wait
 
     def signalled() -> None:
@@ -161,11 +179,7 @@ def test_signals_that_end_a_process_cancel(run: Path, number: signal.Signals) ->
         wait()
 
     scene.player.wait = signalled  # type: ignore[method-assign]
-    with pytest.raises(SystemExit):
-        scene.print.run()
-    assert not scene.bench.controller.light and signal.getsignal(number) == before
-    found = scene.read()
-    assert found.state is State.CANCELLED and found.message == number.name
+    return scene
 
 
 def test_what_was_shown_before_a_fault_is_kept(run: Path) -> None:
