@@ -32,6 +32,7 @@ from vamgpu.hosts.emulators.clock import PacedClock
 from vamgpu.hosts.pictures.feed import Feed
 from vamgpu.hosts.pictures.sources import FrameSource
 from vamgpu.hosts.pictures.stream import FramePictures, Mirrors, WebPictures
+from vamgpu.hosts.pictures.supply import BUFFERS, length
 from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run, timing
 from vamgpu.hosts.run import Print
@@ -40,7 +41,7 @@ from vamgpu.hosts.schedules.moving import turned, web
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 
-ROWS, COLUMNS, ROW_BYTES, BATCH = 1080, 1920, 256, 8
+ROWS, COLUMNS, ROW_BYTES = 1080, 1920, 256
 LOOK = 5_000_000
 ADVANCE, FOCUS = 9.0 * pi / 360, (0.0, 0.7, 1.4)
 
@@ -65,10 +66,10 @@ class Sustained:
 
 
 class Memory:
-    """Mirrors: two batches of room, copied to, and triggered as time goes."""
+    """Mirrors: two sequences of room, copied to, and triggered as time goes."""
 
-    def __init__(self, shape: tuple[int, ...], triggers: np.ndarray, clock: RealClock) -> None:
-        self._memory = np.zeros((2, BATCH, *shape), np.uint8)
+    def __init__(self, length: int, shape: tuple[int, ...], triggers: np.ndarray, clock: RealClock) -> None:
+        self._memory = np.ones((2, length, *shape), np.uint8)
         self._triggers, self._clock, self._ends, self.began = triggers, clock, [0], 0
 
     def shown(self) -> int:
@@ -91,13 +92,14 @@ def frames_on(device: Device, bits: int, count: int = 12) -> Frames:
 
 def trial(frames: Frames, rate: float, seconds: float) -> Sustained:
     """Run at a rate for so long."""
-    count = max(int(rate * seconds), 4 * BATCH)
+    batch = length(rate, frames.bits * ROWS * ROW_BYTES)
+    count = max(int(rate * seconds), 4 * batch)
     mirrors = MirrorTiming(picture={8: 1e-6, 1: 1e-6})
     schedule = turned(count, speed=360 * Fraction(rate) / count, engines=mirrors, bits=frames.bits)
-    source, clock = FrameSource(frames, row_bytes=ROW_BYTES, batch=BATCH), RealClock()
-    memory = Memory(source.shape, schedule.trigger, clock)
+    source, clock = FrameSource(frames, row_bytes=ROW_BYTES, batch=batch), RealClock()
+    memory = Memory(batch, source.shape, schedule.trigger, clock)
     order = np.arange(count) % source.frames
-    feed = Feed(source, order, memory, clock, batch=BATCH, depth=8)
+    feed = Feed(source, order, memory, clock, batch=batch, depth=BUFFERS)
     feed.start()
     while not feed.primed:
         clock.sleep_until(clock.now() + LOOK)

@@ -22,11 +22,18 @@ BUFFERS = 2
 """Of pictures made ahead, each as long as a sequence of the mirrors."""
 GUARD = 0.06
 """How far ahead of the counter [s] a missing picture is given up: three looks of the print."""
+HELD = 2**28
+"""Bytes of a sequence at rates so high that a second's pictures are more than a host should hold."""
 
 
 def guard(rate: float) -> int:
     """How many pictures ahead of the counter a missing one is given up, at so many a second."""
     return max(2, math.ceil(GUARD * rate))
+
+
+def length(rate: float, nbytes: int) -> int:
+    """Pictures of ``nbytes`` in a sequence of mirrors, at so many a second: a second's, or what `HELD` bytes hold."""
+    return max(guard(rate), min(round(rate), HELD // nbytes))
 
 
 class Dark:

@@ -7,6 +7,7 @@ from a host's time; this side keeps pictures and rows ahead of the counter, and 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from vamgpu.errors import BadInput, DeviceError, Underrun
 from vamgpu.hosts.drivers.dmd import SlotTiming
 from vamgpu.hosts.drivers.stream import PlaneStream
 from vamgpu.hosts.pictures.stream import Pictures
-from vamgpu.hosts.pictures.supply import Dark, Supply, guard
+from vamgpu.hosts.pictures.supply import Dark, Supply, guard, length
 from vamgpu.hosts.pictures.underrun import Underruns
 from vamgpu.hosts.players.approach import LOOK, Approach, Motion
 from vamgpu.hosts.players.mirrors import Machines, shows, usual
@@ -44,7 +45,7 @@ TURNS = 2
 class TriggeredPlayer:
     """Plays a schedule on mirrors behind a controller; see `vamgpu.hosts.players.player.Player`.
 
-    pictures: of each projector.  depth: pictures of a sequence of the mirrors, by default a second's.  sequences: of
+    pictures: of each projector.  depth: pictures of a sequence of the mirrors, by default `length`.  sequences: of
     them; enough for all pictures make them resident.  policy: decides on late pictures, one for each projector.
     threaded: whether pictures are made and uploaded in threads; by default where time is real.  origin: of pose 0 on
     the motor, where an earlier host began the print. Raises `BadInput`.
@@ -65,7 +66,8 @@ class TriggeredPlayer:
         self.lamp = ControllerLamp(machines.controller, range(schedule.engines), shares=schedule.power[0])
         self.switches: Mapping[str, Switch] = {f"mirrors {k}": Dark(dmd) for k, dmd in enumerate(machines.mirrors)}
         self.renew = Renewal(machines.controller)
-        self._pictures, self._depth = tuple(pictures), depth or max(2, round(schedule.rate))
+        sizes = (each.bits * prod(dmd.plane_shape) for each, dmd in zip(pictures, machines.mirrors, strict=True))
+        self._pictures, self._depth = tuple(pictures), depth or length(schedule.rate, max(sizes))
         self._sequences, self._apart = sequences, APART + int(schedule.on[0])
         self._threaded = machines.clock.real if threaded is None else threaded
         self._policies = tuple(policy(schedule) for _ in pictures)

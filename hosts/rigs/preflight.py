@@ -14,7 +14,7 @@ from vamgpu.errors import BadInput, TimingInfeasible, WrongDevice
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.drivers.stream import PIECE
-from vamgpu.hosts.pictures.supply import BUFFERS, guard
+from vamgpu.hosts.pictures.supply import BUFFERS, guard, length
 from vamgpu.hosts.players.triggered import PREROLL
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedules.schedule import Schedule
@@ -91,8 +91,9 @@ def judged(
     with ThreadPoolExecutor(len(mirrors)) as pool:
         wires = list(pool.map(lambda dmd: _wire(dmd, bits, clock, seconds), mirrors)) if real else [np.inf]
     pictures, slowest = len(schedule) + PREROLL, min(wires)
-    load = pictures * max(timing.nbytes(bits) for timing in timings) / slowest
-    depth = max(2, min(round(schedule.rate), free // (2 * bits)))
+    picture = max(timing.nbytes(bits) for timing in timings)
+    load = pictures * picture / slowest
+    depth = max(2, min(length(schedule.rate, picture), free // (2 * bits)))
     whole = -(-pictures // depth)
     resident = real and load <= LOADING and whole * depth * bits <= free
     sequences = max(2, whole) if resident else 2

@@ -20,7 +20,7 @@ from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.dmd import FakeAlp
 from vamgpu.hosts.pictures.sources import FrameSource
 from vamgpu.hosts.pictures.stream import FramePictures, Mirrors, PackedSource, source
-from vamgpu.hosts.pictures.supply import Supply
+from vamgpu.hosts.pictures.supply import HELD, Supply, guard, length
 from vamgpu.hosts.pictures.underrun import WebUnderrun
 from vamgpu.hosts.players.mirrors import Machines
 from vamgpu.hosts.rig import check, plan, rehearsal
@@ -41,6 +41,13 @@ SCHEDULE = turned(40, speed=40, engines=MirrorTiming(pixels=(64, 12), row_bytes=
 def frames_of(device: str) -> Frames:
     levels = np.random.default_rng(5).integers(0, 256, (40, 8, 30), dtype=np.uint8)
     return Frames.from_bytes(levels, device, bits=8, gray=GrayCurve.linear(), scale=1.0, columns=30)
+
+
+def test_a_host_holds_a_second_of_pictures_or_what_it_can_afford() -> None:
+    full = 8 * 1080 * 256
+    assert length(30.6, full) == 31
+    assert length(3000.0, full) == guard(3000.0) == 180  # fewer would be given up before they are sent
+    assert length(2000.0, full) == HELD // full == 121
 
 
 class Watched:
