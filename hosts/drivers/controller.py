@@ -67,7 +67,7 @@ class Controller:
             raise WrongDevice(f"{self._wire.name} does not answer as one: {error}") from error
         if name != protocol.NAME or version != protocol.VERSION:
             raise WrongDevice(
-                f"{name} version {version} answers, {protocol.NAME} version {protocol.VERSION} is wanted; "
+                f"{self._wire.name} is {name} version {version}, {protocol.NAME} version {protocol.VERSION} is wanted; "
                 "load the sketch that comes with this library"
             )
         self.capacity, self.longest_lease_ms, self.channels = capacity, longest, channels

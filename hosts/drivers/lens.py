@@ -53,7 +53,9 @@ class TunableLens:
                 break
         self.firmware = self.ask(ld4.FIRMWARE_TYPE).decode("ascii", "replace")
         if expected is not None and self.firmware != expected:
-            raise WrongDevice(f"the lens driver has firmware type {self.firmware}, the configuration wants {expected}")
+            raise WrongDevice(
+                f"{self._wire.name} has firmware type {self.firmware}, the configuration wants {expected}"
+            )
         numbers = self.ask(ld4.VERSION)
         self.version = f"{numbers[0]}.{numbers[1]}.{int.from_bytes(numbers[2:4])}.{int.from_bytes(numbers[4:6])}"
         self.full_current_ma = int.from_bytes(self.ask(ld4.GET_FULL_CURRENT), "big") / 100
@@ -78,9 +80,9 @@ class TunableLens:
                 received += chunk
             try:
                 return ld4.parse(request, received)
-            except ProtocolError:
+            except ProtocolError as error:
                 self._wire.drain()
-                raise
+                raise ProtocolError(f"{self._wire.name}: {error}") from error
 
     def focal_power_mode(self, low_celsius: float = 20.0, high_celsius: float = 45.0) -> ld4.PowerRange:
         """Set the temperature window, then the focal power mode; the range [1/m] the driver guarantees."""

@@ -166,7 +166,7 @@ def open_wire(url: str, name: str, baud: int = 115200, timeout_s: float = 0.25) 
     """
     if url.startswith("usbtmc:"):
         try:
-            return Wire(UsbtmcPort(url.removeprefix("usbtmc:")), name)
+            return Wire(UsbtmcPort(url.removeprefix("usbtmc:")), f"{name} at {url}")
         except OSError as error:
             raise _unopened(url, name, error) from error
     serial = _pyserial()
@@ -176,7 +176,7 @@ def open_wire(url: str, name: str, baud: int = 115200, timeout_s: float = 0.25) 
         raise BadInput(f"{url!r} is no address of a port for {name}: {error}") from error
     except OSError as error:
         raise _unopened(url, name, error) from error
-    return Wire(port, name)
+    return Wire(port, f"{name} at {url}")
 
 
 def _pyserial() -> Any:

@@ -54,7 +54,7 @@ class ZaberStage:
         try:
             return self._whole("get deviceid")
         except (ProtocolError, DeviceLost) as error:
-            raise WrongDevice(f"no Zaber device {self._device} answers: {error}") from error
+            raise WrongDevice(f"{self._wire.name} does not answer as a Zaber device: {error}") from error
 
     def ask(self, text: str) -> str:
         """Send a command to the axis and return the data of its reply."""
@@ -67,7 +67,7 @@ class ZaberStage:
             return int(data)
         except ValueError:
             raise ProtocolError(
-                f"stage {self._device} answered {data!r} to {text!r}, a number was wanted; check the number of its axis"
+                f"{self._wire.name} answered {data!r} to {text!r}, a number was wanted; check the number of its axis"
             ) from None
 
     def _exchange(self, text: str) -> zaber.Message:
@@ -79,7 +79,7 @@ class ZaberStage:
                 if message.kind == "@" and message.device == self._device and message.number == self._number:
                     return message
                 log.info("stage says %s", message)
-        raise DeviceLost(f"stage {self._device} does not answer {text!r}; check its power and its number")
+        raise DeviceLost(f"{self._wire.name} does not answer {text!r}; check its power and its number")
 
     def position(self) -> float:
         """Where the axis says it is."""

@@ -20,7 +20,7 @@ from vamgpu.hosts.rigs.sections import (
     SafetySection,
     StageSection,
 )
-from vamgpu.jobs.model import Section
+from vamgpu.jobs.model import Misplaced, Section
 from vamgpu.jobs.read import checked
 
 EMULATED = """\
@@ -79,33 +79,40 @@ class RigFile(Section):
 
     @model_validator(mode="after")
     def _whole(self) -> RigFile:
-        machines = {"controller": self.controller, "lens": self.lens, "stage": self.stage}
-        machines |= {"camera_stage": self.camera_stage, "photodiode": self.photodiode}
-        for name, section in machines.items():
+        ports = {"controller": self.controller, "lens": self.lens, "stage": self.stage}
+        ports |= {"camera_stage": self.camera_stage, "photodiode": self.photodiode}
+        for name, section in ports.items():
             if section is not None and section.driver != "emulated" and not section.port:
-                raise ValueError(f'{name} = driver "{section.driver}" wanted port = "/dev/…" or "socket://host:port"')
-        every = (*self.projector, self.camera, *machines.values())
-        drivers = {section.driver == "emulated" for section in every if section}
-        if len(drivers) > 1:
-            raise ValueError("some machines are emulated and some are real; wanted all of one kind, as time is of one")
+                raise Misplaced(f'driver "{section.driver}" wanted port = "/dev/…" or "socket://host:port"', name)
+        every = [("projector", section) for section in self.projector] + [("camera", self.camera), *ports.items()]
+        real, emulated = ([name for name, section in every if section and (section.driver == "emulated") is rehearsed]
+                          for rehearsed in (False, True))  # fmt: skip
+        if real and emulated:
+            raise Misplaced(
+                f"is emulated and {real[0]} is real; wanted all machines of one kind, as time is of one", emulated[0]
+            )
         if self.video:
             self._on_a_cable()
         elif self.stage is not None and not self.emulated:
-            raise ValueError(
+            raise Misplaced(
                 "mirrors behind a trigger follow the motor that the controller itself moves; remove [stage], or take a "
-                'projector with driver "hdmi"'
-            )
+                'projector with driver "hdmi"', "stage",
+            )  # fmt: skip
         return self
 
     def _on_a_cable(self) -> None:
         if len(self.projector) > 1:
-            raise ValueError(f"wanted one projector on a video cable, got {len(self.projector)}: cables keep no step")
+            raise Misplaced(
+                f"wanted one projector on a video cable, got {len(self.projector)}: cables keep no step", "projector"
+            )
         if self.rig.machine != "vial":
-            raise ValueError(f'driver "hdmi" prints vials; wanted machine = "vial", got "{self.rig.machine}"')
+            raise Misplaced(
+                f'driver "hdmi" prints vials; wanted machine = "vial", got "{self.rig.machine}"', "rig", "machine"
+            )
         if self.stage is None:
-            raise ValueError('driver "hdmi" wanted a table [stage]: its angle chooses the pictures')
+            raise Misplaced('driver "hdmi" wanted a table [stage]: its angle chooses the pictures', "projector")
         if self.lens is not None:
-            raise ValueError('driver "hdmi" prints vials, which want no lens; remove [lens]')
+            raise Misplaced('driver "hdmi" prints vials, which want no lens; remove [lens]', "lens")
 
     @property
     def emulated(self) -> bool:
@@ -132,7 +139,7 @@ def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
     if str(path) == "emulated":
         return parse_rig(EMULATED, settings, source="emulated")
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or error
         raise JobError(f"cannot read the rig {str(path)!r}: {why}; wanted a TOML file, or the word emulated") from error

@@ -53,6 +53,8 @@ def print_(
     screen, config = console(), read_rig(rig, settings or ())
     if not jobs:
         raise BadInput("no job was given; wanted the folder of a job for each projector, or the word demo")
+    if resume is not None and out is not None:
+        raise BadInput("--out names the folder of a new run, --resume one to go on with; give one of them")
     if resume is not None and (dry_run or config.wanted.emulated):
         raise BadInput("a rehearsal has no machines that remember a print; wanted --resume with the rig that began it")
     place = resume or _place(out, jobs[0], dry_run)
@@ -77,7 +79,8 @@ def print_(
 @app.command
 def panel(
     *jobs: str, rig: str, speed: str | None = None, turns: int = 1, stop: float | None = None, out: Path | None = None,
-    resume: Path | None = None, host: str = "127.0.0.1", port: int = 8521,
+    resume: Path | None = None, settings: Settings = None, device: str | None = None, dry_run: Switch = False,
+    host: str = "127.0.0.1", port: int = 8521,
 ) -> int:  # fmt: skip
     """Print jobs on a rig with the live page, as ``vam print --panel`` does.
 
@@ -89,11 +92,14 @@ def panel(
         stop: as for ``vam print``
         out: folder of the run
         resume: folder of a run to go on with
+        device: as for ``vam print``
+        dry_run: rehearse in the time that a print takes, whatever the rig
         host: where the page is served; a token is wanted beyond this machine
         port: of the page
     """
     return print_(
-        *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, panel=True, host=host, port=port,
+        *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, settings=settings, device=device,
+        dry_run=dry_run, panel=True, host=host, port=port,
     )  # fmt: skip
 
 

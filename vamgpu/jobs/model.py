@@ -19,6 +19,14 @@ Count = Annotated[int, Field(ge=1)]
 Row = tuple[float, float, float]
 
 
+class Misplaced(ValueError):
+    """What is wrong between the tables of a file. key: where one would begin to mend it."""
+
+    def __init__(self, message: str, *key: str) -> None:
+        super().__init__(message)
+        self.key = key
+
+
 class Section(BaseModel):
     """A table of a job file: nothing unknown, nothing converted in silence."""
 
@@ -123,5 +131,5 @@ class JobFile(Section):
     @model_validator(mode="after")
     def _one_vessel(self) -> JobFile:
         if self.vial is not None and self.vat is not None:
-            raise ValueError("got both [vial] and [vat]; remove one")
+            raise Misplaced("got both [vial] and [vat]; remove one", "vat")
         return self

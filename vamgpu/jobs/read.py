@@ -38,7 +38,7 @@ def read_job(path: str | Path, settings: Iterable[str] = ()) -> Job:
 def read_text(path: str | Path) -> str:
     """The text of a job file. Raises `JobError`."""
     try:
-        return Path(path).read_text(encoding="utf-8")
+        return Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise JobError(f"cannot read job file {str(path)!r}: {reason}; wanted a TOML file: check the path") from error
@@ -95,7 +95,8 @@ def toml_value(text: str) -> Any:
 def _complaint(
     entry: Any, source: str, lines: dict[tuple[str, ...], int], replaced: set[tuple[str, ...]], file: type[BaseModel]
 ) -> str:
-    key = tuple(str(part) for part in entry["loc"])
+    between = getattr(entry.get("ctx", {}).get("error"), "key", ())
+    key = tuple(str(part) for part in (*entry["loc"], *between))
     named = tuple(part for part in key if not part.isdigit())
     if any(named[: len(changed)] == changed for changed in replaced):
         place = "--set"
