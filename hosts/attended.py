@@ -7,6 +7,7 @@ import threading
 from vamgpu.hosts.board import Board
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.state import State, WrongState
+from vamgpu.hosts.viewer import Viewer
 
 LOOK = 50_000_000
 """Between two looks at the buttons while it rests [ns]."""
@@ -19,6 +20,7 @@ def attended(job: Print, board: Board, first: int | None = None) -> State:
     def pause() -> None:
         if job.states.state is not State.PRINTING:
             raise WrongState(f"the print is {job.states.state.value}; only one that prints can pause")
+        going.clear()  # of one that pressed twice, while the print got ready to go on
         job.pause()
 
     def resume() -> None:
@@ -28,10 +30,11 @@ def attended(job: Print, board: Board, first: int | None = None) -> State:
 
     for name, press in (("pause", pause), ("resume", resume), ("cancel", lambda: job.stop("cancelled at the page"))):
         board.button(name, press)
-    state = job.run(first)
-    while state is State.PAUSED and _rested(job, going):
-        going.clear()
-        state = job.run()
+    with Viewer(board, job.player.picture):
+        state = job.run(first)
+        while state is State.PAUSED and _rested(job, going):
+            going.clear()
+            state = job.run()
     return job.states.state
 
 
@@ -41,7 +44,7 @@ def _rested(job: Print, going: threading.Event) -> bool:
     while job.asked is not State.CANCELLED:
         if going.is_set():
             return True
-        if clock.now() - (job.paused_at or 0) > job.limits.resume:
+        if clock.now() - (job.dark_since or 0) > job.limits.resume:
             job.states.end(State.CANCELLED, "rested for too long")
             return False
         clock.sleep_until(clock.now() + LOOK)

@@ -100,7 +100,10 @@ class Watch:
             self._thread.join(LEAVE)
             if self._thread.is_alive():
                 log.warning("the camera still holds its thread after %g s", LEAVE)
-        self._file.close()
+        try:
+            self._file.close()
+        except OSError as error:  # a full disk was told before
+            log.warning("'scatter.csv' of %r is cut short: %s", str(self._folder.path), error)
 
     def _over(self, image: np.ndarray) -> float:
         """Share of pixels at the camera's top."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.protocols.controller import Status
 from vamgpu.hosts.record import Run, RunFolder, Shown, read_run
 from vamgpu.hosts.run import Limits, may_resume
 from vamgpu.hosts.schedules.schedule import Schedule
@@ -59,18 +60,34 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
             "anew with fresh resin"
         )
     rest = round((time.time() - run.events[-1]["wall"]) * SECOND)
+    if rest < 0:
+        raise BadInput(
+            f"the last sign of {str(path)!r} is {-rest / SECOND:.1f} s ahead of this host's clock, so nobody knows how "
+            "long it rested; begin anew with fresh resin"
+        )
     may_resume(rest, limits)
     slots = run.shown["slot"]
     recorded = int(slots.max()) + 1 if len(slots) else 0
     before = controller.before
-    shown = 0 if before is None else leg["first"] + before.shown - leg["preroll"]
+    shown = 0 if before is None else leg["first"] + _counted(before, leg["first"], recorded, leg["preroll"])
     if shown < recorded:
         raise BadInput(
             f"the folder holds {recorded} pictures, the controller knows of {max(shown, 0)}: it lost its power or was "
             "opened by another program, so nobody knows where the motor is; begin anew with fresh resin"
         )
-    if shown >= len(schedule):
-        raise BadInput(f"{str(path)!r} has shown all its {len(schedule)} slots; nothing is left to print")
     dark = run.shown[run.shown["dark"] > 0]
+    if shown >= len(schedule):
+        missed = f", {len(dark)} of them black: only the host that planned them shows them again" if len(dark) else ""
+        raise BadInput(f"{str(path)!r} has shown all its {len(schedule)} slots{missed}; nothing is left to print")
     lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
     return Interrupted(run, shown, recorded, float(leg["origin"]), tuple(map(tuple, lost)), rest)
+
+
+def _counted(before: Status, first: int, recorded: int, preroll: int) -> int:
+    """Pictures of a leg from a slot on that the controller showed.
+
+    Its rows begin anew with each leg, its count only once they are played: a host that died in between left the count
+    of the leg before.
+    """
+    waits = before.row < before.shown and recorded <= first
+    return 0 if waits else before.shown - preroll

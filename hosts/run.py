@@ -19,8 +19,6 @@ from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State, States, WrongState
 
 log = logging.getLogger(__name__)
-PICTURES = SECOND // 5
-"""Between two pictures for those who watch [ns]."""
 
 
 @dataclass(frozen=True)
@@ -60,26 +58,31 @@ class Print:
             others=player.switches, told=self._told,
         )  # fmt: skip
         self.next = 0
-        self.asked: State | None = None
-        self.paused_at: int | None = None
-        self._finishing, self._lit, self._pictured = False, False, -PICTURES
+        self.dark_since: int | None = None
+        self._cancelled = self._pausing = self._finishing = self._lit = False
         self.states.listen(folder.state)
         self.states.listen(lambda change: self.board.show(state=change.after, message=change.message))
         self.board.on_stop(self.stop)
         self.board.show(slots=len(schedule), unit=schedule.unit)
 
     # ---- from any thread -------------------------------------------------------------------------------------
+    @property
+    def asked(self) -> State | None:
+        """What somebody asked for: `State.CANCELLED`, or else `State.PAUSED`."""
+        return State.CANCELLED if self._cancelled else State.PAUSED if self._pausing else None
+
     def stop(self, why: str = "emergency stop") -> None:
         """Light off now; the print is cancelled when its thread looks."""
-        self.asked = State.CANCELLED  # first: who sees the light fail shall know why
+        self._cancelled = True  # first: who sees the light fail shall know why
         self.guard.fail(why)
 
     def pause(self) -> None:
         """Dark after the picture that is shown, and the motion at rest, until `run` is called again."""
-        self.asked = self.asked or State.PAUSED
+        self._pausing = True
 
-    def recall(self, shown: np.ndarray) -> None:
-        """Count light that an earlier host gave, records of its folder."""
+    def recall(self, shown: np.ndarray, rest: int) -> None:
+        """Count light that an earlier host gave, records of its folder, and how long it has been dark since [ns]."""
+        self.dark_since = self.player.clock.now() - rest
         lit = shown[shown["dark"] == 0]
         power = self.player.schedule.power[0]
         for engine in range(self.player.schedule.engines):
@@ -97,7 +100,8 @@ class Print:
         if not 0 <= start < len(self.player.schedule):
             raise BadInput(f"slot {start} is none of the {len(self.player.schedule)} slots")
         try:
-            self._may_resume()
+            self._rested()
+            self._pausing = False
             self._stopped()
             with self.guard:
                 self.begin(start)
@@ -118,16 +122,16 @@ class Print:
         self._event("leg", first=first, **self.player.facts())
         self.guard.look(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
         self._stopped()
+        self._rested()  # getting ready took its time too
         self.guard.on(self.power)
-        self._lit = True
+        self._lit, self.dark_since = True, None
         self.player.start()
 
     def step(self) -> bool:
         """One look at the machines; False once the print is over or at rest."""
-        if self.asked is State.CANCELLED:
-            self._last_look()
+        if self._cancelled:
             return self._rest(State.CANCELLED)
-        if self.asked is State.PAUSED and not self._finishing:
+        if self._pausing and not self._finishing:
             self._finishing = True
             self.player.finish()
         seen = self.player.look()
@@ -149,25 +153,24 @@ class Print:
 
     def ended(self, error: BaseException) -> None:
         """Bring all to rest after an error; it is dark already. A second error is logged: the first is to be told."""
-        wanted = self.asked is State.CANCELLED or isinstance(error, (KeyboardInterrupt, SystemExit))
+        wanted = self._cancelled or isinstance(error, (KeyboardInterrupt, SystemExit))
         state = State.CANCELLED if wanted else State.ERROR
         why = self.guard.fault if wanted and self.guard.fault else str(error) or type(error).__name__
         told, end = lambda: self._event("ended", error=repr(error)), lambda: self.states.end(state, why)  # noqa: E731
         for act in (self._last_look, self.player.halt, told, end):
             try:
                 act()
-            except Exception as second:
-                log.error("after %r: %s", error, second)
+            except BaseException as second:  # who presses the keys twice shall not leave the motor running
+                log.error("after %r: %r", error, second)
 
-    def _may_resume(self) -> None:
-        if self.paused_at is None:
-            return
-        may_resume(self.player.clock.now() - self.paused_at, self.limits)
-        self.asked = None if self.asked is State.PAUSED else self.asked
+    def _rested(self) -> None:
+        """Raise `BadInput` where it has been dark for too long."""
+        if self.dark_since is not None:
+            may_resume(self.player.clock.now() - self.dark_since, self.limits)
 
     def _over(self) -> bool:
         """No light is to come: a rest, the end, or a turn more for what was missed."""
-        if self.asked is State.PAUSED and self.next < len(self.player.schedule):
+        if self._pausing and self.next < len(self.player.schedule):
             return self._rest(State.PAUSED)
         self.guard.off("complete")
         self._lit = False
@@ -186,9 +189,9 @@ class Print:
     def _rest(self, state: State, why: str = "") -> bool:
         """Dark, then at rest; what was shown until then is kept."""
         self.guard.off(why or state.value)
-        self._lit = False
+        self.dark_since = self.player.clock.now()
+        self._last_look()
         self.player.halt()
-        self.paused_at = self.player.clock.now()
         self.states.to(state, self.guard.fault or why)
         return False
 
@@ -199,7 +202,7 @@ class Print:
 
     def _stopped(self) -> None:
         """Raise `InterlockOpen` where somebody has stopped the print."""
-        if self.asked is State.CANCELLED:
+        if self._cancelled:
             raise InterlockOpen(f"the print was stopped: {self.guard.fault or 'cancelled'}")
 
     def _last_look(self) -> None:
@@ -229,10 +232,6 @@ class Print:
             spent=0.0 if budget is None else budget.spent / budget.limit,
             dark=self.board.now.dark + sum(shown.dark for shown in seen.pictures),
         )  # fmt: skip
-        now = self.player.clock.now()
-        if frame >= 0 and now - self._pictured >= PICTURES:
-            self._pictured = now
-            self.board.show(picture=self.player.picture(frame))
 
     def _told(self, what: str, why: str) -> None:
         self.board.show(light=what == "on")

@@ -24,14 +24,27 @@ class Turns:
         self._waiting: deque[threading.Lock] = deque()
 
     def __enter__(self) -> None:
-        with self._lock:
-            if not self._held:
-                self._held = True
-                return
-            ticket = threading.Lock()
-            ticket.acquire()
-            self._waiting.append(ticket)
+        ticket = threading.Lock()
         ticket.acquire()
+        try:
+            with self._lock:
+                if not self._held:
+                    self._held = True
+                    return
+                self._waiting.append(ticket)
+            ticket.acquire()
+        except BaseException:  # a signal that ends the program
+            self._leave(ticket)
+            raise
+
+    def _leave(self, ticket: threading.Lock) -> None:
+        """Wait no more; a turn that was given meanwhile goes to the next."""
+        with self._lock:
+            waits = ticket in self._waiting
+            if waits:
+                self._waiting.remove(ticket)
+        if not waits:
+            self.__exit__()
 
     def __exit__(self, *_: object) -> None:
         with self._lock:
@@ -73,6 +86,7 @@ class PlaneStream:
         self.queued = 0
         self._turns = Turns()
         self._piece = max(1, PIECE // (bits * dmd.height * dmd.row_bytes))
+        self._ceased = False
 
     def limits(self) -> Limits:
         """What the device allows for these pictures."""
@@ -89,7 +103,7 @@ class PlaneStream:
         return self._spare if pictures == 1 and self._spare else self._free
 
     def put(self, planes: np.ndarray) -> None:
-        """Upload up to ``length`` pictures ``[picture, plane, row, byte]`` and queue them."""
+        """Upload up to ``length`` pictures ``[picture, plane, row, byte]`` and queue them; none once it ceased."""
         with self._turns:
             self._progress()
             home = self._home(len(planes))
@@ -98,6 +112,9 @@ class PlaneStream:
             sequence = home.popleft()
         for first in range(0, len(planes), self._piece):
             with self._turns:
+                if self._ceased:
+                    home.append(sequence)
+                    return
                 sequence.put(planes[first : first + self._piece], first)
         with self._turns:
             sequence.start(len(planes))
@@ -117,6 +134,10 @@ class PlaneStream:
             done.home.append(done.sequence)
         waiting = sum(each.shown for each in list(self._queue)[1:])
         return self.queued - waiting - (0 if idle else progress.frames_left)
+
+    def cease(self) -> None:
+        """Upload no further piece, so that who uploads may end soon; waits for nobody."""
+        self._ceased = True
 
     def close(self) -> None:
         """Halt and give the memory back."""

@@ -60,7 +60,7 @@ class Supply:
         *, policy: Underruns, preroll: int = 0, threaded: bool,
     ) -> None:  # fmt: skip
         self._stream, self._poses, self._policy, self._preroll = stream, poses, policy, preroll
-        order = np.concatenate([np.full(preroll, NONE, slots.dtype), slots])
+        self._order = order = np.concatenate([np.full(preroll, NONE, slots.dtype), slots])
         shape = (pictures.bits, *stream.dmd.plane_shape)
         made = source(pictures, shape, int(slots.max(initial=0)) + 1, stream.length)
         self._feed = Feed(made, order, cast(Sink, stream), clock, batch=stream.length, depth=BUFFERS)
@@ -89,7 +89,9 @@ class Supply:
             if slot is None:
                 return
             self.prime()
-            pose = int(self._poses[slot - self._preroll]) if slot >= self._preroll else -1
+            if self._order[slot] == NONE:  # black was right
+                continue
+            pose = int(self._poses[slot - self._preroll])
             log.warning("pose %d is black: its picture is not there", pose)
             if self._policy.lost(pose) is Action.STOP:
                 raise Underrun(
@@ -115,6 +117,7 @@ class Supply:
 
     def close(self) -> None:
         """Make no more pictures and give the mirrors' memory back, unless an upload hangs in it."""
+        self._stream.cease()
         if self._feed.stop():
             self._stream.close()
         else:

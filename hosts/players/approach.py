@@ -11,11 +11,12 @@ from vamgpu.hosts.protocols.controller import FASTEST
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.rows import Rows
 from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
 
 LOOK = 20_000_000
 """Between two looks at the machines [ns]."""
-TRIES = 400
-"""Looks for the motion to come to its speed."""
+PATIENCE = 3.0
+"""Longest wait for the motion to have its speed, in times that the run-up takes at it."""
 AHEAD = 0.2
 """How long before its first row a motion must have its speed [s]."""
 RUN_UPS = 4
@@ -67,7 +68,7 @@ class Approach:
         for _ in range(RUN_UPS):
             origin = self._back(time, origin, run_up, alive)
             self._controller.move(self._speed / self._per_mm)
-            self._at_speed(alive)
+            self._at_speed(run_up, alive)
             if self._before(time, origin) >= AHEAD * self._speed:
                 return origin
             run_up *= 2
@@ -95,15 +96,16 @@ class Approach:
         self._controller.move(0.0)
         return origin
 
-    def _at_speed(self, alive: Callable[[], None]) -> None:
-        goal = round(self._speed * self._microsteps * 1000)
-        for _ in range(TRIES):
-            if abs(self._controller.status().speed - goal) <= 1 + 1e-3 * abs(goal):
-                return
+    def _at_speed(self, run_up: float, alive: Callable[[], None]) -> None:
+        goal, most = round(self._speed * self._microsteps * 1000), PATIENCE * run_up / self._speed
+        end = self._clock.now() + round(most * SECOND)
+        while abs(self._controller.status().speed - goal) > 1 + 1e-3 * abs(goal):
+            if self._clock.now() > end:
+                raise InterlockOpen(
+                    f"the motion did not reach {self._speed:.4g} {self._schedule.unit}/s in {most:.3g} s; check motor "
+                    "and load"
+                )
             self._look(LOOK // 10, alive)
-        raise InterlockOpen(
-            f"the motion did not reach {self._speed:.4g} {self._schedule.unit}/s; check motor and load"
-        )
 
     def _look(self, pause: int, alive: Callable[[], None]) -> None:
         self._clock.sleep_until(self._clock.now() + pause)

@@ -158,11 +158,11 @@ class SpinningPlayer:
 
     def halt(self) -> None:
         """Black, and the stage to rest; each whatever the other did."""
-        failed: list[Exception] = []
+        failed: list[BaseException] = []
         for act in (self.machines.stage.stop, self._blackout.off, self.machines.stage.wait):
             try:
                 act()
-            except Exception as error:
+            except BaseException as error:  # who presses the keys twice shall not leave the motor running
                 failed.append(error)
         if failed:
             raise failed[0]

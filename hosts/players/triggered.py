@@ -6,19 +6,22 @@ from a host's time; this side keeps pictures and rows ahead of the counter, and 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from math import prod
 from typing import Any
 
 import numpy as np
 
-from vamgpu.errors import BadInput, DeviceError, Underrun
+from vamgpu.errors import BadInput, DeviceError, DeviceLost, Underrun
 from vamgpu.hosts.drivers.dmd import SlotTiming
 from vamgpu.hosts.drivers.stream import PlaneStream
 from vamgpu.hosts.pictures.stream import Pictures
 from vamgpu.hosts.pictures.supply import Dark, Supply, guard, length
 from vamgpu.hosts.pictures.underrun import Underruns
 from vamgpu.hosts.players.approach import LOOK, Approach, Motion
+from vamgpu.hosts.players.asking import Asking
 from vamgpu.hosts.players.mirrors import Machines, shows, usual
 from vamgpu.hosts.players.player import Look
 from vamgpu.hosts.protocols.controller import Row, Status
@@ -75,13 +78,15 @@ class TriggeredPlayer:
         self._longest = int((schedule.dark - schedule.command).max(where=schedule.command != NONE, initial=0))
         self._origin, self._added = origin, 0
         self._supplies: list[Supply] = []
-        self._first = self._kept = self._shown = self._sent = self._looked = 0
+        self._owed: list[Counter[int]] = [Counter() for _ in pictures]
+        self._first = self._kept = self._counted = self._sent = self._looked = 0
 
     # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> None:
         """Mirrors and buffers full, the motion at its speed, black pictures and first rows queued."""
         controller = self.machines.controller
         self._first = self._kept = first
+        self._kept_power(controller.status())
         self._fill(first, alive)
         controller.mode("steps")
         start = Rows(self.schedule).acts(first) - PREROLL * self._apart
@@ -95,9 +100,18 @@ class TriggeredPlayer:
         channels = (1 << self.schedule.engines) - 1
         self._rows = Rows(self.schedule, self.machines.microsteps, self._origin, code, channels)
         self._motion = Motion(self.schedule, self.machines.microsteps)
-        self._sent = 0
-        self._send(controller.capacity, alive)
+        self._ask = Asking(self.clock, controller.status, float(self.schedule.cadence.period) / 8)
+        self._sent, self._alive = 0, alive
+        self._send(controller.capacity)
         controller.end(len(self.schedule) - first + PREROLL)
+
+    def _kept_power(self, status: Status) -> None:
+        """Raise `DeviceLost` where the controller forgot what it showed in the last leg, and so where the motor is."""
+        if status.shown < self._counted:
+            raise DeviceLost(
+                f"the controller knows of {status.shown} pictures where {self._counted} were shown: it lost its power "
+                "or was reset while the print rested, so nobody knows where the motor is; begin anew with fresh resin"
+            )
 
     def _fill(self, first: int, alive: Callable[[], None]) -> None:
         on = int(self.schedule.on[0]) // 1000
@@ -135,12 +149,12 @@ class TriggeredPlayer:
     def look(self) -> Look:
         """Compare what the controller triggered with what the mirrors counted."""
         before = [supply.shown() for supply in self._supplies]
-        status, now = self.machines.controller.status(), self.clock.now()
+        now, status = self._ask()
         after = [supply.shown() for supply in self._supplies]
         counts = (each for low, each in zip(before, after, strict=True) if not low <= status.shown <= each)
         error = self._motion.error(now, status.position)
         pictures = self._since(status.shown)
-        self._looked, self._free = now, status.free
+        self._looked, self._free, self._counted = now, status.free, status.shown
         return Look(
             status.state == "running", error, next(counts, status.shown), status.shown, pictures,
             status.position / self.machines.microsteps - (self._origin or 0.0),
@@ -185,13 +199,13 @@ class TriggeredPlayer:
             supply.fill()
         self._send(self._free)
 
-    def _send(self, free: int, alive: Callable[[], None] = lambda: None) -> None:
+    def _send(self, free: int) -> None:
         """Send rows while there is room: the black pictures before the first slot, then slots."""
         stop = min(self._sent + free, len(self.schedule) - self._first + PREROLL)
         for number in range(self._sent, stop):
             self.machines.controller.row(self._row(number))
             if number % 16 == 15:  # a slow line takes a while
-                alive()
+                self._alive()
         self._sent = max(self._sent, stop)
 
     def _row(self, number: int) -> Row:
@@ -211,34 +225,37 @@ class TriggeredPlayer:
 
     def halt(self) -> None:
         """The motion to rest, rows dropped, mirrors dark; each whatever the one before it did."""
-        failed: list[Exception] = []
+        failed: list[BaseException] = []
         for act in (self.machines.controller.stop, self._close):
             try:
                 act()
-            except Exception as error:
+            except BaseException as error:  # who presses the keys twice shall not leave the motor running
                 failed.append(error)
         if failed:
             raise failed[0]
 
     def _close(self) -> None:
         supplies, self._supplies = self._supplies, []
-        for supply in supplies:
-            supply.close()
+        with ExitStack() as stack:
+            for supply in supplies:
+                stack.callback(supply.close)
 
     def amends(self) -> bool:
         """Add a turn that shows again what was missed. Raises `Underrun` after `TURNS` of them."""
-        owed = [policy.owes() for policy in self._policies]
-        if not any(owed):
+        for owed, policy in zip(self._owed, self._policies, strict=True):
+            owed += policy.owes()
+        if not any(self._owed):
             return False
         if self._added == TURNS:
-            missed = max(each.total() for each in owed)
+            missed = max(each.total() for each in self._owed)
             raise Underrun(f"{missed} pictures were not shown in {TURNS} added turns; make them faster, or turn slower")
         self._added += 1
-        self.schedule = self.schedule.turned_again(set().union(*owed))
+        self.schedule = self.schedule.turned_again(set().union(*self._owed))
         turn = self.schedule.frame[-self.schedule.frames :]
-        for engine, each in enumerate(owed):
-            frames = np.where(np.isin(turn, list(each)), turn, NONE)
+        for engine, owed in enumerate(self._owed):
+            frames = np.where(np.isin(turn, list(owed)), turn, NONE)
             self._orders[engine] = np.concatenate([self._orders[engine], frames])
+            owed -= Counter(list(owed))  # once each
         return True
 
     def recall(self, lost: Sequence[Sequence[int]]) -> None:

@@ -14,6 +14,7 @@ from math import ceil
 
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.stage import Stage
+from vamgpu.hosts.players.asking import Asking
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.schedule import Schedule
@@ -33,7 +34,7 @@ LEAD = 0.25
 NUDGE = 15
 """Video frames in which the stage is brought into step with the cable."""
 TRIES = 4
-"""How often that is tried, or a question that took long asked again."""
+"""How often that is tried."""
 STEP = 0.02
 """Greatest distance from being in step [slots]."""
 
@@ -64,35 +65,18 @@ class Turning:
         self._frame, self._patterns = float(SECOND / (display.slot_rate / display.patterns)), display.patterns
         self._unit = self._advance / repeats
         self._seen: deque[tuple[int, float]] = deque()
-        self.origin, self._quickest = 0.0, SECOND
+        self._ask = Asking(clock, stage.position, self._frame / 2)
+        self.origin = 0.0
 
     def read(self, refreshed: int) -> Reading:
         """Ask the stage. refreshed: when a refresh was seen last [ns]."""
-        now, angle = self._asked()
+        now, angle = self._ask()
         self._seen.append((now, angle))
         while now - self._seen[0][0] > WINDOW:
             self._seen.popleft()
         since, age = divmod(now - refreshed, self._frame)
         here = angle - self.origin
         return Reading(here, (here - self.speed * age / SECOND) / self._unit, int(since), self._error())
-
-    def _asked(self) -> tuple[int, float]:
-        """When [ns] the stage was where. A host that was held up between question and answer cannot say, so it asks
-        again."""
-        for _ in range(TRIES - 1):
-            asked, angle, took = self._exchange()
-            if took <= max(2 * self._quickest, self._frame / 2):
-                return asked + took // 2, angle
-        asked, angle, took = self._exchange()
-        return asked + took // 2, angle
-
-    def _exchange(self) -> tuple[int, float, int]:
-        """When the stage was asked [ns], its answer, and how long that took [ns]."""
-        asked = self._clock.now()
-        angle = self._stage.position()
-        took = self._clock.now() - asked
-        self._quickest = min(self._quickest, took)
-        return asked, angle, took
 
     def _error(self) -> float:
         (began, start), (now, angle) = self._seen[0], self._seen[-1]

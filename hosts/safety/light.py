@@ -19,7 +19,8 @@ log = logging.getLogger(__name__)
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """What ends a process that holds the light: keys, systems, and terminals that are closed."""
 
-HANG_UP = getattr(signal, "SIGHUP", None)
+HELD_UP = 0.1
+"""How long a signal waits for another thread that is putting the light out [s]."""
 
 
 class Switch(Protocol):
@@ -43,7 +44,7 @@ class LightGuard:
 
     lamp: what is switched on.  others: further ways to make it dark, named, tried after the lamp, each whatever the
     one before it did.  tolerance: of motion, in the unit that `look` is given.  signals: whether SIGINT, SIGTERM and
-    SIGHUP put the light out before they do what they did (main thread only; a SIGHUP that is ignored, as under
+    SIGHUP put the light out before they do what they did (main thread only; one that is ignored, as SIGHUP under
     `nohup`, stays ignored).  told: hears "on" and "off", and why.
 
     A fault latches: light stays off until the guard is left. Use::
@@ -176,10 +177,19 @@ class LightGuard:
 
     def fail(self, why: str) -> None:
         """Make it dark for good: no light before the guard is left, and no lease either."""
+        self.lease.revoke()  # first, as it waits for nothing: with every line dead, the controller closes by itself
         with self._lock:
             self._fault, self._outside = self._fault or why, self._outside or not self._entered
-            self.lease.revoke()  # first, as it cannot fail: should every line be dead, the controller closes by itself
             self.off(why)
+
+    def _signalled(self, why: str) -> None:
+        """Make it dark from a signal, whose thread may hold what a thread waits for that is making it dark already."""
+        self.lease.revoke()
+        if self._lock.acquire(timeout=HELD_UP):
+            try:
+                self.fail(why)
+            finally:
+                self._lock.release()
 
     def _dark(self, why: str) -> None:
         """Try every switch; a switch that fails stops no other. With all of them dead the lease is left to run out."""
@@ -198,20 +208,20 @@ class LightGuard:
 
     # ---- the process ---------------------------------------------------------------------------------------
     def _guard_process(self) -> None:
-        """Signals and the interpreter's end put the light out too; they hold no reference that keeps a guard alive."""
+        """Signals and the interpreter's end put the light out too."""
         atexit.register(self._at_exit)
         if not self._signals or threading.current_thread() is not threading.main_thread():
             return
         mine = weakref.ref(self)
         for number in SIGNALS:
             before = signal.getsignal(number)
-            if before == signal.SIG_IGN and number == HANG_UP:
-                continue  # `nohup`: whoever started the print wants it to outlive the terminal
+            if before in (signal.SIG_IGN, None):  # the print shall outlive it, or a library of the maker's minds it
+                continue
 
             def dark_first(number: int, frame: FrameType | None, before: Any = before) -> None:
                 guard = mine()
                 if guard is not None:
-                    guard.fail(signal.Signals(number).name)
+                    guard._signalled(signal.Signals(number).name)
                 _as_before(number, frame, before)
 
             self._before[number] = before
@@ -231,5 +241,5 @@ def _as_before(number: int, frame: FrameType | None, before: Any) -> None:
     """Do what a signal did before the light was held."""
     if callable(before):
         before(number, frame)
-    elif before != signal.SIG_IGN:
+    else:
         raise SystemExit(128 + number)

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,3 +84,55 @@ def test_a_rest_that_lasts_too_long_is_the_end(job: tuple[Print, Board, Path]) -
     board.buttons["pause"]()
     thread.join(30)
     assert ended == [State.CANCELLED] and "too long" in board.now.message
+
+
+def test_who_presses_resume_twice_can_still_pause(job: tuple[Print, Board, Path], monkeypatch: Any) -> None:
+    run, board, _ = job
+    thread, ended = printing(run, board)
+    board.buttons["pause"]()
+    until(lambda: board.now.state is State.PAUSED)
+    prime, ready = run.player.prime, threading.Event()
+
+    def slowly(first: int, alive: Callable[[], None]) -> None:
+        board.buttons["resume"]()  # nothing was seen to happen yet
+        ready.set()
+        prime(first, alive)
+
+    monkeypatch.setattr(run.player, "prime", slowly)
+    board.buttons["resume"]()
+    until(ready.is_set)
+    until(lambda: board.now.state is State.PRINTING)
+    board.buttons["pause"]()
+    until(lambda: board.now.state is State.PAUSED)
+    time.sleep(0.3)
+    assert board.now.state is State.PAUSED and not board.now.light
+    board.buttons["cancel"]()
+    thread.join(30)
+    assert ended == [State.CANCELLED]
+
+
+def test_the_print_waits_for_no_picture_that_people_see(job: tuple[Print, Board, Path], monkeypatch: Any) -> None:
+    run, board, path = job
+    hangs, asked = threading.Event(), threading.Event()
+
+    def picture(number: int) -> np.ndarray:
+        asked.set()
+        hangs.wait(60)
+        raise OSError("the disk is gone")
+
+    monkeypatch.setattr(run.player, "picture", picture)
+    assert attended(run, board) is State.COMPLETE
+    hangs.set()
+    assert asked.is_set() and board.now.picture is None
+    run.folder.close()
+    assert not read_run(path).shown["dark"].any()
+
+
+def test_people_see_the_picture_that_is_shown(job: tuple[Print, Board, Path]) -> None:
+    run, board, _ = job
+    seen: list[int] = []
+    picture = run.player.picture
+    run.player.picture = lambda number: seen.append(number) or picture(number)  # type: ignore[method-assign]
+    assert attended(run, board) is State.COMPLETE
+    assert seen and board.now.picture is not None
+    assert np.array_equal(board.now.picture, picture(seen[-1])) and seen == sorted(seen)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 from functools import partial
 from pathlib import Path
@@ -224,6 +225,28 @@ def test_a_camera_without_a_background_gets_no_light(job: Path, tmp_path: Path) 
     with pytest.raises(BadInput, match="100.0 % of the camera's pixels are saturated before the light"):
         carry_out(wanted, emulated.machines, tmp_path / "bright")
     assert not light(read_run(tmp_path / "bright")) and read_run(tmp_path / "bright").state is State.ERROR
+
+
+def test_a_full_disk_is_the_error_that_is_told(job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full:
+        """A file on a full disk: what it holds cannot be written when it is closed either."""
+
+        def write(self, text: str) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        close = flush = lambda self: self.write("")
+
+    class Filling(exposure.Watch):
+        def begin(self) -> None:
+            super().begin()
+            self._file = Full()  # type: ignore[assignment]
+
+    monkeypatch.setattr("vamgpu.hosts.rig.Watch", Filling)
+    wanted = planned(job)
+    emulated, _ = stand(wanted)
+    with pytest.raises(StorageError, match="'scatter.csv'"):
+        carry_out(wanted, emulated.machines, tmp_path / "run")
+    assert read_run(tmp_path / "run").state is State.ERROR and not emulated.bench.controller.light
 
 
 def test_a_print_in_real_time_stops(job: Path, tmp_path: Path) -> None:

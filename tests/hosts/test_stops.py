@@ -289,7 +289,7 @@ def test_light_of_an_earlier_host_counts(run: Path) -> None:
     assert scene.print.run() is State.COMPLETE
     budget, shown = scene.print.guard.budget, scene.read().shown
     later = Scene(run.with_name("later"), roll(20))
-    later.print.recall(shown)
+    later.print.recall(shown, 0)
     assert budget is not None and later.print.guard.budget is not None
     assert later.print.guard.budget.spent == pytest.approx(budget.spent)
 

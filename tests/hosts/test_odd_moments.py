@@ -1,0 +1,356 @@
+"""Between two lines of a print: signals in a wait, keys pressed twice, hosts that die before they begin a leg."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vamgpu.errors import BadInput, DeviceLost
+from vamgpu.hosts.drivers.stream import Turns
+from vamgpu.hosts.emulators.array import ArrayModel
+from vamgpu.hosts.emulators.bench import Bench
+from vamgpu.hosts.emulators.clock import VirtualClock
+from vamgpu.hosts.pictures import supply
+from vamgpu.hosts.pictures.feed import Feed
+from vamgpu.hosts.players.asking import Asking
+from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
+from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.resume import interrupted
+from vamgpu.hosts.run import Print
+from vamgpu.hosts.safety.lease import Lease
+from vamgpu.hosts.safety.light import LightGuard
+from vamgpu.hosts.schedules.limits import MirrorTiming
+from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
+from vamgpu.hosts.state import State
+
+STEPS = 1000
+MIRRORS = MirrorTiming(pixels=(16, 2), row_bytes=2, dark=1e-3)
+QUICK = MirrorTiming(pixels=(16, 2), row_bytes=2, picture={8: 1e-3}, dark=1e-3)
+
+
+class White:
+    """Pictures that are full on."""
+
+    bits = 8
+
+    def planes(self, numbers: np.ndarray) -> np.ndarray:
+        return np.full((len(numbers), 8, 2, 2), 255, np.uint8)
+
+    def picture(self, number: int) -> np.ndarray:
+        return np.full((2, 16), 255, np.uint8)
+
+
+class Scene:
+    """A print on a bench."""
+
+    def __init__(self, path: Path, schedule: Schedule, depth: int | None = None, **options: Any) -> None:
+        self.path, self.bench = path, Bench(STEPS, ArrayModel(height=2, width=16), schedule.engines)
+        self.machines = self.bench.machines(STEPS / float(schedule.advance))
+        self.player = TriggeredPlayer(schedule, self.machines, [White()] * schedule.engines, depth=depth)
+        self.print = Print(self.player, RunFolder.begin(path, {}, ""), **options)
+
+    def until(self, slot: int) -> None:
+        while self.print.next < slot:
+            self.player.wait()
+            assert self.print.step()
+
+    def paused(self, slot: int = 5) -> None:
+        with self.print.guard:
+            self.print.begin(0)
+            self.until(slot)
+            self.print.pause()
+            while self.print.step():
+                self.player.wait()
+
+    def seconds(self, turn: int) -> np.ndarray:
+        return self.bench.chamber.seconds(0, turn, turn)[:, :, 0, 0].sum(axis=0)
+
+
+def roll(poses: int = 60) -> Schedule:
+    return web(poses, advance=0.0785, speed=0.8, engines=MIRRORS)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return tmp_path / "run"
+
+
+def signalled(number: int, act: Callable[[], None]) -> None:
+    """Send this thread a signal from another one in a while."""
+
+    def send() -> None:
+        time.sleep(0.1)
+        act()
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+
+    threading.Thread(target=send, daemon=True).start()
+
+
+class Alarm(Exception):
+    pass
+
+
+@pytest.fixture
+def alarm(request: pytest.FixtureRequest) -> int:
+    def rings(*_: object) -> None:
+        raise Alarm
+
+    before = signal.signal(signal.SIGUSR1, rings)
+    request.addfinalizer(lambda: signal.signal(signal.SIGUSR1, before))
+    return signal.SIGUSR1
+
+
+# ---- signals -------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("given", [False, True], ids=["while it waits", "when it was given"])
+def test_a_signal_in_the_wait_for_a_turn_loses_no_turn(alarm: int, given: bool) -> None:
+    turns, leave = Turns(), threading.Event()
+    holds = threading.Event()
+
+    def hold() -> None:
+        with turns:
+            holds.set()
+            leave.wait(10)
+
+    holder = threading.Thread(target=hold, daemon=True)
+    holder.start()
+    holds.wait(10)
+    if given:
+        ticket = threading.Lock()
+        ticket.acquire()
+        turns._waiting.append(ticket)
+        leave.set()
+        holder.join(10)
+        assert turns._held and not turns._waiting
+        turns._leave(ticket)
+    else:
+        signalled(alarm, lambda: None)
+        with pytest.raises(Alarm), turns:
+            raise AssertionError("nobody gave a turn")
+        leave.set()
+        holder.join(10)
+    with turns:
+        assert turns._held
+    assert not turns._held
+
+
+def test_a_signal_does_not_wait_for_who_waits_for_its_thread(request: pytest.FixtureRequest) -> None:
+    """The main thread is in an exchange on the line; a page's stop waits for the line, and a signal comes."""
+    request.addfinalizer(lambda: signal.signal(signal.SIGTERM, before))
+    before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    line, dark = threading.RLock(), []
+
+    class Lamp:
+        def on(self, power: float) -> None:
+            dark.clear()
+
+        def off(self) -> None:
+            with line:
+                dark.append(threading.get_ident())
+
+    guard = LightGuard(Lamp(), Lease(VirtualClock(), lambda length: None), tolerance=1.0)
+    page = threading.Thread(target=lambda: guard.fail("stopped at the page"), daemon=True)
+    with pytest.raises(SystemExit), guard:
+        guard.look(armed=True, motion=0.0, shown=0, scheduled=0)
+        guard.on(1.0)
+        with line:
+            page.start()
+            while guard._lock.acquire(blocking=False):  # until the page has it
+                guard._lock.release()
+            signalled(signal.SIGTERM, lambda: None)
+            time.sleep(30)
+            raise AssertionError("the signal never came")
+    page.join(10)
+    assert not page.is_alive() and len(dark) >= 2 and guard.fault == "stopped at the page" and not guard.lit
+
+
+def test_a_handler_that_python_did_not_set_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Lamp:
+        def on(self, power: float) -> None: ...
+
+        def off(self) -> None: ...
+
+    monkeypatch.setattr("vamgpu.hosts.safety.light.signal.getsignal", lambda number: None)
+    with LightGuard(Lamp(), Lease(VirtualClock(), lambda length: None), tolerance=1.0):
+        pass
+
+
+def test_keys_pressed_twice_leave_no_motor_running(run: Path) -> None:
+    scene = Scene(run, roll())
+    wait = scene.player.wait
+
+    def first() -> None:
+        if scene.print.next == 5:
+            scene.player.look = second
+            raise KeyboardInterrupt
+        wait()
+
+    def second() -> Any:
+        raise KeyboardInterrupt
+
+    scene.player.wait = first  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt):
+        scene.print.run()
+    scene.bench.clock.sleep(5 * SECOND)
+    assert scene.bench.controller.web.velocity(scene.bench.clock.now()) == 0 and not scene.bench.controller.light
+    assert read_run(run).state is State.CANCELLED
+
+
+# ---- what was shown, and how often ---------------------------------------------------------------------------
+def test_what_is_lit_while_a_print_is_judged_enough_is_kept(run: Path) -> None:
+    def enough() -> str | None:
+        if scene.print.next < 5:
+            return None
+        scene.bench.clock.sleep(SECOND // 5)  # some pictures more
+        return "enough"
+
+    scene = Scene(run, roll(), enough=enough)
+    assert scene.print.run() is State.COMPLETE
+    shown, lit = read_run(run).shown, scene.bench.chamber.seconds(0, 60)[:, :, 0, 0].sum(axis=0)
+    assert len(shown) > 6 and (lit > 0).sum() == len(shown) == scene.bench.controller.shown - PREROLL
+    budget = scene.print.guard.budget
+    assert budget is not None and budget.spent == pytest.approx(1e-9 * shown["on_time"].sum())
+
+
+def late(monkeypatch: pytest.MonkeyPatch, *legs: set[int]) -> None:
+    """Pictures of each leg that are not made before black stands for them."""
+    feeds: list[Feed] = []
+
+    class Late(Feed):
+        def make(self, timeout: float = 0.0) -> bool:
+            if self not in feeds:
+                feeds.append(self)
+            slots = dict(enumerate(legs)).get(feeds.index(self), set())
+            return False if self.made - PREROLL in slots and self.uploaded <= self.made else super().make(timeout)
+
+    monkeypatch.setattr(supply, "Feed", Late)
+
+
+def test_a_picture_missed_twice_is_shown_twice_again(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    late(monkeypatch, {12, 16, 36})
+    scene = Scene(run, turned(24, speed=40, engines=MIRRORS, turns=2), depth=2)
+    assert scene.print.run() is State.COMPLETE
+    shown = read_run(run).shown
+    assert shown["slot"][shown["dark"] > 0].tolist() == [12, 16, 36]
+    again = shown[(shown["slot"] >= 48) & (shown["on_time"] > 0)]
+    assert sorted(again["frame"].tolist()) == [12, 12, 16]
+    lit = scene.seconds(24)
+    assert np.abs(lit / lit[0] - 1).max() < 2e-3
+
+
+def test_black_that_was_meant_is_not_owed(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    late(monkeypatch, {20}, {10, 12, 14})
+    scene = Scene(run, turned(24, speed=40, engines=MIRRORS), depth=2)
+    assert scene.print.run() is State.COMPLETE
+    assert len(scene.player.schedule) == 48
+    lit = scene.seconds(24)
+    assert np.abs(lit / lit[0] - 1).max() < 2e-3, "what was never missed is not shown again"
+
+
+def test_a_fast_motion_has_the_time_that_its_ramp_takes(run: Path) -> None:
+    """180 000 microsteps/s at 200 000 microsteps/s²: nine tenths of a second."""
+    scene = Scene(run, turned(360, speed=180, engines=QUICK))
+    assert scene.print.run() is State.COMPLETE
+
+
+# ---- rests ---------------------------------------------------------------------------------------------------
+def test_a_rest_counts_until_there_is_light_again(run: Path) -> None:
+    scene = Scene(run, roll())
+    scene.paused()
+    scene.bench.clock.sleep(29 * SECOND)  # and the run-up, for longer than the last second
+    before = len(scene.bench.controller.intervals)
+    with pytest.raises(BadInput, match="forgotten"):
+        scene.print.run()
+    assert len(scene.bench.controller.intervals) == before and not scene.bench.controller.light
+
+
+def test_a_controller_that_was_reset_at_rest_is_told(run: Path) -> None:
+    scene = Scene(run, roll())
+    scene.paused()
+    scene.bench.controller.shown = 0
+    with pytest.raises(DeviceLost, match="was reset while the print rested"):
+        scene.print.run()
+    assert not scene.bench.controller.light
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_another_host_knows_whether_a_leg_had_begun(run: Path, begun: bool) -> None:
+    """A host pauses, goes on, and dies right before, or after, it lets the rows play."""
+    scene = Scene(run, roll(120))
+    scene.paused(20)
+    rested = scene.print.next
+    scene.print._pausing = False
+    scene.print.guard.__enter__()
+    if begun:
+        scene.print.begin(rested)
+        scene.until(rested + 3)
+    else:
+        scene.player.start = lambda: None  # type: ignore[method-assign]
+        scene.print.begin(rested)
+    scene.bench.clock.sleep(SECOND)
+    scene.print.guard._release_process()
+    shown = len(np.flatnonzero(scene.bench.chamber.seconds(0, 120)[:, :, 0, 0].sum(axis=0)))
+    assert (shown > rested) is begun
+    scene.bench.alps[0].forsake()
+    machines = scene.bench.machines(STEPS / 0.0785)
+    found = interrupted(run, machines.controller, roll(120))
+    assert found.recorded >= rested and found.first >= shown and (found.first == rested) is not begun
+
+
+def test_a_clock_that_was_set_back_is_told(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(run, roll())
+    scene.paused()
+    now = time.time()
+    monkeypatch.setattr("vamgpu.hosts.resume.time", SimpleNamespace(time=lambda: now - 3600))
+    with pytest.raises(BadInput, match="ahead of this host's clock"):
+        interrupted(run, scene.machines.controller, roll())
+
+
+# ---- answers -------------------------------------------------------------------------------------------------
+def test_a_host_that_was_held_up_asks_again() -> None:
+    clock, took = VirtualClock(), iter([2, 2, 40, 2])
+
+    def ask() -> int:
+        clock.sleep(next(took) * 1_000_000)
+        return clock.now()
+
+    asking = Asking(clock, ask, slack=0.0)
+    for _ in range(3):
+        at, answer = asking()
+        assert answer - at == 1_000_000, "in the middle of a short exchange"
+    assert next(took, None) is None
+
+
+def test_two_projectors_are_let_go_though_one_fails(run: Path) -> None:
+    scene = Scene(run, replace_engines(roll()))
+    with scene.print.guard:
+        scene.print.begin(0)
+        supplies = scene.player._supplies
+        closed: list[int] = []
+        for number, each in enumerate(supplies):
+            each.close = fails(closed, number)
+        with pytest.raises(DeviceLost):
+            scene.player.halt()
+    assert sorted(closed) == [0, 1]
+
+
+def fails(closed: list[int], number: int) -> Callable[[], None]:
+    def close() -> None:
+        closed.append(number)
+        raise DeviceLost("gone")
+
+    return close
+
+
+def replace_engines(schedule: Schedule) -> Schedule:
+    return web(len(schedule), advance=0.0785, speed=0.8, engines=(MIRRORS, replace(MIRRORS)))

@@ -1,0 +1,76 @@
+"""Prints that a host left, gone on with by another on the rig's own terms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vamgpu.errors import BadInput
+from vamgpu.hosts import rig as rigs
+from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.rig import Plan, Rehearsal, carry_out, limits, plan, player, rehearsal
+from vamgpu.hosts.rigs.config import EMULATED, parse_rig
+from vamgpu.hosts.run import Print
+from vamgpu.hosts.schedules.timing import SECOND
+from vamgpu.hosts.state import State
+from vamgpu.printing.folder import save_frames
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    images = np.random.default_rng(4).integers(0, 256, (36, 6, 10), dtype=np.uint8)
+    frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
+    return save_frames(tmp_path / "part.vam", frames).path
+
+
+def planned(job: Path, *settings: str) -> Plan:
+    return plan(job, parse_rig(EMULATED, settings, source="emulated"), speed=40.0)
+
+
+def died(wanted: Plan, path: Path) -> tuple[Rehearsal, Any]:
+    """A print whose host is gone in the midst, and the machines as the next host opens them."""
+    stand = rehearsal(wanted)
+    folder = RunFolder.begin(path, rigs._asked(wanted), wanted.rig.text)
+    job = Print(player(wanted, stand.machines), folder, limits=limits(wanted.rig))
+    job.guard.__enter__()
+    job.begin(0)
+    while job.next < 12:
+        job.player.wait()
+        assert job.step()
+    job.guard._release_process()
+    stand.bench.clock.sleep(SECOND)
+    assert not stand.bench.controller.light, "the lease has run out"
+    stand.bench.alps[0].forsake()
+    return stand, stand.bench.machines(stand.bench.microsteps / float(wanted.schedule.advance))
+
+
+def test_a_print_goes_on_and_all_its_light_is_counted(job: Path, tmp_path: Path) -> None:
+    wanted = planned(job, "light.power=0.5")
+    stand, machines = died(wanted, tmp_path / "run")
+    before = len(read_run(tmp_path / "run").shown)
+    state, again = carry_out(wanted, machines, tmp_path / "run", resume=True)
+    run, budget = read_run(tmp_path / "run"), again.guard.budget
+    assert state is State.COMPLETE and run.shown["slot"].tolist() == list(range(36)) and before < 36
+    assert budget is not None and budget.spent == pytest.approx(0.5e-9 * run.shown["on_time"].sum())
+    assert run.asked["settings"] == ["light.power=0.5"] and stand.witness.verdict().pictures == 36
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [(("light.power=0.6",), r"\[light\]"), (("light.power=0.5", "controller.microsteps=1600.0"), r"\[controller\]")],
+)
+def test_another_light_or_motion_is_refused(job: Path, tmp_path: Path, settings: tuple[str, ...], told: str) -> None:
+    _, machines = died(planned(job, "light.power=0.5"), tmp_path / "run")
+    with pytest.raises(BadInput, match=told):
+        carry_out(planned(job, *settings), machines, tmp_path / "run", resume=True)
+
+
+def test_what_leaves_the_light_as_it_is_may_change(job: Path, tmp_path: Path) -> None:
+    _, machines = died(planned(job), tmp_path / "run")
+    calmer = planned(job, "safety.resume=20 s", "camera.exposure=4 ms")
+    assert carry_out(calmer, machines, tmp_path / "run", resume=True)[0] is State.COMPLETE
