@@ -7,6 +7,7 @@ import logging
 import secrets
 import socket
 import threading
+import time
 from http.cookies import SimpleCookie
 from math import isfinite
 from typing import Any, Self
@@ -15,8 +16,12 @@ from urllib.parse import parse_qs
 from vamgpu.errors import BadInput, DeviceError
 from vamgpu.hosts.board import Board, Snapshot
 from vamgpu.hosts.page import serve_page
+from vamgpu.hosts.schedules.timing import whole
 
 COOKIE = "vam-token"
+STARTING = 10.0
+"""Longest wait for the web server [s]; before it is up, nobody could stop a print at the page."""
+PORTS = 65535
 
 
 def loopback(host: str) -> bool:
@@ -81,18 +86,26 @@ class Panel:
     board: what is shown and stopped.  host: the address to serve at; beyond this machine only with a token.  port: 0
     finds a free one.  token: what a browser must bring; made up for hosts beyond this machine.  page: False serves
     programs alone. NiceGUI keeps one application a process, so that a process can serve the page once.  Raises
-    `BadInput`, and `DeviceError` where the extra is missing, the port is taken, or the page was served before.
+    `BadInput`, and `DeviceError` where the extra is missing, the port is taken, the page was served before, or the
+    server does not start.
     """
 
     def __init__(
         self, board: Board, host: str = "127.0.0.1", port: int = 0, token: str | None = None, page: bool = True
     ) -> None:
-        if token is not None and len(token) < 16:
-            raise BadInput("the panel's token is shorter than 16 characters; leave it out to have one made")
+        if not isinstance(board, Board):
+            raise BadInput(f"the panel's board is {board!r}; wanted the Board of a print")
+        if not isinstance(host, str):
+            raise BadInput(f"the panel's host is {host!r}; wanted a name or address, such as '127.0.0.1'")
+        if whole("the panel's port", port, 0) > PORTS:
+            raise BadInput(f"the panel's port is {port!r}; wanted {PORTS} at most: choose another host or port")
+        if token is not None and (not isinstance(token, str) or len(token) < 16):
+            raise BadInput("the panel's token is no text of 16 characters or more; leave it out to have one made")
         self.board, self.host, self.page = board, host, page
         self.token = token if token is not None or loopback(host) else secrets.token_urlsafe(24)
         self._server, self._thread = None, None
-        self._socket = _listening(host, port)
+        self._failed: BaseException | None = None
+        self._socket = _listening(host, int(port))
         self.port = int(self._socket.getsockname()[1])
 
     @property
@@ -103,6 +116,18 @@ class Panel:
 
     def __enter__(self) -> Self:
         try:
+            self._server = self._made()
+            self._thread = threading.Thread(target=self._serve, args=(self._server,), name="panel", daemon=True)
+            self._thread.start()
+            self._wait(self._server, self._thread)
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def _made(self) -> Any:
+        """The web server with all that it serves."""
+        try:
             import uvicorn
             from fastapi import FastAPI
 
@@ -111,18 +136,27 @@ class Panel:
             if self.page:
                 serve_page(app, self.board)
         except ImportError as error:
-            self._socket.close()
             raise DeviceError('the panel needs NiceGUI: pip install "vamgpu[panel]"') from error
-        except DeviceError:
-            self._socket.close()
-            raise
         config = uvicorn.Config(Doorkeeper(app, self.token), log_level="warning", access_log=False, lifespan="on")
-        self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(
-            target=self._server.run, kwargs={"sockets": [self._socket]}, name="panel", daemon=True
-        )
-        self._thread.start()
-        return self
+        return uvicorn.Server(config)
+
+    def _serve(self, server: Any) -> None:
+        try:
+            server.run(sockets=[self._socket])
+        except BaseException as error:  # a server that cannot start exits, which a thread keeps to itself
+            self._failed = error
+            logging.getLogger(__name__).error("the panel's web server ended: %s", error)
+
+    def _wait(self, server: Any, thread: threading.Thread) -> None:
+        """Return when the server is up. Raises `DeviceError`."""
+        end = time.monotonic() + STARTING
+        while not server.started:
+            if not thread.is_alive():
+                why = "" if self._failed is None else f": {self._failed!r}"
+                raise DeviceError(f"the panel's web server ended before it was up{why}; see the log, or do without it")
+            if time.monotonic() > end:
+                raise DeviceError(f"the panel's web server is not up after {STARTING:g} s; try again, or do without it")
+            thread.join(0.01)
 
     def __exit__(self, *_: object) -> None:
         if self._server is not None and self._thread is not None:
@@ -139,7 +173,7 @@ def _listening(host: str, port: int) -> socket.socket:
     server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         server.bind((host, port))
-    except (OSError, OverflowError) as error:
+    except (OSError, ValueError, TypeError) as error:  # taken, no address of this machine, or no name at all
         server.close()
         told = f"the panel cannot be served at {host}:{port}: {error}; choose another host or port"
         raise DeviceError(told) from error

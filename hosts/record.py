@@ -21,10 +21,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from vamgpu.errors import StorageError
+from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.state import Change, State
 from vamgpu.storage.atomic import explained
 
+FULL = (errno.ENOSPC, errno.EDQUOT)
+"""What a system says of a disk, or the share of it that one has, that is full."""
 RESERVE = ".reserve"
 """Room that is kept for the last state, should the disk be full by then."""
 MAGIC = b"VAMSHOWN\x01\x00\x00\x00"
@@ -71,14 +73,20 @@ class RunFolder:
     def begin(cls, path: str | Path, asked: Mapping[str, Any], rig: str) -> Self:
         """A new folder. asked: what was asked for, as JSON takes it.  rig: text of the rig's file.
 
-        Raises `StorageError` for a folder that exists.
+        Raises `BadInput` for what cannot be written, `StorageError` for a folder that exists.
         """
-        place = Path(path)
+        try:
+            place, text, told = Path(path), rig.encode(), json.dumps(dict(asked), indent=2) + "\n"
+        except (TypeError, ValueError, AttributeError, RecursionError) as error:
+            raise BadInput(
+                f"the folder of a run cannot keep what was asked for: {error}; wanted a path, values as JSON takes "
+                "them, and the text of the rig's file"
+            ) from error
         try:
             place.mkdir(parents=True)
             (place / RESERVE).write_bytes(b"\xff" * 16384)
-            (place / "rig.toml").write_text(rig, encoding="utf-8")
-            (place / "run.json").write_text(json.dumps(dict(asked), indent=2) + "\n", encoding="utf-8")
+            (place / "rig.toml").write_bytes(text)
+            (place / "run.json").write_text(told, encoding="utf-8")
         except FileExistsError as error:
             raise StorageError(f"{str(path)!r} exists; a run wants a folder of its own: choose another") from error
         except OSError as error:
@@ -114,7 +122,7 @@ class RunFolder:
                 os.replace(draft, self.path / "state.json")
                 return
             except OSError as error:
-                if error.errno != errno.ENOSPC or not room:
+                if error.errno not in FULL or not room:
                     raise explained("write", self.path / "state.json", error) from error
                 (self.path / RESERVE).unlink(missing_ok=True)  # a full disk shall still learn how the print ended
 

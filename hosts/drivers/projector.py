@@ -46,7 +46,7 @@ class PygletWindow:
             raise DeviceNotFound(
                 f"there is no display to open a window on ({error}); start one, or set DISPLAY"
             ) from error
-        if screen >= len(screens):
+        if not 0 <= screen < len(screens):
             raise DeviceNotFound(f"there is no screen {screen}, only {len(screens)}; check the projector's cable")
         found = screens[screen]
         if (found.height, found.width) != size:
@@ -62,7 +62,11 @@ class PygletWindow:
         self._window: Any = pyglet.window.Window(fullscreen=True, screen=found, vsync=True)
         self._window.set_mouse_visible(False)
         self._refresh = 0
-        self.show(np.zeros((*size, 3), np.uint8))
+        try:
+            self.show(np.zeros((*size, 3), np.uint8))
+        except BaseException:
+            self._window.close()
+            raise
 
     def show(self, frame: np.ndarray, /) -> int:
         """Show a frame from the next refresh on; returns when it is on the screen."""
@@ -78,9 +82,11 @@ class PygletWindow:
         return self._refresh
 
     def close(self) -> None:
-        """Go dark, and away."""
-        self.show(np.zeros((*self.size, 3), np.uint8))
-        self._window.close()
+        """Go dark, and away, which it does though it cannot go dark."""
+        try:
+            self.show(np.zeros((*self.size, 3), np.uint8))
+        finally:
+            self._window.close()
 
 
 class HdmiProjector:
@@ -92,6 +98,7 @@ class HdmiProjector:
 
     def __init__(self, window: Window, layout: SlotLayout, latency_refreshes: int = 1) -> None:
         self.window, self.layout, self.latency = window, layout, latency_refreshes
+        self._closed = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -126,8 +133,14 @@ class HdmiProjector:
             raise DeviceLost(f"the projector's screen is gone ({error}); check its cable and its power") from error
 
     def close(self) -> None:
-        """Go dark, and away; more than once does no harm."""
-        self.window.close()
+        """Go dark, and away; more than once does no harm. That a screen is lost is logged: it is dark."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self.window.close()
+        except Exception as error:  # raised, it would hide why a print ended
+            log.warning("closing the projector's window: %s; check its cable and its power", error)
 
     def __enter__(self) -> Self:
         return self

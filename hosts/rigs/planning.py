@@ -19,6 +19,7 @@ from vamgpu.hosts.rigs.works import Kind, Work, work
 from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming
 from vamgpu.hosts.schedules.moving import sla, turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import every
 from vamgpu.hosts.schedules.video import vial
 from vamgpu.optics.lens import TunableLens
 from vamgpu.quantity import parse
@@ -102,8 +103,12 @@ def plan(
     NumPy for a rehearsal. Raises `StorageError`, `SliceError`, `BadInput`, `WrongDevice`, and `TimingInfeasible` with
     what binds.
     """
+    if not isinstance(rig, RigConfig):
+        raise BadInput(f"rig is {rig!r}; wanted what read_rig gives, for instance read_rig(\"lab.toml\")")
     rehearsed = rehearsed or rig.wanted.emulated
-    paths = (jobs,) if isinstance(jobs, (str, Path)) else tuple(jobs)
+    paths = (jobs,) if isinstance(jobs, (str, Path)) else every("jobs", jobs)
+    if wrong := [path for path in paths if not isinstance(path, (str, Path))]:
+        raise BadInput(f"a job is {wrong[0]!r}; wanted the path of its folder")
     works = tuple(work(path, device or ("numpy" if rehearsed else None)) for path in paths)
     _alike(works, rig)
     going = _speed(works[0], speed)

@@ -11,19 +11,23 @@ from enum import Enum
 import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible, WrongDevice
+from vamgpu.geometry import positive
 from vamgpu.hosts.clock import Clock
+from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.drivers.stream import PIECE
 from vamgpu.hosts.pictures.supply import BUFFERS, guard, length
 from vamgpu.hosts.players.triggered import PREROLL
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.hosts.schedules.timing import SECOND
+from vamgpu.hosts.schedules.timing import SECOND, numeric, whole
 
 log = logging.getLogger(__name__)
 
 MARGIN = 1.5
 """How much faster than it is used a wire must be measured."""
+LINE = 0.3
+"""How long a controller's answers are counted [s]."""
 LOADING = 30.0
 """Longest time [s] that all pictures of a print may take to the mirrors before its light opens."""
 
@@ -84,13 +88,15 @@ def judged(
     What can be loaded within `LOADING` is loaded before the light. Raises `BadInput`, and `TimingInfeasible` with what
     binds.
     """
+    if not mirrors or not len(schedule):
+        raise BadInput(f"got {len(mirrors)} mirrors and {len(schedule)} slots; wanted one or more of both")
     timings = [MirrorTiming(pixels=(dmd.width, dmd.height), row_bytes=dmd.row_bytes) for dmd in mirrors]
     for dmd in mirrors:
         _in_time(schedule, dmd, bits)
     real, free = clock.real, min(dmd.free_planes() for dmd in mirrors) - guard(schedule.rate) * bits
     with ThreadPoolExecutor(len(mirrors)) as pool:
         wires = list(pool.map(lambda dmd: _wire(dmd, bits, clock, seconds), mirrors)) if real else [np.inf]
-    pictures, slowest = len(schedule) + PREROLL, min(wires)
+    pictures, slowest = triggers(schedule), min(wires)
     picture = max(timing.nbytes(bits) for timing in timings)
     load = pictures * picture / slowest
     depth = max(2, min(length(schedule.rate, picture), free // (2 * bits)))
@@ -102,6 +108,39 @@ def judged(
         preflight(schedule, timing, slowest, bits=bits, batch=depth, depth=BUFFERS, memory=memory) for timing in timings
     )
     return Judged(tuple(replace(found, memory=free) for found in each), depth, sequences)
+
+
+def triggers(schedule: Schedule) -> int:
+    """Pictures at the mirrors, and rows at the controller: the black ones before the first slot count as well."""
+    return len(schedule) + PREROLL
+
+
+def answered(schedule: Schedule, controller: Controller, clock: Clock, seconds: float = LINE) -> float:
+    """Judge the controller's own line, in the dark; exchanges a second, infinite on a clock that a program sets.
+
+    seconds: how long answers are counted; a row and its answer are as long as what is asked here.  Rows that do not
+    all fit into the controller follow at the rate of the slots, and must be carried `MARGIN` times as fast. Raises
+    `BadInput`, and `TimingInfeasible` where the controller would run out of rows.
+    """
+    length = positive("seconds", seconds)
+    if not clock.real:
+        return float("inf")
+    start, asked = clock.now(), 0
+    while asked == 0 or clock.now() < start + length * SECOND:
+        controller.status()
+        asked += 1
+    measured = asked * SECOND / max(clock.now() - start, 1)
+    rows, unit = triggers(schedule), f"{schedule.unit}/s"
+    log.info("preflight: %.4g rows/s of %.4g on the controller's line", schedule.rate, measured)
+    if rows > controller.capacity and measured < MARGIN * schedule.rate:
+        most = float(schedule.speed) * measured / (MARGIN * schedule.rate)
+        raise TimingInfeasible(
+            f"the controller answers {measured:.4g} times a second where {MARGIN:g} × {schedule.rate:.4g} rows/s are "
+            f"wanted, and holds {controller.capacity} of {rows} rows: move at {most:.4g} {unit} at most, or raise baud "
+            "in [controller] and in its firmware",
+            "serial line", most, unit,
+        )  # fmt: skip
+    return measured
 
 
 def _in_time(schedule: Schedule, dmd: Dmd, bits: int) -> None:
@@ -151,9 +190,10 @@ def fits(frames: tuple[int, int], mirrors: MirrorTiming | HdmiTiming) -> None:
 
 def measure(put: Callable[[np.ndarray], None], pictures: np.ndarray, clock: Clock, seconds: float = 5.0) -> float:
     """Bytes a second that ``put`` takes of pictures again and again; black ones do no harm and are as large."""
-    if pictures.nbytes == 0 or not seconds > 0:
-        raise BadInput(f"measuring {pictures.nbytes} bytes for {seconds!r} s; wanted more than 0 of both")
-    start, end, sent = clock.now(), clock.now() + int(seconds * SECOND), 0
+    length = positive("seconds", seconds)
+    if pictures.nbytes == 0:
+        raise BadInput("measuring with pictures of 0 bytes; wanted more")
+    start, end, sent = clock.now(), clock.now() + int(length * SECOND), 0
     while True:
         put(pictures)
         sent += pictures.nbytes
@@ -172,9 +212,11 @@ def preflight(
     What fits is loaded before; the rest must be carried `MARGIN` times as fast as it is shown. Raises `BadInput`,
     `TimingInfeasible`.
     """
-    if not measured > 0:
+    if not numeric(measured) or not measured > 0:
         raise BadInput(f"measured is {measured!r} bytes a second; wanted more than 0: run the measurement again")
-    free, planes = mirrors.memory if memory is None else memory, len(schedule) * bits
+    measured = float(measured)
+    bits, batch, depth = whole("bits", bits), whole("batch", batch), whole("depth", depth)
+    free, planes = mirrors.memory if memory is None else memory, triggers(schedule) * bits
     demand = schedule.rate * mirrors.nbytes(bits)
     if planes <= free:
         found = Preflight(Residence.RESIDENT, planes, free, demand, measured, float("inf"), float("inf"))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from vamgpu.errors import BadInput, VamError
+from vamgpu.errors import VamError
+from vamgpu.geometry import positive
 
 
 class InterlockOpen(VamError, RuntimeError):
@@ -58,13 +59,11 @@ class Budget:
     """Light that a print may spend, in power × time that the light was really on.
 
     limit: [mW·s] or in whatever unit the powers have, times seconds. Whoever cannot say how long light was on, counts
-    it as on since it was opened.
+    it as on since it was opened. Raises `BadInput`.
     """
 
     def __init__(self, limit: float) -> None:
-        if not limit > 0:
-            raise BadInput(f"a budget of light is {limit!r}; wanted > 0")
-        self.limit, self._spent = float(limit), 0.0
+        self.limit, self._spent = positive("the budget of light", limit), 0.0
 
     @property
     def spent(self) -> float:
@@ -78,14 +77,22 @@ class Budget:
 
     def allows(self, power: float, on_time: int) -> bool:
         """Whether a picture of ``on_time`` [ns] at ``power`` still fits; a millionth more is rounding."""
-        return self._spent + power * on_time * 1e-9 <= self.limit * (1.0 + 1e-6)
+        return self._spent + _light(power, on_time) <= self.limit * (1.0 + 1e-6)
 
     def spend(self, power: float, on_time: int) -> None:
-        """Count a picture. Raises `OverDose` where it did not fit; it is counted all the same."""
+        """Count a picture. Raises `OverDose` where it did not fit; it is counted all the same.
+
+        What is no power or time, a negative one for instance, is refused: nothing gives light back. Raises `BadInput`.
+        """
         fits = self.allows(power, on_time)
-        self._spent += power * on_time * 1e-9
+        self._spent += _light(power, on_time)
         if not fits:
             raise OverDose(
                 f"the light has spent {self._spent:.6g} of {self.limit:.6g}; the plan wants no more: "
                 "look at the powers and on-times of the schedule"
             )
+
+
+def _light(power: float, on_time: int) -> float:
+    """Power × seconds."""
+    return positive("power", power, zero=True) * positive("on_time [ns]", on_time, zero=True) * 1e-9

@@ -7,9 +7,13 @@ from collections.abc import Callable
 from typing import Protocol
 
 from vamgpu.errors import BadInput
+from vamgpu.hosts.schedules.timing import whole
 
 DEFAULT_LENGTH = 250_000_000
 """How long a controller keeps the light without being told to [ns]."""
+
+SHORTEST = 10_000_000
+"""Least length of a lease [ns]."""
 
 
 class Time(Protocol):
@@ -25,7 +29,8 @@ class Lease:
 
     renew: tells the controller to keep the light for ``length`` [ns] more; raises what its line raises. stall: how old
     the last sign of work may be [ns]; by default as long as the lease. A host whose GPU, disk or feed hangs stops
-    giving signs, so that a renewing thread that still lives does not keep the light of a print that does not.
+    giving signs, so that a renewing thread that still lives does not keep the light of a print that does not. Raises
+    `BadInput`.
     """
 
     def __init__(
@@ -35,9 +40,10 @@ class Lease:
         length: int = DEFAULT_LENGTH,
         stall: int | None = None,
     ) -> None:
-        if length < 10_000_000:
+        self.length = whole("the lease [ns]", length)
+        if self.length < SHORTEST:
             raise BadInput(f"a lease of {length} ns; wanted 10 ms or more, which a line and a scheduler can hold")
-        self.length, self.stall = int(length), int(length if stall is None else stall)
+        self.stall = self.length if stall is None else whole("stall [ns]", stall)
         self._clock, self._renew = clock, renew
         self._lock = threading.Lock()
         self._until: int | None = None

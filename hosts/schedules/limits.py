@@ -12,7 +12,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts
-from vamgpu.hosts.schedules.timing import SECOND, Number, exact, nanoseconds
+from vamgpu.hosts.schedules.timing import SECOND, Number, every, exact, nanoseconds, numeric, whole
 
 PATTERNS = {1: 24, 2: 12, 3: 8, 4: 6, 6: 4, 7: 3, 8: 2}
 """Bits → pictures that the 24 bits of one video frame hold."""
@@ -33,7 +33,8 @@ class LensTiming:
     latency: Number = 0
 
     def __post_init__(self) -> None:
-        counts("frame_bytes and baud", (self.frame_bytes, self.baud), 2)
+        whole("frame_bytes", self.frame_bytes)
+        whole("baud", self.baud)
         nanoseconds("latency [s]", self.latency)
         if self.table.ndim == 2 and self.table.shape[0] != self.table.shape[1]:
             raise BadInput(f"the table of settling has shape {self.table.shape}; wanted as many rows as columns")
@@ -41,9 +42,10 @@ class LensTiming:
     @cached_property
     def table(self) -> np.ndarray:
         """Settling [ns], int64 (from, to), or a single number."""
-        if isinstance(self.settle, (int, float, Fraction)):
+        if numeric(self.settle):
             return np.array(nanoseconds("settle [s]", self.settle))
-        rows = [[nanoseconds("settle [s]", value) for value in row] for row in self.settle]
+        rows = [[nanoseconds("settle [s]", value) for value in every("a row of settle", row)]
+                for row in every("settle", self.settle)]  # fmt: skip
         if len({len(row) for row in rows}) != 1:
             raise BadInput("the rows of the table of settling differ in length; wanted one row and column a plane")
         return np.array(rows)
@@ -51,7 +53,8 @@ class LensTiming:
     @property
     def wire(self) -> int:
         """From the first bit of a command to when the driver has acted on the last [ns]."""
-        return ceil(Fraction(10 * self.frame_bytes * SECOND, self.baud)) + nanoseconds("latency [s]", self.latency)
+        line = Fraction(10 * int(self.frame_bytes) * SECOND, int(self.baud))
+        return ceil(line) + nanoseconds("latency [s]", self.latency)
 
     def settling(self, start: int, end: int) -> int:
         """From one plane to another [ns]; 0 where that is the same. Raises `BadInput`."""
@@ -92,8 +95,14 @@ class MirrorTiming:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", counts("pixels", self.pixels, 2))
+        if not isinstance(self.picture, Mapping) or not self.picture:
+            raise BadInput(f"picture is {self.picture!r}; wanted {{bits: least seconds}}, such as {{8: 1 / 266}}")
         for bits, value in self.picture.items():
-            exact(f"picture time of {bits} bits [s]", value)
+            exact(f"picture time of {whole('bits of a picture', bits)} bits [s]", value)
+        whole("memory [bit planes]", self.memory, 0)
+        if self.row_bytes is not None:
+            whole("row_bytes", self.row_bytes)
+        nanoseconds("dark [s]", self.dark)
         if self.delay > nanoseconds("greatest_delay [s]", self.greatest_delay):
             raise BadInput(f"trigger_delay is {self.trigger_delay} s; the device has at most {self.greatest_delay} s")
         if self.link is not None:
@@ -139,6 +148,11 @@ class HdmiTiming:
 
     def __post_init__(self) -> None:
         exact("refresh [1/s]", self.refresh)
+        object.__setattr__(self, "pixels", counts("pixels", self.pixels, 2))
+        object.__setattr__(self, "bits", whole("bits", self.bits))
+        object.__setattr__(self, "latency", whole("latency [video frames]", self.latency, 0))
+        if len(every("exposures", self.exposures)) < max(PATTERNS):
+            raise BadInput(f"exposures is {self.exposures!r}; wanted least seconds for each of 1 to 8 bits")
         if self.bits not in PATTERNS:
             raise BadInput(f"bits is {self.bits!r}; a video frame of 24 bits holds pictures of {list(PATTERNS)} bits")
         least = exact("exposure [s]", self.exposures[self.bits - 1]) + exact("dark [s]", self.dark, zero=True)

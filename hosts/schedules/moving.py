@@ -10,10 +10,10 @@ from math import nan
 import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible
-from vamgpu.geometry import counts
 from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
+from vamgpu.hosts.schedules.power import powers
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
-from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, exact, nanoseconds
+from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, every, exact, fraction, nanoseconds, whole
 from vamgpu.printing.focus import slots
 
 SLOWEST = 3600 * SECOND
@@ -36,17 +36,20 @@ def web(
     The lens is told after the picture before is dark; light comes when the command is through, the driver has thought
     and the lens has settled, and no sooner than the trigger's delay allows. Raises `BadInput`, `TimingInfeasible`.
     """
-    count, way = counts("poses", (poses,), 1)[0], exact("advance [mm]", advance)
-    start = exact("first pose", first, zero=True)
+    count, way = whole("poses", poses), exact("advance [mm]", advance)
+    start = whole("first pose", first, 0)
     shown = _Shown.of(engines, bits, power)
+    focus = tuple(float(fraction("focus [dpt]", each)) for each in every("focus", focus))
     planes = max(len(focus), 1)
+    if lens is not None and not isinstance(lens, LensTiming):
+        raise BadInput(f"lens is {lens!r}; wanted a LensTiming, or None for no lens")
     if planes > 1 and lens is None:
         raise BadInput(f"{planes} focus planes want a lens; give its LensTiming")
     order = slots(2, planes, turning=turning)
     pose = _Pose.of(order, lens if planes > 1 else None, shown, on)
     period = pose.period(way, exact("speed [mm/s]", speed), "mm")
     wait = lens.wire + max(lens.slowest, shown.delay) if lens is not None and focus else shown.delay
-    return _table(Cadence(period, wait), way, count, int(start), order, pose, focus, shown, lens)
+    return _table(Cadence(period, wait), way, count, start, order, pose, focus, shown, lens)
 
 
 def sla(
@@ -69,7 +72,7 @@ def turned(
 
     Raises `BadInput`, `TimingInfeasible`.
     """
-    number, times = counts("images and turns", (images, turns), 2)
+    number, times = whole("images", images), whole("turns", turns)
     shown, order = _Shown.of(engines, bits, power), np.zeros((2, 1), np.int64)
     pose, way = _Pose.of(order, None, shown, on), Fraction(360, number)
     period = pose.period(way, exact("speed [deg/s]", speed), "deg")
@@ -88,16 +91,14 @@ class _Shown:
 
     @classmethod
     def of(cls, engines: Engines, bits: int, power: float | Sequence[float]) -> _Shown:
-        every = (engines,) if isinstance(engines, MirrorTiming) else tuple(engines)
-        powers = (float(power),) * len(every) if isinstance(power, (int, float)) else tuple(map(float, power))
-        if not every or len(powers) != len(every):
-            raise BadInput(f"got {len(every)} engines and {len(powers)} powers; wanted one or more, and as many")
-        if not all(0 <= value <= 1 for value in powers):
-            raise BadInput(f"power is {power!r}; wanted 0 to 1 of each engine")
-        linked = (nanoseconds("upload", each.nbytes(bits) / exact("link", each.link)) for each in every if each.link)
+        found = (engines,) if isinstance(engines, MirrorTiming) else every("engines", engines)
+        if not found or not all(isinstance(each, MirrorTiming) for each in found):
+            raise BadInput(f"engines is {engines!r}; wanted a MirrorTiming, or one for each projector")
+        depth = whole("bits", bits)
+        linked = (nanoseconds("upload", each.nbytes(depth) / exact("link", each.link)) for each in found if each.link)
         return cls(
-            max(each.least(bits) for each in every), max(each.delay for each in every),
-            max(each.pause for each in every), max(linked, default=0), powers,
+            max(each.least(depth) for each in found), max(each.delay for each in found),
+            max(each.pause for each in found), max(linked, default=0), powers(power, len(found)),
         )  # fmt: skip
 
 
@@ -168,10 +169,10 @@ def _table(
     shown: _Shown, lens: LensTiming | None, repeat: int | None = None,
 ) -> Schedule:  # fmt: skip
     planes, (starts, on) = order.shape[1], pose.times(cadence.period)
-    number = first + np.arange(poses, dtype=np.int64)
-    parity = number % 2
     cadence = Cadence(cadence.period, cadence.start - Cadence(cadence.period).at(first))  # of pose 0, wherever it lies
-    light = (cadence.times(first, poses)[:, None] + starts[parity]).ravel()
+    begins, number = cadence.times(first, poses), first + np.arange(poses, dtype=np.int64)
+    parity = number % 2
+    light = (begins[:, None] + starts[parity]).ravel()
     plane, moved, gap = (table[parity].ravel() for table in (order, pose.moved, pose.gaps))
     command = np.where(moved, light - gap, NONE)
     if lens is not None and focus:  # wherever the lens may rest, it is on its plane before the first light

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from math import ceil, isfinite, nextafter
+from math import ceil, nextafter
+from numbers import Rational, Real
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -12,24 +14,72 @@ from vamgpu.errors import BadInput
 
 SECOND = 10**9
 """Nanoseconds of a second."""
+DAY = 86400 * SECOND
+"""The longest time that a machine is given [ns]."""
+FARTHEST = 2**62
+"""The last time that tables hold [ns]."""
+GREATEST = 10**30
+"""Of numbers: beyond it, and below its inverse, they are slips of the pen."""
 
 Number = int | float | Fraction
 """What times and speeds are given as; a float counts as the decimal it is written as: 0.1 is a tenth."""
 
 
+def numeric(value: object) -> TypeGuard[Number]:
+    """Whether it is a number: Python's own, a fraction, or one of NumPy."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def fraction(name: str, value: Number) -> Fraction:
+    """A number as a fraction. Raises `BadInput`."""
+    number: Any = value
+    if isinstance(value, Real) and not isinstance(value, Rational):
+        number = float(value)
+    if not numeric(value) or number != number or abs(number) > GREATEST:
+        raise BadInput(f"{name} is {_told(value)}; wanted a finite number")
+    if isinstance(number, Rational):
+        return Fraction(int(number.numerator), int(number.denominator))
+    return Fraction(repr(number))
+
+
 def exact(name: str, value: Number, *, zero: bool = False) -> Fraction:
     """A number > 0 (≥ 0 with ``zero``) as a fraction. Raises `BadInput`."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, Fraction)) or not isfinite(value):
-        raise BadInput(f"{name} is {value!r}; wanted a finite number")
-    number = Fraction(repr(float(value))) if isinstance(value, float) else Fraction(value)
-    if number < 0 or (number == 0 and not zero):
-        raise BadInput(f"{name} is {value!r}; wanted {'≥ 0' if zero else '> 0'}")
+    number = fraction(name, value)
+    if number < 0 or (number == 0 and not zero) or 0 < number * GREATEST < 1:
+        raise BadInput(f"{name} is {_told(value)}; wanted {'≥ 0' if zero else '> 0'}")
     return number
+
+
+def whole(name: str, value: Number, least: int = 1) -> int:
+    """A whole number that is not below ``least``. Raises `BadInput`."""
+    number = fraction(name, value)
+    if number.denominator != 1 or number < least:
+        raise BadInput(f"{name} is {_told(value)}; wanted a whole number ≥ {least}")
+    return int(number)
 
 
 def nanoseconds(name: str, seconds: Number) -> int:
     """Seconds ≥ 0 as whole nanoseconds, rounded up: a machine is given its time. Raises `BadInput`."""
-    return ceil(exact(name, seconds, zero=True) * SECOND)
+    time = ceil(exact(name, seconds, zero=True) * SECOND)
+    if time > DAY:
+        raise BadInput(f"{name} is {_told(seconds)}; wanted a day at most")
+    return time
+
+
+def every(name: str, values: Any) -> tuple[Any, ...]:
+    """The members of a sequence. Raises `BadInput` for what has none."""
+    if not isinstance(values, (str, bytes)):
+        try:
+            return tuple(values)
+        except TypeError:
+            pass
+    raise BadInput(f"{name} is {_told(values)}; wanted a sequence")
+
+
+def _told(value: object) -> str:
+    """A value as messages show it; some are long."""
+    text = repr(value) if not isinstance(value, int) or abs(value) < GREATEST else "an integer beyond 1e30"
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def below(bound: Fraction) -> float:
@@ -48,6 +98,7 @@ class Cadence:
     start: int = 0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "period", fraction("period [ns]", self.period))
         if self.period < 1:
             raise BadInput(f"the period is {float(self.period):g} ns; wanted at least 1")
 
@@ -56,7 +107,10 @@ class Cadence:
         return self.start + beat * self.period.numerator // self.period.denominator
 
     def times(self, first: int, count: int, stride: int = 1) -> np.ndarray:
-        """When beats first, first + stride, … fall [ns], int64 (count,)."""
+        """When beats first, first + stride, … fall [ns], int64 (count,). Raises `BadInput` beyond `FARTHEST`."""
+        if max(abs(self.at(first)), abs(self.at(first + stride * count))) > FARTHEST:
+            years = FARTHEST / SECOND / (365 * 86400)
+            raise BadInput(f"{count} beats from beat {first} leave the {years:.0f} years of a table; wanted fewer")
         top, bottom = self.period.numerator, self.period.denominator
         whole, rest = divmod(top, bottom)
         beats = first + stride * np.arange(count, dtype=np.int64)

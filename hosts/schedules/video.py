@@ -9,10 +9,10 @@ from math import ceil, nan
 import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible
-from vamgpu.geometry import counts
 from vamgpu.hosts.schedules.limits import HdmiTiming
+from vamgpu.hosts.schedules.power import powers
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
-from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, exact
+from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, exact, nanoseconds, whole
 
 SAME = Fraction(1, 10**9)
 """Speeds this close are the same: what a user writes is rounded."""
@@ -27,36 +27,35 @@ def vial(
     with an image's first slot must be on the cable. Several powers are those of engines that share the cable's clock.
     Raises `BadInput`, and `TimingInfeasible` with the greatest speed, not above the wanted one, that fits exactly.
     """
-    number, times = counts("images and turns", (images, turns), 2)
-    powers = (float(power),) if isinstance(power, (int, float)) else tuple(map(float, power))
-    if not powers or not all(0 <= value <= 1 for value in powers):
-        raise BadInput(f"power is {power!r}; wanted 0 to 1 of each engine")
+    number, times, shares = whole("images", images), whole("turns", turns), powers(power)
     repeats = slots_per_image(number, speed, display)
     slot = SECOND / display.slot_rate
     begin = Cadence(slot * display.patterns).at(display.latency)
     beats, count = Cadence(slot, begin), number * times
-    pose, pause = np.arange(count, dtype=np.int64), ceil(exact("dark [s]", display.dark, zero=True) * SECOND)
     light, end = beats.times(0, count, repeats), beats.times(repeats, count, repeats)
+    pose, pause = np.arange(count, dtype=np.int64), nanoseconds("dark [s]", display.dark)
     cable = Cadence(slot * display.patterns)
     received = np.array([cable.at(beat) for beat in (pose * repeats // display.patterns).tolist()], np.int64)
     return Schedule(
         command=np.full(count, NONE, np.int64), trigger=received, light=light, dark=end - pause,
         on=end - light - repeats * pause, frame=pose % number, pose=pose, plane=np.zeros(count, np.int64),
-        position=pose * (360.0 / number), focus=np.full(count, nan), power=np.tile(np.array(powers), (count, 1)),
+        position=pose * (360.0 / number), focus=np.full(count, nan), power=np.tile(np.array(shares), (count, 1)),
         cadence=Cadence(slot * repeats, begin), advance=Fraction(360, number), unit="deg", delay=begin, frames=number,
     )  # fmt: skip
 
 
 def slots_per_image(images: int, speed: Number, display: HdmiTiming) -> int:
-    """How many slots of the cable every image takes. Raises `TimingInfeasible` where that is no whole number."""
+    """Slots of the cable that every image takes. Raises `BadInput`, and `TimingInfeasible` where that is not whole."""
+    if not isinstance(display, HdmiTiming):
+        raise BadInput(f"display is {display!r}; wanted the HdmiTiming of the projector")
     wanted = exact("speed [deg/s]", speed)
-    turn = 360 * display.slot_rate / images
+    turn = 360 * display.slot_rate / whole("images", images)
     ratio = turn / wanted
     if ratio > 3600 * display.slot_rate:
         raise BadInput(f"{float(wanted):.4g} deg/s is an image in more than an hour; turn faster")
-    whole = max(round(ratio), 1)
-    if abs(ratio - whole) <= SAME * ratio:
-        return whole
+    slots = max(round(ratio), 1)
+    if abs(ratio - slots) <= SAME * ratio:
+        return slots
     most = below(turn / max(ceil(ratio), 1))
     limit = "mirrors" if ratio < 1 else "cadence"
     raise TimingInfeasible(

@@ -19,6 +19,7 @@ from vamgpu.hosts.pictures.pinned import buffers
 from vamgpu.hosts.pictures.ring import Batch, Ring
 from vamgpu.hosts.pictures.sources import ArraySource, FrameSource
 from vamgpu.hosts.pictures.underrun import Action, VialUnderrun, WebUnderrun
+from vamgpu.hosts.players.triggered import PREROLL
 from vamgpu.hosts.rigs.preflight import MARGIN, Residence, fits, measure, preflight
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedules.moving import web
@@ -295,7 +296,7 @@ def test_preflight_chooses_where_pictures_live_or_refuses_with_numbers() -> None
     short = long.window(0, 3000)
     assert preflight(short, mirrors, 1e6).residence is Residence.RESIDENT
     found = preflight(long, mirrors, 400e6, batch=16, depth=8)
-    assert found.residence is Residence.STREAMED and found.planes == 7639 * 8
+    assert found.residence is Residence.STREAMED and found.planes == (7639 + PREROLL) * 8
     assert found.demand == pytest.approx(0.8 / 0.0785398 * 8 * 1080 * 256)
     assert found.freeze == pytest.approx(16 * 0.0785398 / 0.8) and found.stall == pytest.approx(9 * found.freeze)
     assert preflight(long, mirrors, 1e6, bits=1).residence is Residence.RESIDENT
