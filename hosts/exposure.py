@@ -17,7 +17,7 @@ from vamgpu.errors import BadInput, DeviceLost, StorageError
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.camera import Camera
 from vamgpu.hosts.record import RunFolder
-from vamgpu.hosts.schedules.timing import SECOND
+from vamgpu.hosts.schedules.timing import SECOND, whole
 from vamgpu.printing.scatter import Reading, ScatterStop
 from vamgpu.storage.atomic import explained
 
@@ -62,7 +62,8 @@ class Watch:
     ) -> None:  # fmt: skip
         self.rule = ScatterStop(wanted.voxels, wanted.threshold)
         self._camera, self._clock, self._wanted, self._folder, self._lit = camera, clock, wanted, folder, lit
-        self._period, self._patience = int(period), int(patience) + round(wanted.exposure * SECOND)
+        self._period = whole("period [ns]", period)
+        self._patience = whole("patience [ns]", patience) + round(wanted.exposure * SECOND)
         self._background: tuple[int, np.ndarray] | None = None
         self._origin: int | None = None
         self._last = self._due = clock.now()

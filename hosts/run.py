@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vamgpu.errors import BadInput, VamError
+from vamgpu.geometry import positive
 from vamgpu.hosts.board import Board
 from vamgpu.hosts.players.player import Look, Player
 from vamgpu.hosts.record import RunFolder
 from vamgpu.hosts.safety.interlock import Budget, InterlockOpen
 from vamgpu.hosts.safety.lease import DEFAULT_LENGTH, Lease
 from vamgpu.hosts.safety.light import LightGuard
-from vamgpu.hosts.schedules.timing import SECOND
+from vamgpu.hosts.schedules.timing import SECOND, whole
 from vamgpu.hosts.state import State, States, WrongState
 
 log = logging.getLogger(__name__)
@@ -26,7 +27,7 @@ class Limits:
     """What holds the light of a print.
 
     lease: how long the controller keeps the light by itself [ns].  tolerance: of motion, in poses.  budget: light over
-    the plan's.  resume: the longest rest after which a print goes on [ns].
+    the plan's.  resume: the longest rest after which a print goes on [ns]. Raises `BadInput`.
     """
 
     lease: int = DEFAULT_LENGTH
@@ -34,25 +35,33 @@ class Limits:
     budget: float = 1.01
     resume: int = 30 * SECOND
 
+    def __post_init__(self) -> None:
+        whole("lease [ns]", self.lease)
+        whole("resume [ns]", self.resume, 0)
+        positive("tolerance [poses]", self.tolerance)
+        positive("budget", self.budget)
+
 
 class Print:
     """One print: a player's schedule under one holder of the light.
 
     player: machines that play the schedule.  folder: keeps what happens.  power: over the schedule's, 0 to 1.  enough:
     asked at every look whether the part has had its light, and says why; then it is dark at once and all is complete.
-    short: what is said of a print that came to its end without that.
+    short: what is said of a print that came to its end without that. Raises `BadInput`.
     """
 
     def __init__(
         self, player: Player, folder: RunFolder, *, limits: Limits = Limits(), board: Board | None = None,
         power: float = 1.0, enough: Callable[[], str | None] = lambda: None, short: Callable[[], str] = lambda: "",
     ) -> None:  # fmt: skip
-        self.player, self.folder, self.limits, self.power, self._enough = player, folder, limits, power, enough
-        self._short = short
+        if (share := positive("power", power)) > 1:
+            raise BadInput(f"power is {power!r}; wanted a share of the schedule's: 1 at most")
+        self.player, self.folder, self.limits, self.power = player, folder, limits, share
+        self._enough, self._short = enough, short
         self.board, self.states = board or Board(), States()
         self.lease = Lease(player.clock, player.renew, limits.lease)
         schedule = player.schedule
-        total = float((schedule.on[:, None] * schedule.power).sum()) * 1e-9 * power
+        total = float((schedule.on[:, None] * schedule.power).sum()) * 1e-9 * share
         self.guard = LightGuard(
             player.lamp, self.lease, tolerance=limits.tolerance, budget=Budget(total * limits.budget),
             others=player.switches, told=self._told,
@@ -96,8 +105,8 @@ class Print:
         """
         if self.states.state.ended:
             raise WrongState(f"the print is {self.states.state.value}; begin another one, in a folder of its own")
-        start = self.next if first is None else first
-        if not 0 <= start < len(self.player.schedule):
+        start = self.next if first is None else whole("slot", first, 0)
+        if start >= len(self.player.schedule):
             raise BadInput(f"slot {start} is none of the {len(self.player.schedule)} slots")
         try:
             self._rested()

@@ -6,7 +6,7 @@ from collections import Counter, deque
 from enum import Enum
 from typing import Protocol
 
-from vamgpu.geometry import counts
+from vamgpu.hosts.schedules.timing import whole
 
 
 class Action(Enum):
@@ -41,8 +41,7 @@ class WebUnderrun:
     """
 
     def __init__(self, window: int = 360, allowed: int = 2) -> None:
-        counts("window", (window,), 1)
-        self.window, self.allowed = window, allowed
+        self.window, self.allowed = whole("window", window), whole("allowed", allowed, 0)
         self.total = 0
         self._recent: deque[int] = deque()
 
@@ -72,7 +71,7 @@ class VialUnderrun:
     """
 
     def __init__(self, images: int) -> None:
-        self.images = counts("images", (images,), 1)[0]
+        self.images = whole("images", images)
         self.missed = 0
         self._owed: Counter[int] = Counter()
         self._row = range(0)

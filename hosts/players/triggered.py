@@ -30,7 +30,7 @@ from vamgpu.hosts.safety.lamp import ControllerLamp, Renewal
 from vamgpu.hosts.safety.light import Switch
 from vamgpu.hosts.schedules.rows import Rows
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
-from vamgpu.hosts.schedules.timing import SECOND
+from vamgpu.hosts.schedules.timing import SECOND, fraction, whole
 
 PRIMING = 60 * SECOND
 """Longest wait for mirrors and buffers to be full before the light opens [ns]."""
@@ -70,13 +70,15 @@ class TriggeredPlayer:
         self.switches: Mapping[str, Switch] = {f"mirrors {k}": Dark(dmd) for k, dmd in enumerate(machines.mirrors)}
         self.renew = Renewal(machines.controller)
         sizes = (each.bits * prod(dmd.plane_shape) for each, dmd in zip(pictures, machines.mirrors, strict=True))
-        self._pictures, self._depth = tuple(pictures), depth or length(schedule.rate, max(sizes))
-        self._sequences, self._apart = sequences, APART + int(schedule.on[0])
+        self._pictures, self._depth = tuple(pictures), (
+            length(schedule.rate, max(sizes)) if depth is None else whole("depth", depth)
+        )
+        self._sequences, self._apart = whole("sequences", sequences, 2), APART + int(schedule.on[0])
         self._threaded = machines.clock.real if threaded is None else threaded
         self._policies = tuple(policy(schedule) for _ in pictures)
         self._orders = [schedule.frame] * schedule.engines
         self._longest = int((schedule.dark - schedule.command).max(where=schedule.command != NONE, initial=0))
-        self._origin, self._added = origin, 0
+        self._origin, self._added = None if origin is None else float(fraction("origin", origin)), 0
         self._supplies: list[Supply] = []
         self._owed: list[Counter[int]] = [Counter() for _ in pictures]
         self._first = self._kept = self._counted = self._sent = self._looked = 0

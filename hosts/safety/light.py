@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping
 from types import FrameType
 from typing import Any, Protocol
 
-from vamgpu.errors import BadInput, DeviceBusy
+from vamgpu.errors import DeviceBusy
+from vamgpu.geometry import positive
 from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, Seen, reason_dark
 from vamgpu.hosts.safety.lease import Lease
 
@@ -65,9 +66,7 @@ class LightGuard:
         signals: bool = True,
         told: Callable[[str, str], None] | None = None,
     ) -> None:
-        if not tolerance > 0:
-            raise BadInput(f"tolerance of motion is {tolerance!r}; wanted > 0")
-        self.lease, self.budget, self.tolerance = lease, budget, float(tolerance)
+        self.lease, self.budget, self.tolerance = lease, budget, positive("tolerance of motion", tolerance)
         self._lamp, self._others = lamp, dict(others or {})
         self._told = told or (lambda what, why: None)
         self._signals = signals
@@ -147,8 +146,7 @@ class LightGuard:
             if why is not None:
                 self.off(why)
                 raise InterlockOpen(f"no light: {why}")
-            if not power > 0:
-                raise BadInput(f"power is {power!r}; wanted > 0, or off()")
+            power = positive("power", power)
             self._lit = True  # first: a lamp that fails half-way may be on
             try:
                 self._lamp.on(power)

@@ -21,11 +21,12 @@ from vamgpu.hosts.emulators.bench import Bench
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.pictures import supply
 from vamgpu.hosts.pictures.feed import Feed
+from vamgpu.hosts.pictures.underrun import WebUnderrun
 from vamgpu.hosts.players.asking import Asking
 from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.resume import interrupted
-from vamgpu.hosts.run import Print
+from vamgpu.hosts.run import Limits, Print
 from vamgpu.hosts.safety.lease import Lease
 from vamgpu.hosts.safety.light import LightGuard
 from vamgpu.hosts.schedules.limits import MirrorTiming
@@ -354,3 +355,37 @@ def fails(closed: list[int], number: int) -> Callable[[], None]:
 
 def replace_engines(schedule: Schedule) -> Schedule:
     return web(len(schedule), advance=0.0785, speed=0.8, engines=(MIRRORS, replace(MIRRORS)))
+
+
+# ---- arguments -----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("tolerance", "0.5"), ("tolerance", np.inf), ("budget", np.inf), ("resume", np.nan), ("resume", np.inf),
+     ("lease", np.inf), ("lease", None)],
+)  # fmt: skip
+def test_limits_that_limit_nothing_are_refused(name: str, value: Any) -> None:
+    with pytest.raises(BadInput, match=name):
+        Limits(**{name: value})
+
+
+def test_what_is_no_number_is_told(run: Path, tmp_path: Path) -> None:
+    odd: Any = "1"
+    for number, power in enumerate((odd, None, 0.0, 1.5, np.nan)):
+        with pytest.raises(BadInput, match="power"):
+            Scene(tmp_path / str(number), roll(), power=power)
+    scene = Scene(run, roll())
+    for first in (odd, 1.5, True, -1, 60):
+        with pytest.raises(BadInput, match="slot"):
+            scene.print.run(first)
+    with scene.print.guard as guard, pytest.raises(BadInput, match="power"):
+        guard.look(armed=True, motion=0.0, shown=0, scheduled=0)
+        guard.on(odd)
+    assert not scene.bench.controller.light
+    wrong: list[dict[str, Any]] = [{"depth": 0}, {"depth": odd}, {"sequences": odd}, {"sequences": 1}]
+    for options in [*wrong, {"origin": np.nan}]:
+        with pytest.raises(BadInput, match=next(iter(options))):
+            TriggeredPlayer(roll(), scene.machines, [White()], **options)
+    wrong = [{"allowed": np.inf}, {"allowed": -1}, {"allowed": None}, {"window": 0}]
+    for options in wrong:
+        with pytest.raises(BadInput):
+            WebUnderrun(**options)
