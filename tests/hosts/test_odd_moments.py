@@ -374,7 +374,8 @@ def test_what_is_no_number_is_told(run: Path, tmp_path: Path) -> None:
         with pytest.raises(BadInput, match="power"):
             Scene(tmp_path / str(number), roll(), power=power)
     scene = Scene(run, roll())
-    for first in (odd, 1.5, True, -1, 60):
+    slots: list[Any] = [odd, 1.5, True, -1, 60]
+    for first in slots:
         with pytest.raises(BadInput, match="slot"):
             scene.print.run(first)
     with scene.print.guard as guard, pytest.raises(BadInput, match="power"):

@@ -119,7 +119,7 @@ def test_a_missing_machine_is_an_error_and_never_a_simulation() -> None:
 def test_bad_rigs_are_told(tmp_path: Path) -> None:
     for change, why in (
         (("[controller]", "[controler]"), "did you mean 'controller'"),
-        (('driver = "vam-controller"', 'driver = "emulated"'), r"rig, line \d+: controller: is emulated and projector is real"),
+        (('"vam-controller"', '"emulated"'), r"rig, line \d+: controller: is emulated and projector is real"),
         (('port = "/dev/does-not-exist"\n', ""), r"rig, line \d+: controller: .*wanted port"),
         (('library = "/does/not/exist.so"\n', ""), "wanted library"),
         (('[rig]', '[safety]\nlease = "0 furlongs"\n[rig]'), "furlongs"),
