@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vamgpu.errors import BadInput, WrongDevice
+from vamgpu.geometry import positive
 from vamgpu.hosts.attended import attended
 from vamgpu.hosts.board import Board
 from vamgpu.hosts.exposure import Watch
@@ -25,7 +26,7 @@ from vamgpu.hosts.rigs.config import RigConfig, read_rig
 from vamgpu.hosts.rigs.motor import emulated_microsteps
 from vamgpu.hosts.rigs.opening import close, opened
 from vamgpu.hosts.rigs.planning import Plan, plan
-from vamgpu.hosts.rigs.preflight import Judged, fits, judged
+from vamgpu.hosts.rigs.preflight import LINE, Judged, answered, fits, judged
 from vamgpu.hosts.rigs.stopping import stopping
 from vamgpu.hosts.run import Limits, Print
 from vamgpu.hosts.schedules.limits import HdmiTiming
@@ -123,18 +124,25 @@ def _booth(planned: Plan, display: HdmiTiming, clock: Any) -> tuple[Any, VideoMa
 def check(planned: Plan, machines: Machines | VideoMachines, seconds: float = 2.0) -> Judged | None:
     """Judge a plan on opened machines, in the dark; None on a video cable, which has a time of its own.
 
-    seconds: how long the wires are measured, on real machines alone. Raises `WrongDevice` for other machines than
-    planned, and `TimingInfeasible` with what binds.
+    seconds: how long the wires are measured, on real machines alone. Raises `BadInput`, `WrongDevice` for other
+    machines than planned, and `TimingInfeasible` with what binds.
     """
+    seconds = positive("seconds", seconds)
     if isinstance(machines, VideoMachines) or planned.display is not None:
         if not isinstance(machines, VideoMachines) or planned.display is None:
             raise WrongDevice("mirrors behind a trigger and those on a video cable want plans of their own")
         machines.check(planned.schedule, planned.display)
         return None
+    if len(machines.mirrors) != len(planned.mirrors):
+        raise WrongDevice(
+            f"the plan is for {len(planned.mirrors)} mirrors, {len(machines.mirrors)} were opened; open the rig that "
+            "it was planned for, or plan for this one"
+        )
     for dmd, timing in zip(machines.mirrors, planned.timings, strict=True):
         fits((dmd.height, dmd.width), timing)
     if len(planned.focus) > 1 and machines.lens is None:
         raise WrongDevice("the plan changes its focus, and no lens was opened; open the rig that it was planned for")
+    answered(planned.schedule, machines.controller, machines.clock, min(seconds, LINE))
     return judged(planned.schedule, machines.mirrors, machines.clock, bits=planned.bits, seconds=seconds)
 
 

@@ -140,7 +140,7 @@ def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
         return parse_rig(EMULATED, settings, source="emulated")
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError, TypeError) as error:  # no UTF-8, or no path
         why = getattr(error, "strerror", None) or error
         raise JobError(f"cannot read the rig {str(path)!r}: {why}; wanted a TOML file, or the word emulated") from error
     return parse_rig(text, settings, source=str(path))
@@ -148,6 +148,8 @@ def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
 
 def parse_rig(text: str, settings: Iterable[str] = (), *, source: str = "rig") -> RigConfig:
     """A rig from TOML text. Raises `JobError` naming every wrong value at once."""
+    if not isinstance(text, str):
+        raise JobError(f"the rig's text is {text!r}; wanted the text of a TOML file")
     try:
         return RigConfig(checked(RigFile, text, settings, source=source)[0], text, source)
     except JobError as error:

@@ -9,12 +9,13 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from vamgpu.errors import StorageError
-from vamgpu.hosts.record import RunFolder, Shown, read_run, timing
-from vamgpu.hosts.state import State, States
+from vamgpu.hosts.record import RESERVE, RunFolder, Shown, read_run, timing
+from vamgpu.hosts.state import Change, State, States
 
 RIG = 'name = "bench"\n'
 
@@ -69,10 +70,29 @@ def test_a_full_disk_is_told(tmp_path: Path) -> None:
     assert len(read_run(tmp_path / "run").shown) == 1
 
 
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_still_learns_how_the_print_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    folder = RunFolder.begin(tmp_path / "run", {}, RIG)
+    reserve, write = tmp_path / "run" / RESERVE, Path.write_text
+
+    def full(place: Path, *rest: Any, **options: Any) -> int:
+        if place.name == ".state.json" and reserve.exists():
+            raise OSError(number, os.strerror(number))
+        return write(place, *rest, **options)
+
+    monkeypatch.setattr(Path, "write_text", full)
+    folder.state(Change(State.PRINTING, State.ERROR, "the disk is full"))
+    assert not reserve.exists()
+    folder.close()
+    assert read_run(tmp_path / "run").state is State.ERROR
+
+
 def test_a_killed_host_loses_no_picture(tmp_path: Path) -> None:
     script = """
         import sys
-        from vamgpu.hosts.record import RunFolder, Shown
+        from vamgpu.hosts.record import RESERVE, RunFolder, Shown
         folder = RunFolder.begin(sys.argv[1], {}, "")
         for number in range(10**9):
             folder.shown(Shown(number, number, 0, 0, 1))
