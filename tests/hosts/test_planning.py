@@ -217,7 +217,8 @@ def test_one_bit(tmp_path: Path) -> None:
 def test_another_host_goes_on_where_one_died(tmp_path: Path) -> None:
     planned, place = plan(web(tmp_path / "web.vam"), read_rig("emulated"), speed=0.8), tmp_path / "run"
     stand = rehearsal(planned)
-    with RunFolder.begin(place, {"kind": "web", "slots": 270, "speed": float(planned.schedule.speed)}, "") as folder:
+    asked = {"kind": "web", "slots": 270, "speed": float(planned.schedule.speed)}
+    with RunFolder.begin(place, asked, planned.rig.text) as folder:
         begun = Print(player(planned, stand.machines), folder)
         begun.guard.__enter__()
         begun.begin(0)
