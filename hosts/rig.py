@@ -21,8 +21,8 @@ from vamgpu.hosts.players.mirrors import Machines
 from vamgpu.hosts.players.player import Player
 from vamgpu.hosts.players.spinning import SpinningPlayer
 from vamgpu.hosts.players.triggered import TriggeredPlayer
-from vamgpu.hosts.record import RunFolder, read_run
-from vamgpu.hosts.rigs.config import RigConfig, read_rig
+from vamgpu.hosts.record import Run, RunFolder, read_run
+from vamgpu.hosts.rigs.config import RigConfig, parse_rig, read_rig
 from vamgpu.hosts.rigs.motor import emulated_microsteps
 from vamgpu.hosts.rigs.opening import close, opened
 from vamgpu.hosts.rigs.planning import Plan, plan
@@ -32,6 +32,7 @@ from vamgpu.hosts.run import Limits, Print
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.state import State
 from vamgpu.printing.frames import Frames
+from vamgpu.storage.atomic import explained
 
 if TYPE_CHECKING:
     from vamgpu.hosts.resume import Interrupted
@@ -40,6 +41,12 @@ __all__ = [
     "Plan", "Rehearsal", "carry_out", "check", "close", "limits", "opened", "plan", "player", "read_rig", "rehearsal",
     "stopping",
 ]  # fmt: skip
+
+
+AGAIN = {"rig": True, "safety": True, "camera": True, "camera_stage": True, "photodiode": True} | dict.fromkeys(
+    ("controller", "lens", "stage"), {"port"}
+)
+"""What of a rig's file may change before a print goes on."""
 
 
 def limits(rig: RigConfig) -> Limits:
@@ -184,7 +191,7 @@ def carry_out(
         ends: Any = {} if watch is None else {"enough": watch.enough, "short": watch.short}
         job = Print(playing, record, limits=limits(planned.rig), board=shown, **ends)
         if left is not None:
-            job.recall(left.run.shown)
+            job.recall(read_run(folder).shown, left.rest)
         with nullcontext() if watch is None else _before_the_light(watch, job):
             first = None if left is None else left.first
             return (job.run(first) if board is None else attended(job, board, first)), job
@@ -221,7 +228,7 @@ def _asked(planned: Plan) -> dict[str, Any]:
     return {
         "jobs": jobs, "digests": [_digest(Path(job)) for job in jobs], "kind": planned.kind, "rig": planned.rig.source,
         "slots": len(table), "unit": table.unit, "speed": float(table.speed),
-        "stop": None if planned.stop is None else planned.stop.threshold,
+        "stop": None if planned.stop is None else planned.stop.threshold, "settings": planned.rig.settings,
     }  # fmt: skip
 
 
@@ -243,12 +250,29 @@ def _left(planned: Plan, machines: Machines | VideoMachines, folder: str | Path)
             "a video projector went on with its last picture while the vial turned, until the lease was over: this "
             "print cannot be gone on with; begin it anew with fresh resin"
         )
-    asked, wanted = read_run(folder).asked, _asked(planned)
+    before = read_run(folder)
+    _same_rig(planned.rig, before)
+    asked, wanted = before.asked, _asked(planned)
     names = ("digests", "kind", "slots", "speed", "stop")
     if different := [name for name in names if name in asked and asked[name] != wanted[name]]:
         told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
         raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
     return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))
+
+
+def _same_rig(rig: RigConfig, run: Run) -> None:
+    """Raise `BadInput` for a rig whose light or motion is another than the one that began a print."""
+    file = run.path / "rig.toml"
+    try:
+        first = parse_rig(file.read_text(encoding="utf-8"), run.asked.get("settings", ()), source=str(file))
+    except OSError as error:
+        raise explained("read", file, error) from error
+    began, now = (read.wanted.model_dump(exclude=AGAIN) for read in (first, rig))
+    if different := [name for name in now if now[name] != began[name]]:
+        raise BadInput(
+            f"the rig has other values in [{'], ['.join(different)}] than the one that began {str(run.path)!r}: the "
+            "rest would get another light; print with those of its own rig.toml"
+        )
 
 
 def _folder(planned: Plan, folder: str | Path, left: Interrupted | None) -> RunFolder:

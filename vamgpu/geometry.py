@@ -19,7 +19,7 @@ def positive(name: str, value: float, *, zero: bool = False) -> float:
     """``value`` as a float if it is finite and positive (or zero, where allowed), else `BadInput`."""
     try:
         number = float(value) if not isinstance(value, (str, bytes)) else float("nan")
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{name} is {value!r}; wanted a number") from error
     if not isfinite(number) or number < 0 or (number == 0 and not zero):
         raise BadInput(f"{name} is {value!r}; wanted a finite number {'≥' if zero else '>'} 0")
@@ -31,7 +31,7 @@ def counts(name: str, values: object, length: int) -> tuple[int, ...]:
     try:
         numbers = tuple(int(v) for v in values)  # type: ignore[attr-defined]
         exact = all(int(v) == v for v in values)  # type: ignore[attr-defined]
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{name} is {values!r}; wanted {length} positive integers") from error
     if len(numbers) != length or not exact or min(numbers) < 1:
         raise BadInput(f"{name} is {values!r}; wanted {length} positive integers")

@@ -127,11 +127,12 @@ class RigFile(Section):
 
 @dataclass(frozen=True)
 class RigConfig:
-    """A checked rig. text: of its file.  source: where it came from."""
+    """A checked rig. text: of its file.  source: where it came from.  settings: that replace its values."""
 
     wanted: RigFile
     text: str
     source: str
+    settings: tuple[str, ...] = ()
 
 
 def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
@@ -151,7 +152,8 @@ def parse_rig(text: str, settings: Iterable[str] = (), *, source: str = "rig") -
     if not isinstance(text, str):
         raise JobError(f"the rig's text is {text!r}; wanted the text of a TOML file")
     try:
-        return RigConfig(checked(RigFile, text, settings, source=source)[0], text, source)
+        given = tuple(settings)
+        return RigConfig(checked(RigFile, text, given, source=source)[0], text, source, given)
     except JobError as error:
         alone = "[[projector]]" not in text
         raise JobError(str(error).replace("projector.0", "projector") if alone else str(error)) from error

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from types import FrameType
 from typing import Any, Protocol
 
-from vamgpu.errors import DeviceBusy
+from vamgpu.errors import DeviceBusy, VamError
 from vamgpu.geometry import positive
 from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, Seen, reason_dark
 from vamgpu.hosts.safety.lease import Lease
@@ -161,7 +161,7 @@ class LightGuard:
             return
         try:
             self.budget.spend(power, on_time)
-        except InterlockOpen as error:
+        except VamError as error:
             self.fail(str(error))
             raise
 
