@@ -20,7 +20,7 @@ from vamgpu.hosts.state import State
 class Interrupted:
     """A print that a host left. first: the next slot.  recorded: slots in its folder.  origin: of pose 0 on the motor.
 
-    lost: poses that were black, of each projector.  rest: since its last sign [ns].
+    lost: poses that were black, of each projector.  sign: when it gave its last sign, by the clock of its days [s].
     """
 
     run: Run
@@ -28,7 +28,12 @@ class Interrupted:
     recorded: int
     origin: float
     lost: tuple[tuple[int, ...], ...]
-    rest: int
+    sign: float
+
+    @property
+    def rest(self) -> int:
+        """Since its last sign [ns]."""
+        return round((time.time() - self.sign) * SECOND)
 
     def take_up(self, folder: RunFolder, schedule: Schedule) -> None:
         """Write down what was shown after the host's last look; the last of it may have been cut short."""
@@ -59,7 +64,8 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
             f"{str(path)!r} was printed on a screen: nobody knows what that showed until the light went off; begin "
             "anew with fresh resin"
         )
-    rest = round((time.time() - run.events[-1]["wall"]) * SECOND)
+    sign = float(run.events[-1]["wall"])
+    rest = round((time.time() - sign) * SECOND)
     if rest < 0:
         raise BadInput(
             f"the last sign of {str(path)!r} is {-rest / SECOND:.1f} s ahead of this host's clock, so nobody knows how "
@@ -80,7 +86,7 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
         missed = f", {len(dark)} of them black: only the host that planned them shows them again" if len(dark) else ""
         raise BadInput(f"{str(path)!r} has shown all its {len(schedule)} slots{missed}; nothing is left to print")
     lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
-    return Interrupted(run, shown, recorded, float(leg["origin"]), tuple(map(tuple, lost)), rest)
+    return Interrupted(run, shown, recorded, float(leg["origin"]), tuple(map(tuple, lost)), sign)
 
 
 def _counted(before: Status, first: int, recorded: int, preroll: int) -> int:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import BadInput
-from vamgpu.hosts import rig as rigs
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.rig import Plan, Rehearsal, carry_out, limits, plan, player, rehearsal
 from vamgpu.hosts.rigs.config import EMULATED, parse_rig
+from vamgpu.hosts.rigs.runs import asked_for
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State
@@ -35,7 +35,7 @@ def planned(job: Path, *settings: str) -> Plan:
 def died(wanted: Plan, path: Path) -> tuple[Rehearsal, Any]:
     """A print whose host is gone in the midst, and the machines as the next host opens them."""
     stand = rehearsal(wanted)
-    folder = RunFolder.begin(path, rigs._asked(wanted), wanted.rig.text)
+    folder = RunFolder.begin(path, asked_for(wanted), wanted.rig.text)
     job = Print(player(wanted, stand.machines), folder, limits=limits(wanted.rig))
     job.guard.__enter__()
     job.begin(0)

@@ -1,0 +1,88 @@
+"""The folder of a plan's run: begun, or gone on with where a host left it, of the same jobs on the same rig."""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from vamgpu.errors import BadInput
+from vamgpu.hosts.players.cable import VideoMachines
+from vamgpu.hosts.players.mirrors import Machines
+from vamgpu.hosts.record import Run, RunFolder, read_run
+from vamgpu.hosts.resume import Interrupted, interrupted
+from vamgpu.hosts.rigs.config import RigConfig, parse_rig
+from vamgpu.hosts.rigs.planning import Plan
+from vamgpu.hosts.run import Limits
+from vamgpu.storage.atomic import explained
+
+AGAIN = {"rig": True, "safety": True, "camera": True, "camera_stage": True, "photodiode": True} | dict.fromkeys(
+    ("controller", "lens", "stage"), {"port"}
+)
+"""What of a rig's file may change before a print goes on."""
+
+
+def limits(rig: RigConfig) -> Limits:
+    """What the rig's file says of safety."""
+    said = rig.wanted.safety
+    return Limits(round(said.lease * 1e9), said.tolerance, said.budget, round(said.resume * 1e9))
+
+
+def asked_for(planned: Plan) -> dict[str, Any]:
+    """What a run's folder keeps of its plan."""
+    table, jobs = planned.schedule, [each.path for each in planned.works]
+    return {
+        "jobs": jobs, "digests": [_digest(Path(job)) for job in jobs], "kind": planned.kind, "rig": planned.rig.source,
+        "slots": len(table), "unit": table.unit, "speed": float(table.speed),
+        "stop": None if planned.stop is None else planned.stop.threshold, "settings": planned.rig.settings,
+    }  # fmt: skip
+
+
+def _digest(job: Path) -> str:
+    """Of what a job's folder says of its frames; of the names and sizes of slices."""
+    manifest = job / "manifest.json"
+    if manifest.is_file():
+        return sha256(manifest.read_bytes()).hexdigest()
+    files = sorted((file.name, file.stat().st_size) for file in job.iterdir()) if job.is_dir() else []
+    return sha256(repr(files or job.name).encode()).hexdigest()
+
+
+def left_by_a_host(planned: Plan, machines: Machines | VideoMachines, folder: str | Path) -> Interrupted:
+    """What a host left in a folder, of the same print. Raises `BadInput`, `StorageError`."""
+    if isinstance(machines, VideoMachines):
+        raise BadInput(
+            "a video projector went on with its last picture while the vial turned, until the lease was over: this "
+            "print cannot be gone on with; begin it anew with fresh resin"
+        )
+    before = read_run(folder)
+    _same_rig(planned.rig, before)
+    asked, wanted = before.asked, asked_for(planned)
+    names = ("digests", "kind", "slots", "speed", "stop")
+    if different := [name for name in names if name in asked and asked[name] != wanted[name]]:
+        told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
+        raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
+    return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))
+
+
+def _same_rig(rig: RigConfig, run: Run) -> None:
+    """Raise `BadInput` for a rig whose light or motion is another than the one that began a print."""
+    file = run.path / "rig.toml"
+    try:
+        first = parse_rig(file.read_text(encoding="utf-8"), run.asked.get("settings", ()), source=str(file))
+    except OSError as error:
+        raise explained("read", file, error) from error
+    began, now = (read.wanted.model_dump(exclude=AGAIN) for read in (first, rig))
+    if different := [name for name in now if now[name] != began[name]]:
+        raise BadInput(
+            f"the rig has other values in [{'], ['.join(different)}] than the one that began {str(run.path)!r}: the "
+            "rest would get another light; print with those of its own rig.toml"
+        )
+
+
+def run_folder(planned: Plan, folder: str | Path, left: Interrupted | None) -> RunFolder:
+    """A new folder of a run, or that of one that is gone on with, up to what was shown. Raises `StorageError`."""
+    if left is None:
+        return RunFolder.begin(folder, asked_for(planned), planned.rig.text)
+    record = RunFolder.again(folder)
+    left.take_up(record, planned.schedule)
+    return record
