@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.drivers.controller import Controller
@@ -47,12 +48,17 @@ class Interrupted:
                 folder.shown(Shown(slot, frame, pose, light, on, engine=engine))
 
 
-def interrupted(path: str | Path, controller: Controller, schedule: Schedule, limits: Limits = Limits()) -> Interrupted:
-    """What a print's folder and its controller tell together. Raises `BadInput` where it cannot be gone on with.
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What the folder of a host that died tells by itself. leg: the last one's event.  sign: see `Interrupted`."""
 
-    The controller must have kept its power: it alone knows where the motor is, and what it showed until the lease of
-    the host that died ran out.
-    """
+    run: Run
+    leg: dict[str, Any]
+    sign: float
+
+
+def left_in(path: str | Path, limits: Limits = Limits()) -> Left:
+    """Read the folder of a host that died. Raises `BadInput` where its print cannot be gone on with."""
     run = read_run(path)
     if run.state not in (State.PRINTING, State.PAUSED):
         raise BadInput(f"{str(path)!r} is {run.state.value}; only prints that a host left in the midst go on")
@@ -72,10 +78,25 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
             "long it rested; begin anew with fresh resin"
         )
     may_resume(rest, limits)
+    return Left(run, leg, sign)
+
+
+def interrupted(path: str | Path, controller: Controller, schedule: Schedule, limits: Limits = Limits()) -> Interrupted:
+    """What a print's folder and its controller tell together. Raises `BadInput` where it cannot be gone on with.
+
+    The controller must have kept its power: it alone knows where the motor is, and what it showed until the lease of
+    the host that died ran out.
+    """
+    left = left_in(path, limits)
+    run, leg, before = left.run, left.leg, controller.before
+    if before is None:
+        raise BadInput(
+            f"the controller does not tell what it did for the host of {str(path)!r}, so nobody knows what was shown "
+            "and where the motor is; begin anew with fresh resin"
+        )
     slots = run.shown["slot"]
     recorded = int(slots.max()) + 1 if len(slots) else 0
-    before = controller.before
-    shown = 0 if before is None else leg["first"] + _counted(before, leg["first"], recorded, leg["preroll"])
+    shown = leg["first"] + _counted(before, leg["first"], recorded, leg["preroll"])
     if shown < recorded:
         raise BadInput(
             f"the folder holds {recorded} pictures, the controller knows of {max(shown, 0)}: it lost its power or was "
@@ -86,7 +107,7 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
         missed = f", {len(dark)} of them black: only the host that planned them shows them again" if len(dark) else ""
         raise BadInput(f"{str(path)!r} has shown all its {len(schedule)} slots{missed}; nothing is left to print")
     lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
-    return Interrupted(run, shown, recorded, float(leg["origin"]), tuple(map(tuple, lost)), sign)
+    return Interrupted(run, shown, recorded, float(leg["origin"]), tuple(map(tuple, lost)), left.sign)
 
 
 def _counted(before: Status, first: int, recorded: int, preroll: int) -> int:

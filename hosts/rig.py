@@ -23,14 +23,14 @@ from vamgpu.hosts.rigs.opening import close, opened
 from vamgpu.hosts.rigs.planning import Plan, plan
 from vamgpu.hosts.rigs.preflight import LINE, Judged, answered, fits, judged
 from vamgpu.hosts.rigs.rehearsing import Rehearsal, rehearsal
-from vamgpu.hosts.rigs.runs import left_by_a_host, limits, run_folder
+from vamgpu.hosts.rigs.runs import left_by_a_host, limits, may_go_on, run_folder
 from vamgpu.hosts.rigs.stopping import stopping
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.state import State
 
 __all__ = [
-    "Plan", "Rehearsal", "carry_out", "check", "close", "limits", "opened", "plan", "player", "read_rig", "rehearsal",
-    "stopping",
+    "Plan", "Rehearsal", "carry_out", "check", "close", "limits", "may_go_on", "opened", "plan", "player", "read_rig",
+    "rehearsal", "stopping",
 ]  # fmt: skip
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from vamgpu.errors import BadInput, VamError
 from vamgpu.geometry import positive
 from vamgpu.hosts.board import Board
+from vamgpu.hosts.insist import insist
 from vamgpu.hosts.players.player import Look, Player
 from vamgpu.hosts.record import RunFolder
 from vamgpu.hosts.safety.interlock import Budget, InterlockOpen
@@ -126,12 +127,12 @@ class Print:
     def begin(self, first: int) -> None:
         """Prime the machines and make light from a slot on; the guard is held already."""
         self.next, self._finishing, self._lit = first, False, False
-        self.player.prime(first, self._alive)
+        ahead = self.player.prime(first, self._alive)
         self.states.to(State.PRINTING, "" if first == 0 else f"from slot {first}")
         self._event("leg", first=first, **self.player.facts())
         self.guard.look(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
         self._stopped()
-        self._rested()  # getting ready took its time too
+        self._rested(ahead)  # getting ready took its time too
         self.guard.on(self.power)
         self._lit, self.dark_since = True, None
         self.player.start()
@@ -162,20 +163,17 @@ class Print:
 
     def ended(self, error: BaseException) -> None:
         """Bring all to rest after an error; it is dark already. A second error is logged: the first is to be told."""
-        wanted = self._cancelled or isinstance(error, (KeyboardInterrupt, SystemExit))
+        wanted = self._cancelled or self.guard.signalled or isinstance(error, (KeyboardInterrupt, SystemExit))
         state = State.CANCELLED if wanted else State.ERROR
         why = self.guard.fault if wanted and self.guard.fault else str(error) or type(error).__name__
         told, end = lambda: self._event("ended", error=repr(error)), lambda: self.states.end(state, why)  # noqa: E731
-        for act in (self._last_look, self.player.halt, told, end):
-            try:
-                act()
-            except BaseException as second:  # who presses the keys twice shall not leave the motor running
-                log.error("after %r: %r", error, second)
+        for second in insist(self._last_look, self.player.halt, told, end):
+            log.error("after %r: %r", error, second)
 
-    def _rested(self) -> None:
-        """Raise `BadInput` where it has been dark for too long."""
+    def _rested(self, ahead: int = 0) -> None:
+        """Raise `BadInput` where it has been dark for too long. ahead: until there is light [ns]."""
         if self.dark_since is not None:
-            may_resume(self.player.clock.now() - self.dark_since, self.limits)
+            may_resume(self.player.clock.now() + ahead - self.dark_since, self.limits)
 
     def _over(self) -> bool:
         """No light is to come: a rest, the end, or a turn more for what was missed."""

@@ -26,15 +26,18 @@ class Turns:
     def __enter__(self) -> None:
         ticket = threading.Lock()
         ticket.acquire()
+        joined = False
         try:
             with self._lock:
+                joined = True
                 if not self._held:
                     self._held = True
                     return
                 self._waiting.append(ticket)
             ticket.acquire()
         except BaseException:  # a signal that ends the program
-            self._leave(ticket)
+            if joined:
+                self._leave(ticket)
             raise
 
     def _leave(self, ticket: threading.Lock) -> None:
@@ -112,11 +115,12 @@ class PlaneStream:
             sequence = home.popleft()
         for first in range(0, len(planes), self._piece):
             with self._turns:
-                if self._ceased:
-                    home.append(sequence)
-                    return
-                sequence.put(planes[first : first + self._piece], first)
+                if not self._ceased:
+                    sequence.put(planes[first : first + self._piece], first)
         with self._turns:
+            if self._ceased:
+                home.append(sequence)
+                return
             sequence.start(len(planes))
             self._queue.append(_Queued(sequence, len(planes), home))
             self.queued += len(planes)

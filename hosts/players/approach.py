@@ -57,7 +57,7 @@ class Approach:
 
     def fresh(self, time: int) -> float:
         """Where pose 0 is, if a motor at 0 is to be at a run-up's distance from a time of the schedule [ns]."""
-        return self._run_up * (1 + 1e-9) - float(self._schedule.position_at(time))
+        return self._run_up + 1 / self._microsteps - float(self._schedule.position_at(time))
 
     def to(self, time: int, origin: float, alive: Callable[[], None]) -> float:
         """Run at the speed so that ``time`` of the schedule [ns] is still ahead; returns where pose 0 is then.
@@ -69,7 +69,7 @@ class Approach:
             origin = self._back(time, origin, run_up, alive)
             self._controller.move(self._speed / self._per_mm)
             self._at_speed(run_up, alive)
-            if self._before(time, origin) >= AHEAD * self._speed:
+            if self.ahead(time, origin) >= AHEAD:
                 return origin
             run_up *= 2
         raise InterlockOpen(
@@ -79,6 +79,10 @@ class Approach:
 
     def _row(self, time: int, origin: float) -> int:
         return Rows(self._schedule, self._microsteps, origin).at(time)
+
+    def ahead(self, time: int, origin: float) -> float:
+        """How long it is to a time of the schedule, at the speed [s]."""
+        return self._before(time, origin) / self._speed
 
     def _before(self, time: int, origin: float) -> float:
         """How far it is to a time of the schedule, in its unit."""

@@ -63,8 +63,11 @@ class Player(Protocol):
         """Let the controller keep the light for ``length`` [ns] more."""
         ...
 
-    def prime(self, first: int, alive: Callable[[], None]) -> None:
-        """In the dark: fill buffers, bring the motion to its speed ahead of a slot; ``alive`` is called meanwhile."""
+    def prime(self, first: int, alive: Callable[[], None]) -> int:
+        """In the dark: fill buffers, bring the motion to its speed ahead of a slot; ``alive`` is called meanwhile.
+
+        Returns how long it is from then to the slot's light [ns].
+        """
         ...
 
     def facts(self) -> dict[str, Any]:

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import Underrun
+from vamgpu.hosts.insist import insist
 from vamgpu.hosts.pictures.underrun import Action, VialUnderrun
 from vamgpu.hosts.players.cable import Blackout, VideoMachines, VideoPictures
 from vamgpu.hosts.players.lit import Lit
 from vamgpu.hosts.players.player import Look
-from vamgpu.hosts.players.turning import Turning
+from vamgpu.hosts.players.turning import LEAD, Turning
 from vamgpu.hosts.record import Shown
 from vamgpu.hosts.safety.lamp import ControllerLamp, Renewal
 from vamgpu.hosts.safety.light import Switch
@@ -63,7 +64,7 @@ class SpinningPlayer:
         self._lit = Lit(self.display)
 
     # ---- before the light ------------------------------------------------------------------------------------
-    def prime(self, first: int, alive: Callable[[], None]) -> None:
+    def prime(self, first: int, alive: Callable[[], None]) -> int:
         """Black, and the stage at its speed, in step with the cable and a little before the angle of a slot."""
         self._begin(first)
         self._blackout.own()
@@ -74,6 +75,7 @@ class SpinningPlayer:
             return self._refreshed
 
         self._turning.up(first, refresh)
+        return round(LEAD * SECOND)
 
     def facts(self) -> dict[str, Any]:
         """Where pose 0 is on the stage [deg]: whole turns."""
@@ -158,13 +160,7 @@ class SpinningPlayer:
 
     def halt(self) -> None:
         """Black, and the stage to rest; each whatever the other did."""
-        failed: list[BaseException] = []
-        for act in (self.machines.stage.stop, self._blackout.off, self.machines.stage.wait):
-            try:
-                act()
-            except BaseException as error:  # who presses the keys twice shall not leave the motor running
-                failed.append(error)
-        if failed:
+        if failed := insist(self.machines.stage.stop, self._blackout.off, self.machines.stage.wait):
             raise failed[0]
 
     def amends(self) -> bool:

@@ -17,6 +17,7 @@ import numpy as np
 from vamgpu.errors import BadInput, DeviceError, DeviceLost, Underrun
 from vamgpu.hosts.drivers.dmd import SlotTiming
 from vamgpu.hosts.drivers.stream import PlaneStream
+from vamgpu.hosts.insist import insist
 from vamgpu.hosts.pictures.stream import Pictures
 from vamgpu.hosts.pictures.supply import Dark, Supply, guard, length
 from vamgpu.hosts.pictures.underrun import Underruns
@@ -84,7 +85,7 @@ class TriggeredPlayer:
         self._first = self._kept = self._counted = self._sent = self._looked = 0
 
     # ---- before the light ------------------------------------------------------------------------------------
-    def prime(self, first: int, alive: Callable[[], None]) -> None:
+    def prime(self, first: int, alive: Callable[[], None]) -> int:
         """Mirrors and buffers full, the motion at its speed, black pictures and first rows queued."""
         controller = self.machines.controller
         self._first = self._kept = first
@@ -106,6 +107,7 @@ class TriggeredPlayer:
         self._sent, self._alive = 0, alive
         self._send(controller.capacity)
         controller.end(len(self.schedule) - first + PREROLL)
+        return round(approach.ahead(start, self._origin) * SECOND) + PREROLL * self._apart
 
     def _kept_power(self, status: Status) -> None:
         """Raise `DeviceLost` where the controller forgot what it showed in the last leg, and so where the motor is."""
@@ -223,17 +225,12 @@ class TriggeredPlayer:
     # ---- after the light -------------------------------------------------------------------------------------
     def finish(self) -> None:
         """End after the picture on its way, so that none is cut."""
-        self.machines.controller.end(self.machines.controller.status().shown + 1)
+        rows = len(self.schedule) - self._first + PREROLL
+        self.machines.controller.end(min(self.machines.controller.status().shown + 1, rows))
 
     def halt(self) -> None:
         """The motion to rest, rows dropped, mirrors dark; each whatever the one before it did."""
-        failed: list[BaseException] = []
-        for act in (self.machines.controller.stop, self._close):
-            try:
-                act()
-            except BaseException as error:  # who presses the keys twice shall not leave the motor running
-                failed.append(error)
-        if failed:
+        if failed := insist(self.machines.controller.stop, self._close):
             raise failed[0]
 
     def _close(self) -> None:

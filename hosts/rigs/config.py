@@ -152,7 +152,7 @@ def parse_rig(text: str, settings: Iterable[str] = (), *, source: str = "rig") -
     if not isinstance(text, str):
         raise JobError(f"the rig's text is {text!r}; wanted the text of a TOML file")
     try:
-        given = tuple(settings)
+        given = (settings,) if isinstance(settings, str) else tuple(settings)
         return RigConfig(checked(RigFile, text, given, source=source)[0], text, source, given)
     except JobError as error:
         alone = "[[projector]]" not in text

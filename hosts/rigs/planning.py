@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from vamgpu.hosts.rigs.works import Kind, Work, work
 from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming
 from vamgpu.hosts.schedules.moving import sla, turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.hosts.schedules.timing import every
+from vamgpu.hosts.schedules.timing import DAY, SECOND, every, whole
 from vamgpu.hosts.schedules.video import vial
 from vamgpu.optics.lens import TunableLens
 from vamgpu.quantity import parse
@@ -33,6 +34,8 @@ UNITS: dict[Kind, str] = {"vial": "deg/s", "web": "mm/s", "slices": "mm/h"}
 """Of a speed that is a plain number."""
 USUAL = 40.0
 """Speed of a vial [deg/s] unless told otherwise."""
+SLOTS = 10**7
+"""Most pictures of a print; more are a slip of the pen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +95,8 @@ class Plan:
 
 
 def plan(
-    jobs: str | Path | Sequence[str | Path], rig: RigConfig, *, speed: float | str | None = None, turns: int = 1,
-    rehearsed: bool = False, device: str | Device | None = None,
+    jobs: str | Path | Sequence[str | Path], rig: RigConfig, *, speed: float | Fraction | str | None = None,
+    turns: int = 1, rehearsed: bool = False, device: str | Device | None = None,
 ) -> Plan:  # fmt: skip
     """Jobs on a rig, one for each projector.
 
@@ -110,6 +113,8 @@ def plan(
     if wrong := [path for path in paths if not isinstance(path, (str, Path))]:
         raise BadInput(f"a job is {wrong[0]!r}; wanted the path of its folder")
     works = tuple(work(path, device or ("numpy" if rehearsed else None)) for path in paths)
+    if whole("turns", turns) * works[0].poses > SLOTS:
+        raise BadInput(f"{turns} turns of {works[0].poses} pictures; wanted {SLOTS} pictures at most: take fewer turns")
     _alike(works, rig)
     going = _speed(works[0], speed)
     focus = _focus(works[0], rig)
@@ -156,7 +161,7 @@ def _named(kind: str) -> str:
     return {"vial": "vials", "web": "webs"}.get(kind, kind)
 
 
-def _speed(first: Work, speed: float | str | None) -> float:
+def _speed(first: Work, speed: float | Fraction | str | None) -> float:
     """In deg/s or mm/s."""
     unit = UNITS[first.kind]
     if speed is None:
@@ -164,6 +169,8 @@ def _speed(first: Work, speed: float | str | None) -> float:
         if going is None:
             raise BadInput(f"{first.path!r} does not say how fast it moves; give its speed [{unit}]")
         return going
+    if isinstance(speed, Fraction):
+        speed = float(speed)
     if isinstance(speed, str) and first.kind != "vial" and not _number(speed):
         try:
             return parse(speed, "a speed")
@@ -226,6 +233,8 @@ def _schedule(
 ) -> Schedule:
     wanted, planes = rig.wanted, max(len(first.depths), 1)
     pose = 360.0 / first.poses / speed if first.advance is None else first.advance / speed
+    if pose * SECOND > DAY:
+        raise BadInput(f"at that speed a picture lasts {pose:.3g} s; wanted a day at most: move faster")
     sections = wanted.projector * len(mirrors) if wanted.emulated else wanted.projector
     engines = tuple(
         MirrorTiming(

@@ -10,16 +10,11 @@ from vamgpu.errors import BadInput
 from vamgpu.hosts.players.cable import VideoMachines
 from vamgpu.hosts.players.mirrors import Machines
 from vamgpu.hosts.record import Run, RunFolder, read_run
-from vamgpu.hosts.resume import Interrupted, interrupted
-from vamgpu.hosts.rigs.config import RigConfig, parse_rig
+from vamgpu.hosts.resume import Interrupted, interrupted, left_in
+from vamgpu.hosts.rigs.config import RigConfig, RigFile, parse_rig
 from vamgpu.hosts.rigs.planning import Plan
 from vamgpu.hosts.run import Limits
 from vamgpu.storage.atomic import explained
-
-AGAIN = {"rig": True, "safety": True, "camera": True, "camera_stage": True, "photodiode": True} | dict.fromkeys(
-    ("controller", "lens", "stage"), {"port"}
-)
-"""What of a rig's file may change before a print goes on."""
 
 
 def limits(rig: RigConfig) -> Limits:
@@ -47,36 +42,55 @@ def _digest(job: Path) -> str:
     return sha256(repr(files or job.name).encode()).hexdigest()
 
 
-def left_by_a_host(planned: Plan, machines: Machines | VideoMachines, folder: str | Path) -> Interrupted:
-    """What a host left in a folder, of the same print. Raises `BadInput`, `StorageError`."""
-    if isinstance(machines, VideoMachines):
+def may_go_on(planned: Plan, folder: str | Path) -> None:
+    """Raise `BadInput`, `StorageError` where a folder holds no print of this plan that could be gone on with.
+
+    Ask before machines are opened: a controller that is opened forgets what it showed for the host that died.
+    """
+    if planned.display is not None:
         raise BadInput(
             "a video projector went on with its last picture while the vial turned, until the lease was over: this "
             "print cannot be gone on with; begin it anew with fresh resin"
         )
     before = read_run(folder)
-    _same_rig(planned.rig, before)
     asked, wanted = before.asked, asked_for(planned)
     names = ("digests", "kind", "slots", "speed", "stop")
     if different := [name for name in names if name in asked and asked[name] != wanted[name]]:
         told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
         raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
+    _same_rig(planned.rig, before)
+    left_in(folder, limits(planned.rig))
+
+
+def left_by_a_host(planned: Plan, machines: Machines | VideoMachines, folder: str | Path) -> Interrupted:
+    """What a host left in a folder, of the same print. Raises `BadInput`, `StorageError`."""
+    may_go_on(planned, folder)
     return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))
 
 
 def _same_rig(rig: RigConfig, run: Run) -> None:
     """Raise `BadInput` for a rig whose light or motion is another than the one that began a print."""
-    file = run.path / "rig.toml"
+    file, given = run.path / "rig.toml", run.asked.get("settings", ())
     try:
-        first = parse_rig(file.read_text(encoding="utf-8"), run.asked.get("settings", ()), source=str(file))
+        first = parse_rig(file.read_text(encoding="utf-8"), given, source=str(file))
     except OSError as error:
         raise explained("read", file, error) from error
-    began, now = (read.wanted.model_dump(exclude=AGAIN) for read in (first, rig))
+    began, now = (_light(read.wanted) for read in (first, rig))
     if different := [name for name in now if now[name] != began[name]]:
+        settings = "".join(f" --set {setting!r}" for setting in given)
         raise BadInput(
             f"the rig has other values in [{'], ['.join(different)}] than the one that began {str(run.path)!r}: the "
-            "rest would get another light; print with those of its own rig.toml"
+            f"rest would get another light; print with --rig {str(file)!r}{settings}"
         )
+
+
+def _light(rig: RigFile) -> dict[str, Any]:
+    """What of a rig's file must stay as it is before a print goes on."""
+    told = rig.model_dump(exclude={"rig", "safety", "camera", "camera_stage", "photodiode"})
+    for section in (told["controller"], *told["projector"], told["lens"], told["stage"]):
+        for name in ("port", "library"):
+            (section or {}).pop(name, None)
+    return told
 
 
 def run_folder(planned: Plan, folder: str | Path, left: Interrupted | None) -> RunFolder:

@@ -77,6 +77,7 @@ class LightGuard:
         self._fault: str | None = None
         self._outside = False
         self._before: dict[int, Any] = {}
+        self.signalled = False
 
     # ---- as a context --------------------------------------------------------------------------------------
     def __enter__(self) -> LightGuard:
@@ -183,6 +184,7 @@ class LightGuard:
     def _signalled(self, why: str) -> None:
         """Make it dark from a signal, whose thread may hold what a thread waits for that is making it dark already."""
         self.lease.revoke()
+        self.signalled = True
         if self._lock.acquire(timeout=HELD_UP):
             try:
                 self.fail(why)

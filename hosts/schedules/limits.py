@@ -101,7 +101,7 @@ class MirrorTiming:
             exact(f"picture time of {whole('bits of a picture', bits)} bits [s]", value)
         whole("memory [bit planes]", self.memory, 0)
         if self.row_bytes is not None:
-            whole("row_bytes", self.row_bytes)
+            object.__setattr__(self, "row_bytes", whole("row_bytes", self.row_bytes))
         nanoseconds("dark [s]", self.dark)
         if self.delay > nanoseconds("greatest_delay [s]", self.greatest_delay):
             raise BadInput(f"trigger_delay is {self.trigger_delay} s; the device has at most {self.greatest_delay} s")

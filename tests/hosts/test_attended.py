@@ -93,10 +93,10 @@ def test_who_presses_resume_twice_can_still_pause(job: tuple[Print, Board, Path]
     until(lambda: board.now.state is State.PAUSED)
     prime, ready = run.player.prime, threading.Event()
 
-    def slowly(first: int, alive: Callable[[], None]) -> None:
+    def slowly(first: int, alive: Callable[[], None]) -> int:
         board.buttons["resume"]()  # nothing was seen to happen yet
         ready.set()
-        prime(first, alive)
+        return prime(first, alive)
 
     monkeypatch.setattr(run.player, "prime", slowly)
     board.buttons["resume"]()

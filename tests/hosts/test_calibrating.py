@@ -188,7 +188,7 @@ def test_real_rigs_open_real_machines_or_none(tmp_path: Path) -> None:
         parse_rig(text + '[camera]\ndriver = "genicam"\n')
     with pytest.raises(JobError, match="port"):
         parse_rig(text + '[photodiode]\ndriver = "scpi"\n')
-    with pytest.raises(JobError, match="some machines are emulated"):
+    with pytest.raises(JobError, match="photodiode: is emulated and projector is real"):
         parse_rig(text + '[photodiode]\ndriver = "emulated"\n')
 
 

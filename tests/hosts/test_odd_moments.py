@@ -103,6 +103,50 @@ def test_keys_pressed_twice_leave_no_motor_running(run: Path) -> None:
     assert read_run(run).state is State.CANCELLED
 
 
+def test_a_key_in_the_halt_leaves_no_motor_running(run: Path) -> None:
+    """The second key comes while the controller is told to stop, before the line has left."""
+    scene, presses = Scene(run, roll()), [1]
+    stop = scene.machines.controller.stop
+
+    def pressed() -> None:
+        if presses:
+            presses.pop()
+            raise KeyboardInterrupt
+        stop()
+
+    scene.machines.controller.stop = pressed  # type: ignore[method-assign]
+    wait = scene.player.wait
+
+    def first() -> None:
+        if scene.print.next == 5:
+            raise KeyboardInterrupt
+        wait()
+
+    scene.player.wait = first  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt):
+        scene.print.run()
+    scene.bench.clock.sleep(5 * SECOND)
+    assert not presses and scene.bench.controller.web.velocity(scene.bench.clock.now()) == 0
+    assert read_run(run).state is State.CANCELLED
+
+
+@pytest.mark.parametrize("late", [k / 20 for k in range(10)])
+def test_a_pause_in_the_last_picture_is_the_end(run: Path, late: float) -> None:
+    scene = Scene(run, roll(10))
+    with scene.print.guard:
+        scene.print.begin(0)
+        scene.until(8)
+        scene.print.lease.keep(force=True)
+        scene.bench.clock.sleep(round(late * 0.4 * SECOND))
+        scene.print.pause()
+        for _ in range(60):
+            scene.player.wait()
+            if not scene.print.step():
+                break
+    assert scene.print.states.state in (State.COMPLETE, State.PAUSED) and not scene.bench.controller.light
+    assert scene.print.states.state is State.COMPLETE or scene.print.next < 10
+
+
 # ---- what was shown, and how often ---------------------------------------------------------------------------
 def test_what_is_lit_while_a_print_is_judged_enough_is_kept(run: Path) -> None:
     def enough() -> str | None:
@@ -171,6 +215,29 @@ def test_a_rest_counts_until_there_is_light_again(run: Path) -> None:
     assert len(scene.bench.controller.intervals) == before and not scene.bench.controller.light
 
 
+def test_a_rest_counts_what_a_vial_still_turns(run: Path) -> None:
+    """At 10 deg/s the next pose comes round after up to 36 s."""
+    scene = Scene(run, turned(60, speed=10, engines=MIRRORS), limits=Limits(resume=20 * SECOND))
+    scene.paused()
+    scene.bench.clock.sleep(SECOND)
+    before = len(scene.bench.controller.intervals)
+    with pytest.raises(BadInput, match="forgotten"):
+        scene.print.run()
+    assert len(scene.bench.controller.intervals) == before and not scene.bench.controller.light
+
+
+@pytest.mark.parametrize("speed", [6, 40, 41.7, 90])
+def test_a_vial_begins_within_a_run_up(run: Path, speed: float) -> None:
+    """And not a turn later, for a rounding of half a microstep."""
+    scene = Scene(run, turned(120, speed=speed, engines=MIRRORS))
+    with scene.print.guard:
+        began = scene.bench.clock.now()
+        scene.print.begin(0)
+        scene.until(1)
+        passed = (scene.bench.clock.now() - began) / SECOND
+    assert passed < 4.0 + 6.0 * 3.0 / speed, "seconds from rest to the first picture"
+
+
 def test_a_controller_that_was_reset_at_rest_is_told(run: Path) -> None:
     scene = Scene(run, roll())
     scene.paused()
@@ -202,6 +269,14 @@ def test_another_host_knows_whether_a_leg_had_begun(run: Path, begun: bool) -> N
     machines = scene.bench.machines(STEPS / 0.0785)
     found = interrupted(run, machines.controller, roll(120))
     assert found.recorded >= rested and found.first >= shown and (found.first == rested) is not begun
+
+
+def test_a_controller_that_tells_nothing_is_not_gone_on_with(run: Path) -> None:
+    scene = Scene(run, roll())
+    scene.paused()
+    scene.machines.controller.before = None
+    with pytest.raises(BadInput, match="does not tell what it did"):
+        interrupted(run, scene.machines.controller, roll())
 
 
 def test_a_clock_that_was_set_back_is_told(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,18 +7,26 @@ from pathlib import Path
 
 import pytest
 
-from vamgpu.hosts.rigs.config import parse_rig
+from vamgpu.hosts.rigs import config
+from vamgpu.hosts.rigs.config import RigFile, parse_rig
 
 HERE = Path(__file__).parent
 TEXT = (HERE.parents[1] / "hosts" / "README.md").read_text(encoding="utf-8")
 ROWS = [line for line in TEXT.partition("## Faults")[2].splitlines() if line.startswith("| ") and ".py" in line]
 
 
-def test_its_rig_is_read() -> None:
-    block = re.search(r"```toml\n(.*?)```", TEXT, re.S)
-    assert block is not None
-    wanted = parse_rig(block[1]).wanted
-    assert wanted.rig.machine == "web" and wanted.safety.lease == 0.25 and wanted.lens is not None
+def test_its_rigs_are_read() -> None:
+    web, vial = (parse_rig(block).wanted for block in re.findall(r"```toml\n(.*?)```", TEXT, re.S))
+    assert web.rig.machine == "web" and web.safety.lease == 0.25 and web.lens is not None
+    assert vial.rig.machine == "vial" and vial.camera is not None and vial.light.power == 0.8
+
+
+@pytest.mark.parametrize("table", list(RigFile.model_fields))
+def test_each_key_of_a_rig_is_listed(table: str) -> None:
+    row = next(line for line in TEXT.splitlines() if line.startswith(f"| `[{table}]` |"))
+    kinds = re.findall(r"[\w.]+Section", str(RigFile.model_fields[table].annotation))
+    section = getattr(config, kinds[0].rsplit(".", 1)[-1])
+    assert not [key for key in section.model_fields if f"`{key}`" not in row]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.split("|")[1].strip()[:40])

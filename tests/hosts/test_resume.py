@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vamgpu.cli import main
 from vamgpu.errors import BadInput
 from vamgpu.hosts.record import RunFolder, read_run
-from vamgpu.hosts.rig import Plan, Rehearsal, carry_out, limits, plan, player, rehearsal
+from vamgpu.hosts.rig import Plan, Rehearsal, carry_out, limits, may_go_on, plan, player, rehearsal
 from vamgpu.hosts.rigs.config import EMULATED, parse_rig
 from vamgpu.hosts.rigs.runs import asked_for
 from vamgpu.hosts.run import Print
@@ -19,6 +20,18 @@ from vamgpu.hosts.state import State
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
+
+LAB = """
+[rig]
+name = "bench"
+machine = "vial"
+[controller]
+driver = "vam-controller"
+port = "/dev/does-not-exist"
+[projector]
+driver = "alp"
+library = "/does/not/exist.so"
+"""
 
 
 @pytest.fixture
@@ -74,3 +87,29 @@ def test_what_leaves_the_light_as_it_is_may_change(job: Path, tmp_path: Path) ->
     _, machines = died(planned(job), tmp_path / "run")
     calmer = planned(job, "safety.resume=20 s", "camera.exposure=4 ms")
     assert carry_out(calmer, machines, tmp_path / "run", resume=True)[0] is State.COMPLETE
+
+
+def test_a_refusal_forgets_nothing(job: Path, tmp_path: Path) -> None:
+    """A command that is refused opens no controller, which would forget what it showed for the host that died."""
+    path = tmp_path / "run"
+    stand, _ = died(planned(job, "light.power=0.5"), path)
+    shown = stand.bench.controller.shown
+    with pytest.raises(BadInput, match=r"\[light\].*--set 'light.power=0.5'"):
+        may_go_on(planned(job), path)
+    with pytest.raises(BadInput, match="speed 40.0 in place of 50.0"):
+        may_go_on(plan(job, parse_rig(EMULATED, ("light.power=0.5",), source="emulated"), speed=50.0), path)
+    may_go_on(planned(job, "light.power=0.5"), path)
+    assert stand.bench.controller.shown == shown
+
+
+def test_the_command_asks_before_it_opens_machines(
+    job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    carry_out(planned(job), rehearsal(planned(job)).machines, tmp_path / "run")
+    opened: list[int] = []
+    monkeypatch.setattr("vamgpu.hosts.rig.opened", lambda *_, **__: opened.append(1))
+    rig = tmp_path / "lab.toml"
+    rig.write_text(LAB)
+    assert main(["print", str(job), "--rig", str(rig), "--resume", str(tmp_path / "run")]) == 1
+    told = capsys.readouterr().err
+    assert "the rig has other values in [controller], [projector]" in told and not opened

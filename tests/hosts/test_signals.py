@@ -72,6 +72,18 @@ def test_a_signal_in_the_wait_for_a_turn_loses_no_turn(alarm: int, given: bool) 
     assert not turns._held
 
 
+def test_a_signal_before_a_thread_has_joined_gives_no_turn_away(alarm: int) -> None:
+    """It waits for the lock inside, which another thread holds for a moment."""
+    turns = Turns()
+    turns._held = True  # another thread's
+    turns._lock.acquire()
+    signalled(alarm, lambda: None)
+    with pytest.raises(Alarm), turns:
+        raise AssertionError("nobody gave a turn")
+    turns._lock.release()
+    assert turns._held and not turns._waiting
+
+
 def test_a_signal_does_not_wait_for_who_waits_for_its_thread(request: pytest.FixtureRequest) -> None:
     """The main thread is in an exchange on the line; a page's stop waits for the line, and a signal comes."""
     request.addfinalizer(lambda: signal.signal(signal.SIGTERM, before))

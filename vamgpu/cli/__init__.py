@@ -21,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             warnings.showwarning = _warn
             return int(app(arguments, result_action="return_value", exit_on_error=True) or 0)
     except (Cancelled, KeyboardInterrupt):
-        sys.stderr.write("\nstopped; nothing half-written was left\n")
+        sys.stderr.write("\nstopped; results appear whole or not at all, and a run's folder says how far it came\n")
         return 130
     except VamError as error:
         sys.stderr.write("".join(f"error: {line}\n" for line in str(error).splitlines()))

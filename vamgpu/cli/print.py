@@ -127,9 +127,11 @@ def _demo(screen: Console, place: Path) -> Path:
 def _printed(screen: Console, planned: Plan, place: Path, board: Board | None, resume: bool) -> int:
     """Print, and say what became of it; the exit status."""
     from vamgpu.hosts.record import read_run, timing
-    from vamgpu.hosts.rig import carry_out, check, close, opened, rehearsal
+    from vamgpu.hosts.rig import carry_out, check, close, may_go_on, opened, rehearsal
     from vamgpu.hosts.state import State
 
+    if resume:
+        may_go_on(planned, place)
     stand = rehearsal(planned, paced=board is not None) if planned.rehearsed else None
     machines = opened(planned.rig, camera=planned.stop is not None) if stand is None else stand.machines
     try:
@@ -140,13 +142,14 @@ def _printed(screen: Console, planned: Plan, place: Path, board: Board | None, r
     finally:
         close(machines)
     run = read_run(place)
-    early = -timing(run.shown)["late_ns"]["max"] * 1e-6
-    screen.print(f"{state.value}: {len(run.shown)} pictures, at the mirrors {early:.1f} ms early or more")
+    late = timing(run.shown)["late_ns"]["max"] * 1e-6
+    told = f"at the mirrors {-late:.1f} ms early or more" if late < 0 else f"{late:.1f} ms late at most"
+    screen.print(f"{state.value}: {len(run.shown)} pictures" + (f", {told}" if len(run.shown) else ""))
     if run.message:
         missed = planned.stop is not None and not any(event["event"] == "enough" for event in run.events)
         screen.print(f"stop    [{'yellow' if missed else 'bold'}]{escape(run.message)}[/]")
     screen.print(f"run     [bold]{escape(str(place))}[/]")
-    if stand is not None:
+    if stand is not None and len(run.shown):
         lit = run.shown[(run.shown["engine"] == 0) & (run.shown["dark"] == 0)]
         seen = None if planned.stop is None else lit["frame"]
         screen.print(f"resin   {escape(str(stand.witness.verdict(seen)))}")
