@@ -70,7 +70,7 @@ class FakeAlp(EmulatedSequences):
                 with self.clock.lock:
                     self.advance(self.clock.now())
                     return method(*arguments) or 0
-            except Exception as error:  # C code cannot pass it on
+            except BaseException as error:  # C code cannot pass it on, a key that was pressed as little
                 self.crash = error
                 return FAILED
 
