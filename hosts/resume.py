@@ -9,6 +9,7 @@ from typing import Any
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.players.approach import Origin
 from vamgpu.hosts.protocols.controller import Status
 from vamgpu.hosts.record import Run, RunFolder, Shown, read_run
 from vamgpu.hosts.run import Limits, may_resume
@@ -19,7 +20,7 @@ from vamgpu.hosts.state import State
 
 @dataclass(frozen=True, eq=False)
 class Interrupted:
-    """A print that a host left. first: the next slot.  recorded: slots in its folder.  origin: of pose 0 on the motor.
+    """A print that a host left. first: the next slot.  recorded: slots in its folder.  origin: see `Origin`.
 
     lost: poses that were black, of each projector.  sign: when it gave its last sign, by the clock of its days [s].
     """
@@ -27,7 +28,7 @@ class Interrupted:
     run: Run
     first: int
     recorded: int
-    origin: float
+    origin: Origin
     lost: tuple[tuple[int, ...], ...]
     sign: float
 
@@ -89,25 +90,26 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
     """
     left = left_in(path, limits)
     run, leg, before = left.run, left.leg, controller.before
-    if before is None:
+    if before.zero != leg.get("zero"):
         raise BadInput(
-            f"the controller does not tell what it did for the host of {str(path)!r}, so nobody knows what was shown "
-            "and where the motor is; begin anew with fresh resin"
+            f"the controller does not know the print of {str(path)!r}: it lost its power, was reset when its port was "
+            "opened, or another print began, so nobody knows where the motor is; begin anew with fresh resin"
         )
     slots = run.shown["slot"]
     recorded = int(slots.max()) + 1 if len(slots) else 0
     shown = leg["first"] + _counted(before, leg["first"], recorded, leg["preroll"])
     if shown < recorded:
         raise BadInput(
-            f"the folder holds {recorded} pictures, the controller knows of {max(shown, 0)}: it lost its power or was "
-            "opened by another program, so nobody knows where the motor is; begin anew with fresh resin"
+            f"the folder holds {recorded} pictures, the controller counts {shown}: another program let it play, so "
+            "nobody knows what the resin saw; begin anew with fresh resin"
         )
     dark = run.shown[run.shown["dark"] > 0]
     if shown >= len(schedule):
         missed = f", {len(dark)} of them black: only the host that planned them shows them again" if len(dark) else ""
         raise BadInput(f"{str(path)!r} has shown all its {len(schedule)} slots{missed}; nothing is left to print")
     lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
-    return Interrupted(run, shown, recorded, float(leg["origin"]), tuple(map(tuple, lost)), left.sign)
+    origin = Origin(leg["origin"], leg["zero"])
+    return Interrupted(run, shown, recorded, origin, tuple(map(tuple, lost)), left.sign)
 
 
 def _counted(before: Status, first: int, recorded: int, preroll: int) -> int:
@@ -117,4 +119,4 @@ def _counted(before: Status, first: int, recorded: int, preroll: int) -> int:
     of the leg before.
     """
     waits = before.row < before.shown and recorded <= first
-    return 0 if waits else before.shown - preroll
+    return 0 if waits else max(before.shown - preroll, 0)

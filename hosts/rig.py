@@ -12,6 +12,7 @@ from vamgpu.geometry import positive
 from vamgpu.hosts.attended import attended
 from vamgpu.hosts.board import Board
 from vamgpu.hosts.exposure import Watch
+from vamgpu.hosts.players.approach import Origin
 from vamgpu.hosts.players.cable import CablePictures, VideoMachines
 from vamgpu.hosts.players.mirrors import Machines
 from vamgpu.hosts.players.player import Player
@@ -60,7 +61,7 @@ def check(planned: Plan, machines: Machines | VideoMachines, seconds: float = 2.
 
 
 def player(
-    planned: Plan, machines: Machines | VideoMachines, found: Judged | None = None, origin: float | None = None
+    planned: Plan, machines: Machines | VideoMachines, found: Judged | None = None, origin: Origin | None = None
 ) -> Player:
     """What plays a plan on its machines. found: by `check`.  origin: see `TriggeredPlayer`."""
     found = found or check(planned, machines)

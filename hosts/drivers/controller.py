@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Self
 
-from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
+from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 from vamgpu.hosts.protocols import controller as protocol
 from vamgpu.hosts.protocols.controller import Reply, Row, Status
@@ -31,8 +31,8 @@ REASONS = {
 class Controller:
     """The controller; every command is answered, and repeated if the answer does not come or is garbled.
 
-    ``microsteps_per_mm`` turns the web's distances into microsteps. ``before`` is what it last did for an earlier host,
-    which a print that is taken up again must know; a board that resets when its port is opened knows nothing of it.
+    ``microsteps_per_mm`` turns the web's distances into microsteps. ``before`` is what it did for an earlier host, as a
+    print that is taken up again must know; a board that resets when its port is opened knows nothing of it.
     What the controller says by itself is collected in ``events`` as words.
     """
 
@@ -59,7 +59,6 @@ class Controller:
         self._wire.drain()
         self._wire.send(b"\n")
         self._wire.drain()
-        self.before = self._before()
         try:
             words = self.ask("hello")
             name, version, capacity, longest, channels = words[0], int(words[1]), *(int(word) for word in words[2:5])
@@ -71,14 +70,7 @@ class Controller:
                 "load the sketch that comes with this library"
             )
         self.capacity, self.longest_lease_ms, self.channels = capacity, longest, channels
-
-    def _before(self) -> Status | None:
-        """What it did for an earlier host; None where it does not tell."""
-        try:
-            return self.status()
-        except (DeviceError, ProtocolError) as error:
-            log.info("%s: no status before hello (%s)", self._wire.name, error)
-            return None
+        self.before = self.status()
 
     def ask(self, verb: str, *arguments: object) -> tuple[str, ...]:
         """Send a command and return the words of its answer.
@@ -213,9 +205,9 @@ class Controller:
                 f"steps {most:.4g} at most: go slower, or take fewer microsteps"
             )
 
-    def zero(self) -> None:
-        """Call this position of the web 0."""
-        self.ask("zero")
+    def zero(self, number: int = 1) -> None:
+        """Call this position of the web 0. number: 1 to 65535, by which a later host knows this zero again."""
+        self.ask("zero", number)
 
     def status(self) -> Status:
         """What the controller does now."""

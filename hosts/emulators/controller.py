@@ -18,14 +18,14 @@ from vamgpu.hosts.emulators.served import serve
 MILLI = 1_000_000
 LONGEST_LEASE_MS = 1000
 CAPACITY = 256
-LONGEST_LINE = 96
+LONGEST_LINE = 128
 GREATEST = 10**15
 """The greatest count of microseconds or microsteps, some thirty years."""
 LONGEST_US = 2**31 - 1
 NUMBER = re.compile(r"-?[0-9]{1,18}")
 ARGUMENTS = {
     "hello": 0, "lease": 1, "arm": 0, "disarm": 0, "power": 2, "light": 1, "mode": 1, "row": 6, "end": 1, "go": 0,
-    "move": 1, "ramp": 1, "zero": 0, "stop": 0, "stat": 0,
+    "move": 1, "ramp": 1, "zero": 1, "stop": 0, "stat": 0,
 }  # fmt: skip
 
 
@@ -101,9 +101,8 @@ class EmulatedController(RowPlayer):
 
     def _do_hello(self, now: int) -> str:
         self.close("hello", now)
-        self.reset()
         self.web.acceleration = RAMP
-        return f"ok vam-controller 1 {self.capacity} {LONGEST_LEASE_MS} {self.channels}"
+        return f"ok vam-controller 2 {self.capacity} {LONGEST_LEASE_MS} {self.channels}"
 
     def _do_lease(self, now: int, milliseconds: int) -> str:
         if not 1 <= milliseconds <= LONGEST_LEASE_MS:
@@ -145,6 +144,7 @@ class EmulatedController(RowPlayer):
             return "no state"
         if mode not in ("time", "steps"):
             return "no range"
+        self._drop()
         self.steps_mode = mode == "steps"
         return "ok"
 
@@ -191,18 +191,24 @@ class EmulatedController(RowPlayer):
         self.web.acceleration = float(acceleration)
         return "ok"
 
-    def _do_zero(self, now: int) -> str:
+    def _do_zero(self, now: int, number: int) -> str:
         if self.running:
             return "no state"
+        if not 1 <= number <= 65535:
+            return "no range"
+        self.zero = number
         self.web.set_position(now, 0.0)
         return "ok"
 
     def _do_stop(self, now: int) -> str:
         self.close("stop", now)
-        self.rows.clear()
-        self.next_row, self.total = 0, None
+        self._drop()
         self.web.run(now, 0.0)
         return "ok"
+
+    def _drop(self) -> None:
+        self.rows.clear()
+        self.next_row, self.total = 0, None
 
     def _do_stat(self, now: int) -> str:
         state = "fault" if self.fault != "none" else "running" if self.running else "done" if self.done else "idle"
@@ -211,7 +217,8 @@ class EmulatedController(RowPlayer):
         lease = max((self.lease_end or now) - now, 0) // MILLI
         numbers = (
             self.next_row, self.shown, self.late, self.capacity - len(self.rows), self.microsteps(now),
-            round(self.web.velocity(now) * 1000), lease, self.light, int(self.armed), int(self.interlock_closed),
+            round(self.web.velocity(now) * 1000), self.zero, lease, self.light, int(self.armed),
+            int(self.interlock_closed),
         )  # fmt: skip
         return " ".join(["ok", state, *map(str, numbers), self.fault])
 

@@ -41,16 +41,12 @@ class RowPlayer:
         self.row_times: deque[tuple[int, int]] = deque(maxlen=4096)
         self.light = 0
         self._lit_at = 0
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget rows, lease and mode."""
         self.armed = self.running = self.done = False
         self.fault = "none"
         self.lease_end: int | None = None
         self.steps_mode = False
         self.rows: deque[tuple[int, int, int | None, int, int, int]] = deque()
-        self.next_row = self.shown = self.late = 0
+        self.next_row = self.shown = self.late = self.zero = 0
         self.total: int | None = None
         self.started = self._floor = 0
         self._fired = -TRIGGER_GAP

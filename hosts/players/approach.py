@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.protocols.controller import FASTEST
+from vamgpu.hosts.protocols.controller import FASTEST, NUMBERS
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.rows import Rows
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.hosts.schedules.timing import SECOND
+from vamgpu.hosts.schedules.timing import SECOND, fraction, whole
 
-LOOK = 20_000_000
+MILLI = 1_000_000
+LOOK = 20 * MILLI
 """Between two looks at the machines [ns]."""
 PATIENCE = 3.0
 """Longest wait for the motion to have its speed, in times that the run-up takes at it."""
@@ -23,6 +25,22 @@ RUN_UPS = 4
 """How often a longer run-up is tried."""
 WINDOW = 1_000_000_000
 """Over which the motion's speed is judged [ns]."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where pose 0 of a print is on the motor.
+
+    at: in the schedule's unit, from the controller's position 0.  zero: the number under which the controller has it.
+    Raises `BadInput`.
+    """
+
+    at: float
+    zero: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "at", float(fraction("origin", self.at)))
+        whole("number of the zero", self.zero)
 
 
 class Motion:
@@ -55,21 +73,26 @@ class Approach:
         self._per_mm = controller.microsteps_per_mm / microsteps
         self._run_up = 4 * float(schedule.advance) + 1.6 * self._speed
 
-    def fresh(self, time: int) -> float:
-        """Where pose 0 is, if a motor at 0 is to be at a run-up's distance from a time of the schedule [ns]."""
-        return self._run_up + 1 / self._microsteps - float(self._schedule.position_at(time))
+    def fresh(self, time: int) -> Origin:
+        """A zero here, with room for a run-up to a time of the schedule [ns].
 
-    def to(self, time: int, origin: float, alive: Callable[[], None]) -> float:
+        Its number follows from the time, so that another print's zero has hardly ever the same.
+        """
+        zero = self._clock.now() // MILLI % (NUMBERS - 1) + 1
+        self._controller.zero(zero)
+        return Origin(self._run_up + 1 / self._microsteps - float(self._schedule.position_at(time)), zero)
+
+    def to(self, time: int, origin: Origin, alive: Callable[[], None]) -> Origin:
         """Run at the speed so that ``time`` of the schedule [ns] is still ahead; returns where pose 0 is then.
 
         Raises `InterlockOpen` for a motion that does not come to its speed.
         """
         run_up = self._run_up
         for _ in range(RUN_UPS):
-            origin = self._back(time, origin, run_up, alive)
+            origin = replace(origin, at=self._back(time, origin.at, run_up, alive))
             self._controller.move(self._speed / self._per_mm)
             self._at_speed(run_up, alive)
-            if self.ahead(time, origin) >= AHEAD:
+            if self.ahead(time, origin.at) >= AHEAD:
                 return origin
             run_up *= 2
         raise InterlockOpen(

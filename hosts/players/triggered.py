@@ -21,7 +21,7 @@ from vamgpu.hosts.insist import insist
 from vamgpu.hosts.pictures.stream import Pictures
 from vamgpu.hosts.pictures.supply import Dark, Supply, guard, length
 from vamgpu.hosts.pictures.underrun import Underruns
-from vamgpu.hosts.players.approach import LOOK, Approach, Motion
+from vamgpu.hosts.players.approach import LOOK, Approach, Motion, Origin
 from vamgpu.hosts.players.asking import Asking
 from vamgpu.hosts.players.mirrors import Machines, shows, usual
 from vamgpu.hosts.players.player import Look
@@ -31,7 +31,7 @@ from vamgpu.hosts.safety.lamp import ControllerLamp, Renewal
 from vamgpu.hosts.safety.light import Switch
 from vamgpu.hosts.schedules.rows import Rows
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
-from vamgpu.hosts.schedules.timing import SECOND, fraction, whole
+from vamgpu.hosts.schedules.timing import SECOND, whole
 
 PRIMING = 60 * SECOND
 """Longest wait for mirrors and buffers to be full before the light opens [ns]."""
@@ -51,14 +51,14 @@ class TriggeredPlayer:
 
     pictures: of each projector.  depth: pictures of a sequence of the mirrors, by default `length`.  sequences: of
     them; enough for all pictures make them resident.  policy: decides on late pictures, one for each projector.
-    threaded: whether pictures are made and uploaded in threads; by default where time is real.  origin: of pose 0 on
-    the motor, where an earlier host began the print. Raises `BadInput`.
+    threaded: whether pictures are made and uploaded in threads; by default where time is real.  origin: of a print that
+    an earlier host began. Raises `BadInput`.
     """
 
     def __init__(
         self, schedule: Schedule, machines: Machines, pictures: Sequence[Pictures], *, depth: int | None = None,
         sequences: int = 2, policy: Callable[[Schedule], Underruns] = usual, threaded: bool | None = None,
-        origin: float | None = None,
+        origin: Origin | None = None,
     ) -> None:  # fmt: skip
         if len(pictures) != schedule.engines or len(machines.mirrors) != schedule.engines:
             raise BadInput(
@@ -79,42 +79,39 @@ class TriggeredPlayer:
         self._policies = tuple(policy(schedule) for _ in pictures)
         self._orders = [schedule.frame] * schedule.engines
         self._longest = int((schedule.dark - schedule.command).max(where=schedule.command != NONE, initial=0))
-        self._origin, self._added = None if origin is None else float(fraction("origin", origin)), 0
+        self._origin, self._added = origin, 0
         self._supplies: list[Supply] = []
         self._owed: list[Counter[int]] = [Counter() for _ in pictures]
-        self._first = self._kept = self._counted = self._sent = self._looked = 0
+        self._first = self._kept = self._sent = self._looked = 0
 
     # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:
         """Mirrors and buffers full, the motion at its speed, black pictures and first rows queued."""
         controller = self.machines.controller
         self._first = self._kept = first
-        self._kept_power(controller.status())
+        self._kept_zero()
+        controller.move(0.0)  # a host that died may have left it running
         self._fill(first, alive)
         controller.mode("steps")
         start = Rows(self.schedule).acts(first) - PREROLL * self._apart
         approach = Approach(self.schedule, controller, self.clock, self.machines.microsteps)
-        if self._origin is None:
-            controller.move(0.0)  # a host that died may have left it running
-            controller.zero()
-            self._origin = approach.fresh(start)
-        self._origin = approach.to(start, self._origin, alive)
+        self._origin = approach.to(start, self._origin or approach.fresh(start), alive)
         code = None if self.machines.lens is None else self.machines.lens.code
         channels = (1 << self.schedule.engines) - 1
-        self._rows = Rows(self.schedule, self.machines.microsteps, self._origin, code, channels)
+        self._rows = Rows(self.schedule, self.machines.microsteps, self._origin.at, code, channels)
         self._motion = Motion(self.schedule, self.machines.microsteps)
         self._ask = Asking(self.clock, controller.status, float(self.schedule.cadence.period) / 8)
         self._sent, self._alive = 0, alive
         self._send(controller.capacity)
         controller.end(len(self.schedule) - first + PREROLL)
-        return round(approach.ahead(start, self._origin) * SECOND) + PREROLL * self._apart
+        return round(approach.ahead(start, self._origin.at) * SECOND) + PREROLL * self._apart
 
-    def _kept_power(self, status: Status) -> None:
-        """Raise `DeviceLost` where the controller forgot what it showed in the last leg, and so where the motor is."""
-        if status.shown < self._counted:
+    def _kept_zero(self) -> None:
+        """Raise `DeviceLost` where the controller forgot where pose 0 of this print is."""
+        if self._origin is not None and self.machines.controller.status().zero != self._origin.zero:
             raise DeviceLost(
-                f"the controller knows of {status.shown} pictures where {self._counted} were shown: it lost its power "
-                "or was reset while the print rested, so nobody knows where the motor is; begin anew with fresh resin"
+                "the controller has another zero than this print: it lost its power or was reset while the print "
+                "rested, so nobody knows where the motor is; begin anew with fresh resin"
             )
 
     def _fill(self, first: int, alive: Callable[[], None]) -> None:
@@ -142,7 +139,8 @@ class TriggeredPlayer:
 
     def facts(self) -> dict[str, Any]:
         """Where pose 0 is on the motor."""
-        return {"origin": self._origin, "preroll": PREROLL}
+        assert self._origin is not None, "primed"
+        return {"origin": self._origin.at, "zero": self._origin.zero, "preroll": PREROLL}
 
     # ---- in the light ----------------------------------------------------------------------------------------
     def start(self) -> None:
@@ -156,12 +154,12 @@ class TriggeredPlayer:
         now, status = self._ask()
         after = [supply.shown() for supply in self._supplies]
         counts = (each for low, each in zip(before, after, strict=True) if not low <= status.shown <= each)
-        error = self._motion.error(now, status.position)
+        error, origin = self._motion.error(now, status.position), 0.0 if self._origin is None else self._origin.at
         pictures = self._since(status.shown)
-        self._looked, self._free, self._counted = now, status.free, status.shown
+        self._looked, self._free = now, status.free
         return Look(
             status.state == "running", error, next(counts, status.shown), status.shown, pictures,
-            status.position / self.machines.microsteps - (self._origin or 0.0),
+            status.position / self.machines.microsteps - origin,
             min(supply.share for supply in self._supplies),
             min(supply.ahead for supply in self._supplies) / self.schedule.rate, self._fault(status),
         )  # fmt: skip

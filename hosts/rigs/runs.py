@@ -45,7 +45,7 @@ def _digest(job: Path) -> str:
 def may_go_on(planned: Plan, folder: str | Path) -> None:
     """Raise `BadInput`, `StorageError` where a folder holds no print of this plan that could be gone on with.
 
-    Ask before machines are opened: a controller that is opened forgets what it showed for the host that died.
+    Ask before machines are opened: what the folders tell needs none of them.
     """
     if planned.display is not None:
         raise BadInput(

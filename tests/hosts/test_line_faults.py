@@ -138,7 +138,7 @@ class _Other(EmulatedController):
 
 @pytest.mark.parametrize(
     "answer",
-    ["ok vam-controller 2 256 1000 2", "ok ramps 1 256 1000 2", "ok vam-controller one 256 1000 2", "ok", "no verb"],
+    ["ok vam-controller 1 256 1000 2", "ok ramps 2 256 1000 2", "ok vam-controller one 256 1000 2", "ok", "no verb"],
 )
 def test_the_controllers_firmware_must_be_the_librarys(answer: str) -> None:
     with pytest.raises(WrongDevice):

@@ -19,6 +19,7 @@ from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.pictures import supply
 from vamgpu.hosts.pictures.feed import Feed
 from vamgpu.hosts.pictures.underrun import WebUnderrun
+from vamgpu.hosts.players.approach import Origin
 from vamgpu.hosts.players.asking import Asking
 from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
@@ -241,7 +242,7 @@ def test_a_vial_begins_within_a_run_up(run: Path, speed: float) -> None:
 def test_a_controller_that_was_reset_at_rest_is_told(run: Path) -> None:
     scene = Scene(run, roll())
     scene.paused()
-    scene.bench.controller.shown = 0
+    scene.bench.controller.zero = 0
     with pytest.raises(DeviceLost, match="was reset while the print rested"):
         scene.print.run()
     assert not scene.bench.controller.light
@@ -269,14 +270,6 @@ def test_another_host_knows_whether_a_leg_had_begun(run: Path, begun: bool) -> N
     machines = scene.bench.machines(STEPS / 0.0785)
     found = interrupted(run, machines.controller, roll(120))
     assert found.recorded >= rested and found.first >= shown and (found.first == rested) is not begun
-
-
-def test_a_controller_that_tells_nothing_is_not_gone_on_with(run: Path) -> None:
-    scene = Scene(run, roll())
-    scene.paused()
-    scene.machines.controller.before = None
-    with pytest.raises(BadInput, match="does not tell what it did"):
-        interrupted(run, scene.machines.controller, roll())
 
 
 def test_a_clock_that_was_set_back_is_told(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -354,9 +347,12 @@ def test_what_is_no_number_is_told(run: Path, tmp_path: Path) -> None:
         guard.on(odd)
     assert not scene.bench.controller.light
     wrong: list[dict[str, Any]] = [{"depth": 0}, {"depth": odd}, {"sequences": odd}, {"sequences": 1}]
-    for options in [*wrong, {"origin": np.nan}]:
+    for options in wrong:
         with pytest.raises(BadInput, match=next(iter(options))):
             TriggeredPlayer(roll(), scene.machines, [White()], **options)
+    for at, zero in ((np.nan, 1), (odd, 1), (0.0, 0), (0.0, 1.5)):
+        with pytest.raises(BadInput, match="origin|zero"):
+            Origin(at, zero)  # type: ignore[arg-type]
     wrong = [{"allowed": np.inf}, {"allowed": -1}, {"allowed": None}, {"window": 0}]
     for options in wrong:
         with pytest.raises(BadInput):

@@ -333,10 +333,15 @@ def test_what_cannot_be_gone_on_with_is_told(run: Path) -> None:
     old = died(run, schedule)
     per_mm = STEPS / float(schedule.advance)
     controller = old.bench.machines(per_mm).controller
-    old.bench.controller.shown = 0
     old.bench.alps[0].forsake()
-    with pytest.raises(BadInput, match="lost its power"):
+    old.bench.controller.shown -= 8
+    with pytest.raises(BadInput, match=r"holds 1\d pictures, the controller counts \d: another program"):
         interrupted(run, old.bench.machines(per_mm).controller, schedule)
+    for zero in (0, old.bench.controller.zero + 1):
+        old.bench.alps[0].forsake()
+        old.bench.controller.zero = zero
+        with pytest.raises(BadInput, match="does not know the print.*lost its power"):
+            interrupted(run, old.bench.machines(per_mm).controller, schedule)
     events = run / "events.jsonl"
     lines = [json.loads(line) for line in events.read_text().splitlines()]
     lines[-1]["wall"] = time.time() - 60

@@ -27,9 +27,10 @@ static void add_status(char *out, int64_t now) {
   const char *state = strcmp(fault, "none") ? "fault" : running ? "running" : done ? "done" : armed ? "armed" : "idle";
   int64_t lease = lease_end > now ? (lease_end - now) / 1000 : 0;
   int64_t rate = (int64_t)(speed * 1000 + (speed < 0 ? -0.5 : 0.5));
-  int64_t numbers[10] = {next_row, shown, late_rows, CAPACITY - queued, position, rate, lease, light, armed, closed};
+  int64_t room = CAPACITY - queued;
+  int64_t numbers[11] = {next_row, shown, late_rows, room, position, rate, zero, lease, light, armed, closed};
   add(out, state);
-  for (uint8_t i = 0; i < 10; i++) {
+  for (uint8_t i = 0; i < 11; i++) {
     add(out, " ");
     add_number(out, numbers[i]);
   }
@@ -39,12 +40,8 @@ static void add_status(char *out, int64_t now) {
 
 static void answer_hello(char *values) {
   close_light("hello", false);
-  reset_rows();
-  shown = late_rows = 0;
-  done = steps_mode = false;
   accel = RAMP;
-  fault = "none";
-  add(values, "vam-controller 1 ");
+  add(values, "vam-controller 2 ");
   int64_t numbers[3] = {CAPACITY, LONGEST_LEASE_MS, CHANNELS};
   for (uint8_t i = 0; i < 3; i++) {
     if (i) add(values, " ");
@@ -106,6 +103,8 @@ static const char *command_rows(const char *verb, const int64_t *n, bool dash, c
     accel = n[0];
   } else if (!strcmp(verb, "zero")) {
     if (running) return "state";
+    if (n[0] < 1 || n[0] > 65535) return "range";
+    zero = n[0];
     position = 0;
     fraction = 0;
   } else if (!strcmp(verb, "stop")) {
@@ -121,6 +120,7 @@ static const char *command_rows(const char *verb, const int64_t *n, bool dash, c
 static const char *set_mode(const char *word) {
   if (running) return "state";
   if (strcmp(word, "time") && strcmp(word, "steps")) return "range";
+  reset_rows();
   steps_mode = word[0] == 's';
   return 0;
 }
@@ -132,7 +132,7 @@ struct Verb {
 
 static const Verb VERBS[] = {{"hello", 0}, {"lease", 1}, {"arm", 0},   {"disarm", 0}, {"power", 2},
                              {"light", 1}, {"mode", 1},  {"row", 6},   {"end", 1},    {"go", 0},
-                             {"move", 1},  {"ramp", 1},  {"zero", 0},  {"stop", 0},   {"stat", 0}};
+                             {"move", 1},  {"ramp", 1},  {"zero", 1},  {"stop", 0},   {"stat", 0}};
 
 static const Verb *find_verb(const char *name) {
   for (const Verb &verb : VERBS)

@@ -22,7 +22,7 @@ static uint8_t light, steady;
 static int64_t lease_end = -1, started, earliest, wait_until, pulse_end, trigger_end, fired = -1000;
 static Row current;
 
-static int64_t position;              // microsteps
+static int64_t position, zero;        // microsteps, and the number of position 0
 static double speed, wanted, accel = RAMP;  // microsteps per second, and per second squared
 static double fraction;               // microsteps owed
 static int64_t stepped;

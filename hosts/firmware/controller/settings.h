@@ -31,7 +31,7 @@ static const uint16_t CAPACITY = 256;
 static const uint16_t OUTBOX = 512;  // bytes of answers on their way; what does not fit is dropped, and asked for again
 static const int64_t GREATEST = 1000000000000000;  // microseconds or microsteps: some thirty years
 static const int64_t LONGEST_US = 0x7FFFFFFF;
-static const uint8_t LONGEST_LINE = 96;
+static const uint8_t LONGEST_LINE = 128;
 
 #define HOST Serial
 #define LENS Serial1

@@ -79,7 +79,7 @@ def test_rows_act_in_time_with_lens_trigger_and_light(both: Both) -> None:
             assert bench.ask(bench.clock.now() // MILLI + 10, "row", *wrong) == "range"
         bench.ask(250, "end", 6)
         bench.ask(260, "go")
-        assert bench.ask(270, "go") == bench.ask(280, "mode", "steps") == bench.ask(290, "zero") == "state"
+        assert bench.ask(270, "go") == bench.ask(280, "mode", "steps") == bench.ask(290, "zero", 7) == "state"
         seen = bench.status(320)
         assert (seen.state, seen.row, seen.shown, seen.free) == ("running", 3, 3, 253)
         assert bench.status(365).state == "running", "while the last picture is lit"
@@ -205,7 +205,7 @@ def test_steady_light_does_not_outlive_what_closed_it(both: Both) -> None:
     both(scenario)
 
 
-def test_stop_darkens_and_drops_and_hello_forgets(both: Both) -> None:
+def test_stop_darkens_and_drops(both: Both) -> None:
     def scenario(bench: Any) -> None:
         _allow(bench, 100)
         bench.ask(120, "move", 1_000_000)
@@ -214,8 +214,6 @@ def test_stop_darkens_and_drops_and_hello_forgets(both: Both) -> None:
         bench.ask(160, "stop")
         seen = bench.status(200)
         assert (seen.light, seen.row, seen.free, seen.shown, seen.speed, seen.armed) == (0, 0, 256, 1, 0, False)
-        bench.ask(220, "hello")
-        assert bench.status(240).shown == 0 and bench.status(250).state == "idle"
         assert bench.ask(260, "dance") == "verb"
         assert (
             bench.ask(270, "power", 2, 0) == bench.ask(280, "power", 0, 65536) == bench.ask(285, "power", 1) == "range"
@@ -236,11 +234,12 @@ def test_what_was_shown_survives_the_host(bench_of: BenchOf, new_board: NewBoard
         bench.ask(205, "go")
         bench.clock.sleep_until(SECOND)
         again = Controller(Wire(plug(machine, bench.clock, 0.05), "the controller"))
-        assert again.before is not None
         assert (again.before.state, again.before.fault, again.before.shown) == ("fault", "lease", 3)
         assert again.before.position >= 1580
-        status = again.status()
-        assert status.shown == 0 and status.position >= again.before.position, "hello forgets what was shown alone"
+        again.zero(4711)
+        again.row(Row(again.before.row + again.capacity - again.before.free, 0, None, 0, 100))
+        later = Controller(Wire(plug(machine, bench.clock, 0.05), "the controller")).before
+        assert (later.zero, later.shown, later.row, later.free) == (4711, 3, 3, again.before.free - 1)
 
 
 def test_damaged_lines_are_asked_for_again_and_act_once(bench_of: BenchOf, new_board: NewBoard) -> None:

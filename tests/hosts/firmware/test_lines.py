@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from vamgpu.hosts.emulators.controller import EmulatedController
+from vamgpu.hosts.protocols.controller import LONGEST_LINE
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
 NewBoard = Callable[..., Any]
@@ -25,7 +26,7 @@ def _heard(data: bytes) -> tuple[list[str], list[str]]:
     """Answers and complaints, without the milliseconds left of the lease, and events."""
     lines = [line.rpartition("*")[0] for line in data.decode("ascii").split("\n")]
     words = [line.split() for line in lines if line[:1] not in ("", "!")]
-    answers = [" ".join([*line[:9], *line[10:]] if len(line) > 12 else line) for line in words]
+    answers = [" ".join([*line[:10], *line[11:]] if len(line) > 12 else line) for line in words]
     return answers, [line for line in lines if line[:1] == "!"]
 
 
@@ -54,7 +55,7 @@ def _heard(data: bytes) -> tuple[list[str], list[str]]:
         _line("7 row 0 1 2 3 4 0 6"),
         _line("7 end -1"),
         _line("7 lease 50") * 2 + _line("7 lease 2000") + _line("7 stat") * 2,
-        b"x" * 97 + b"\n" + _line("1 stat"),
+        b"x" * (LONGEST_LINE + 1) + b"\n" + _line("1 stat"),
         b"x" * 300 + _line("1 stat") + _line("2 stat"),
         bytes(range(256)) + _line("1 stat") + _line("2 stat"),
     ],
@@ -72,7 +73,8 @@ def test_lines_of_all_kinds_get_the_same_answer(new_board: NewBoard, data: bytes
 HALVES = st.integers(0, 40).map(lambda halves: halves * 500)
 COMMANDS = st.one_of(
     st.tuples(st.just("lease"), st.integers(0, 120)),
-    st.tuples(st.sampled_from(["arm", "arm", "go", "go", "disarm", "stop", "hello", "zero"])),
+    st.tuples(st.sampled_from(["arm", "arm", "go", "go", "disarm", "stop", "stop", "hello"])),
+    st.tuples(st.just("zero"), st.integers(0, 65_536)),
     st.tuples(st.just("light"), st.integers(0, 4)),
     st.tuples(st.just("mode"), st.sampled_from(["time", "steps"])),
     st.tuples(st.just("end"), st.integers(0, 12)),
