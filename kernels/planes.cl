@@ -132,13 +132,15 @@ __kernel __attribute__((vec_type_hint(ulong8))) void split_planes(
 __kernel void pick_pictures(__global const uchar *restrict images, __global const uchar *restrict masks,
                             __global const int *restrict chosen, int top, int left, __global uchar *restrict picked,
                             int n_angle, int n_line, int n_byte, int n_bin, int n_picture, int n_row, int n_width) {
-    const int byte = get_global_id(0), row = get_global_id(1), picture = get_global_id(2);
-    if (byte >= n_width || row >= n_row || picture >= n_picture) return;
-    uchar value = 0;
-    const int y = row - top, x = byte - left;
-    if (y >= 0 && y < n_line && x >= 0 && x < n_byte)
-        value = images[((size_t)chosen[2 * picture] * n_line + y) * n_byte + x] &
-                masks[(size_t)chosen[2 * picture + 1] * n_byte + x];
-    picked[((size_t)picture * n_row + row) * n_width + byte] = value;
+    const int tile = TILE_MINOR ? TILE_MINOR : n_width, first = tile * get_global_id(0), last = min(first + tile, n_width);
+    const int row = get_global_id(1), picture = get_global_id(2), y = row - top;
+    if (row >= n_row || picture >= n_picture) return;
+    __global const uchar *restrict line = images + ((size_t)chosen[2 * picture] * n_line + y) * n_byte - left;
+    __global const uchar *restrict mask = masks + (size_t)chosen[2 * picture + 1] * n_byte - left;
+    __global uchar *restrict out = picked + ((size_t)picture * n_row + row) * n_width;
+    const int begin = y >= 0 && y < n_line ? max(first, left) : last, end = max(begin, min(last, left + n_byte));
+    for (int k = first; k < min(begin, last); k++) out[k] = 0;
+    for (int k = begin; k < end; k++) out[k] = line[k] & mask[k];
+    for (int k = end; k < last; k++) out[k] = 0;
 }
 #endif

@@ -70,7 +70,7 @@ def split_planes(
         sent[picture] = np.bincount(strip, sums, minlength=strips).astype(sent.dtype)
 
 
-@kernel(over="picked")
+@kernel(over="picked", cpu=Tiling(minor=0))
 def pick_pictures(
     images: Images, masks: Masks, chosen: Chosen, top: Integer, left: Integer, picked: Picked
 ) -> None:  # fmt: skip

@@ -56,6 +56,7 @@ Integer = Annotated[int, Scalar("int32")]
 class Tiling:
     """How much one work item computes: ``major`` × ``minor`` samples (0 = all of them) of ``slabs`` slabs.
 
+    Of a table it is ``minor`` samples along the last axis; Warp's threads take one each.
     group counts the work items of a GPU's work-group along (minor × lanes, major).
     """
 

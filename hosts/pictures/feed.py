@@ -66,7 +66,6 @@ class Feed:
         device = getattr(source, "device", None)
         self.ring = Ring(buffers(depth, (batch, *source.shape), device))
         self.batch, self.uploaded, self.made = batch, 0, 0
-        self.sent = np.zeros(len(order), np.int64)
         self.arrived = np.full(len(order), NONE, np.int64)
         self.late: dict[int, Late] = {}
         self._black = buffers(1, (1, *source.shape), device)[0]
@@ -98,8 +97,8 @@ class Feed:
             return False
         first = self.made
         frames = self._order[first : first + self.batch]
-        sent = self._source.read(frames, buffer)
-        self.ring.commit(Batch(first, buffer[: len(frames)], sent, self._clock.now()))
+        self._source.read(frames, buffer)
+        self.ring.commit(Batch(first, buffer[: len(frames)], self._clock.now()))
         self.made = first + len(frames)
         return True
 
@@ -116,7 +115,7 @@ class Feed:
                 if slot in self.late and self.late[slot].ready is None:
                     self.late[slot] = Late(slot, self.late[slot].frame, self.late[slot].missed, batch.ready)
             if behind < len(batch.pictures):
-                self._put(batch.pictures[behind:], batch.sent[behind:])
+                self._put(batch.pictures[behind:])
         self.ring.release()
         return True
 
@@ -131,16 +130,15 @@ class Feed:
             if self.ring.fill or not self._sink.room(1):
                 return None
             slot = self.uploaded
-            self._put(self._black, np.zeros(1, np.int64))
+            self._put(self._black)
             self.late[slot] = Late(slot, int(self._order[slot]), self._clock.now())
             return slot
         finally:
             self._sending.release()
 
-    def _put(self, pictures: np.ndarray, sent: np.ndarray) -> None:
+    def _put(self, pictures: np.ndarray) -> None:
         self._sink.put(pictures)
-        slots = slice(self.uploaded, self.uploaded + len(pictures))
-        self.sent[slots], self.arrived[slots] = sent, self._clock.now()
+        self.arrived[self.uploaded : self.uploaded + len(pictures)] = self._clock.now()
         self.uploaded += len(pictures)
 
     def pump(self) -> int:

@@ -15,13 +15,12 @@ from vamgpu.errors import BadInput
 class Batch:
     """Pictures of slots first, first + 1, … in a buffer.
 
-    pictures: a view, [picture, …]; valid until the buffer is released.  sent: sum of the levels of each picture.
-    ready: when they were there [ns].
+    pictures: a view, [picture, …]; valid until the buffer is released.  ready: when they were
+    there [ns].
     """
 
     first: int
     pictures: np.ndarray
-    sent: np.ndarray
     ready: int
 
     @property

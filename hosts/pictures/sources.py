@@ -30,9 +30,8 @@ class Source(Protocol):
         """How many there are."""
         ...
 
-    def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
-        """Write pictures to ``out`` [picture, …] (those beyond the last are black), and return the sums of their
-        levels, int64. Number −1 is a black picture."""
+    def read(self, frames: np.ndarray, out: np.ndarray) -> None:
+        """Write pictures to ``out`` [picture, …]; those beyond the last are black, as number −1 is."""
         ...
 
 
@@ -54,14 +53,11 @@ class ArraySource:
         """How many there are."""
         return len(self._pictures)
 
-    def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
-        """Copy pictures; the sums are those of their bytes."""
-        sums = np.zeros(len(frames), np.int64)
+    def read(self, frames: np.ndarray, out: np.ndarray) -> None:
+        """See `Source`."""
         for place, frame in enumerate(frames.tolist()):
             out[place] = 0 if frame == NONE else self._pictures[frame]
-            sums[place] = int(out[place].sum(dtype=np.int64))
         out[len(frames) :] = 0
-        return sums
 
 
 class Maker:
@@ -79,7 +75,7 @@ class Maker:
         self, device: Device, own: tuple[int, int], bits: int, shown: np.ndarray, *, row_bytes: int | None = None,
         batch: int = 8, whole: bool = False, size: tuple[int, int] | None = None,
     ) -> None:  # fmt: skip
-        self.device, self.batch, self._bits = device, batch, bits
+        self.device, self.batch = device, batch
         rows, columns = size or own
         self._top, self._left = _middle(own, (rows, columns), 8 if bits == 1 else 1)
         self.kernel, step = (split_planes, 8) if bits == 8 and not whole else (pick_pictures, 1)
@@ -104,11 +100,10 @@ class Maker:
         if len(frames) > self.batch or out.shape != (self.batch, *self.shape):
             raise ShapeMismatch(f"{len(frames)} pictures into {out.shape}; wanted at most {(self.batch, *self.shape)}")
 
-    def make(self, images: DeviceArray, places: np.ndarray, out: np.ndarray) -> np.ndarray:
+    def make(self, images: DeviceArray, places: np.ndarray, out: np.ndarray) -> None:
         """Write pictures to ``out``, uint8 (batch, …), C contiguous; those beyond the last are black.
 
         images: uint8 table [image, row, column or byte].  places: image · planes + plane of each; `NONE` is black.
-        Returns the sums of their levels, int64.
         """
         self._chosen[:] = (0, self.planes)
         lit = np.flatnonzero(places != NONE)
@@ -125,12 +120,6 @@ class Maker:
         if lent is None:
             made.numpy(whole)
         self.device.synchronize()
-        if self.kernel is split_planes:
-            return self._sent.numpy().sum(axis=1, dtype=np.int64)[: len(places)]
-        levels = out.reshape(self.batch, -1)
-        if self._bits == 1:  # in long words where they fit
-            levels = np.bitwise_count(levels.view(np.uint64) if levels.shape[1] % 8 == 0 else levels)
-        return levels.sum(axis=1, dtype=np.int64)[: len(places)]
 
     def _stage(self) -> DeviceArray:
         """Where pictures are made on a device that does not share the host's memory."""
@@ -159,13 +148,13 @@ class FrameSource:
         """What makes the bytes."""
         return self._maker.kernel
 
-    def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
+    def read(self, frames: np.ndarray, out: np.ndarray) -> None:
         """Make pictures on the device and bring them to ``out``, uint8 (batch, …), C contiguous."""
         self._maker.fits(frames, out)
         lit = frames[frames != NONE]
         if lit.size and not 0 <= lit.min() <= lit.max() < self.frames:
             raise BadInput(f"pictures {lit.min()} to {lit.max()}; there are {self.frames}")
-        return self._maker.make(self._images, frames, out)
+        self._maker.make(self._images, frames, out)
 
 
 class RunSource:
@@ -184,7 +173,7 @@ class RunSource:
         self.shape, self.planes, self.batch = self._maker.shape, self._maker.planes, self._maker.batch
         self._own = own
 
-    def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
+    def read(self, frames: np.ndarray, out: np.ndarray) -> None:
         """See `Source`."""
         self._maker.fits(frames, out)
         lit = frames != NONE
@@ -193,7 +182,7 @@ class RunSource:
         images = self._read(wanted) if wanted.size else np.zeros((1, *self._own), np.uint8)
         places = np.full(len(frames), NONE, np.int64)
         places[lit] = place * self.planes + planes
-        return self._maker.make(self.device.borrow(images), places, out)
+        self._maker.make(self.device.borrow(images), places, out)
 
 
 def _middle(own: tuple[int, int], size: tuple[int, int], step: int) -> tuple[int, int]:

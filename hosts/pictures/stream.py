@@ -79,15 +79,13 @@ class PackedSource:
     def __init__(self, pictures: Pictures, shape: tuple[int, ...], frames: int) -> None:
         self._pictures, self.shape, self.frames = pictures, shape, frames
 
-    def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
+    def read(self, frames: np.ndarray, out: np.ndarray) -> None:
         """See `vamgpu.hosts.pictures.sources.Source`."""
         lit = np.flatnonzero(frames != NONE)
         if len(lit) < len(out):
             out[:] = 0
         if lit.size:
             out[lit] = self._pictures.planes(frames[lit])
-        ones = np.bitwise_count(out[: len(frames)]).sum(axis=(2, 3), dtype=np.int64)
-        return ones @ (1 << np.arange(ones.shape[1] - 1, -1, -1, dtype=np.int64))
 
 
 def source(pictures: Pictures, shape: tuple[int, ...], frames: int, batch: int) -> Source:

@@ -85,7 +85,7 @@ def test_planes_put_together_are_the_pictures(device: Device, bits: int) -> None
     source = FrameSource(frames, masks=masks, row_bytes=16, batch=4)
     assert source.shape == (bits, 9, 16) and source.frames == 15
     out = buffers(1, (4, *source.shape), device)[0]
-    sent = source.read(np.array([7, -1, 2]), out)
+    source.read(np.array([7, -1, 2]), out)
     pixels = np.unpackbits(out, axis=-1)
     weights = 2 ** np.arange(bits - 1, -1, -1)
     levels = (pixels * weights[:, None, None]).sum(axis=1)
@@ -93,7 +93,6 @@ def test_planes_put_together_are_the_pictures(device: Device, bits: int) -> None
     wanted[0, :, :77] = frames.levels()[2] * masks.of_frames(frames)[1]
     wanted[2, :, :77] = frames.levels()[0] * masks.of_frames(frames)[2]
     assert np.array_equal(levels, wanted)
-    assert np.array_equal(sent, wanted.sum(axis=(1, 2))[:3])
 
 
 def test_focus_planes_share_out_every_pixel_once(device: Device) -> None:
@@ -113,11 +112,11 @@ def test_small_pictures_go_to_the_middle(device: Device, bits: int) -> None:
     frames = frames_of(device, bits)
     source = FrameSource(frames, row_bytes=16, batch=1, size=(12, 93))
     out = buffers(1, (1, *source.shape))[0]
-    sent = source.read(np.array([3]), out)
+    source.read(np.array([3]), out)
     shown = np.packbits(np.unpackbits(out[0], axis=-1), axis=0, bitorder="big")  # planes to levels
     levels = np.zeros((12, 128), np.uint8)
     levels[1:10, 8:85] = frames.levels()[3]
-    assert np.array_equal(shown[0] >> (8 - bits), levels) and sent[0] == levels.sum(dtype=int)
+    assert np.array_equal(shown[0] >> (8 - bits), levels)
     with pytest.raises(WrongDevice, match="77 pixels, the mirrors 12 × 64"):
         FrameSource(frames, size=(12, 64))
 
@@ -126,8 +125,8 @@ def test_a_video_cable_gets_bytes(device: Device) -> None:
     frames = frames_of(device, 8)
     source = FrameSource(frames, whole=True, batch=2)
     out = buffers(1, (2, *source.shape))[0]
-    sent = source.read(np.array([4, 0]), out)
-    assert np.array_equal(out, frames.levels()[[4, 0]]) and sent[1] == frames.levels()[0].sum()
+    source.read(np.array([4, 0]), out)
+    assert np.array_equal(out, frames.levels()[[4, 0]])
 
 
 def test_a_source_refuses_what_it_has_not() -> None:
@@ -153,7 +152,7 @@ def test_a_ring_keeps_order_and_never_holds_more_than_it_may(steps: list[bool], 
             assert (buffer is None) == (wrote - read == capacity)
             if buffer is not None:
                 buffer[0] = wrote % 251
-                ring.commit(Batch(wrote, buffer, np.zeros(1, np.int64), 0))
+                ring.commit(Batch(wrote, buffer, 0))
                 wrote += 1
         else:
             head = ring.head()
@@ -204,7 +203,6 @@ def test_pictures_arrive_once_and_in_order(triggers: list[int], batch: int, dept
         mirrors.trigger(min(number, feed.uploaded - mirrors.shown()))
     got = np.array(mirrors.taken, np.int64).ravel()
     assert np.array_equal(got, order[: feed.uploaded] + 1)
-    assert np.array_equal(feed.sent[: feed.uploaded], got)
 
 
 def test_it_is_primed_when_mirrors_and_ring_are_full() -> None:
@@ -237,7 +235,7 @@ def test_a_late_picture_is_black_and_never_comes_after_its_slot() -> None:
     assert {slot: (late.frame, late.missed, late.ready) for slot, late in feed.late.items()} == {
         4: (4, 7, 12), 5: (5, 7, 12)
     }  # fmt: skip
-    assert feed.sent[4] == feed.sent[5] == 0 and (np.diff(feed.arrived) >= 0).all()
+    assert (np.diff(feed.arrived) >= 0).all()
 
 
 def test_threads_bring_the_same(clock: Clock | None = None) -> None:
@@ -257,7 +255,7 @@ def test_threads_bring_the_same(clock: Clock | None = None) -> None:
 
 def test_what_a_thread_fails_with_is_raised_where_the_print_runs() -> None:
     class Broken(ArraySource):
-        def read(self, frames: np.ndarray, out: np.ndarray) -> np.ndarray:
+        def read(self, frames: np.ndarray, out: np.ndarray) -> None:
             raise ZeroDivisionError("no pictures today")
 
     feed = Feed(Broken(np.zeros((4, 1, 1), np.uint8)), np.arange(4), Mirrors(), RealClock())

@@ -169,12 +169,12 @@ def test_webs_are_the_same_bytes_from_the_device_and_the_host(tmp_path: Path) ->
     host = source(WebPictures(read, POSES, mirrors, MASKS), shape, 3 * POSES, 8)
     assert isinstance(host, PackedSource)
     one, outs = np.full((8, *shape), 9, np.uint8), []
-    sums = host.read(numbers, one)
+    host.read(numbers, one)
     for name in ("numpy", "opencl:pocl:0"):
         made = source(WebPictures(read, POSES, mirrors, MASKS, open_device(name)), shape, 3 * POSES, 8)
         assert isinstance(made, RunSource)
         outs.append(np.full((8, *shape), 9, np.uint8))
-        assert np.array_equal(made.read(numbers, outs[-1]), sums)
+        made.read(numbers, outs[-1])
     assert np.array_equal(one, outs[0]) and np.array_equal(one, outs[1])
     assert not one[1].any() and not one[6:].any() and one[2].any()
     assert max(asked) <= 2, "no more is read than a batch shows, in runs"
