@@ -22,7 +22,7 @@ from vamgpu.hosts.state import State
 class Interrupted:
     """A print that a host left. first: the next slot.  recorded: slots in its folder.  origin: see `Origin`.
 
-    lost: poses that were black, of each projector.  sign: when it gave its last sign, by the clock of its days [s].
+    lost: poses that were black, of each projector.  since: when it had light last, by the clock of its days [s].
     """
 
     run: Run
@@ -30,15 +30,20 @@ class Interrupted:
     recorded: int
     origin: Origin
     lost: tuple[tuple[int, ...], ...]
-    sign: float
+    since: float
 
     @property
     def rest(self) -> int:
-        """Since its last sign [ns]."""
-        return round((time.time() - self.sign) * SECOND)
+        """How long it has been dark [ns]."""
+        return _since(self.since)
 
-    def take_up(self, folder: RunFolder, schedule: Schedule) -> None:
-        """Write down what was shown after the host's last look; the last of it may have been cut short."""
+    def take_up(self, folder: RunFolder, schedule: Schedule, now: int) -> None:
+        """Write down, at a time of the rig's clock [ns], what was triggered after the host's last look.
+
+        The last of it may have been cut short, and mirrors that go dark with their program have shown none of it.
+        """
+        if self.first > self.recorded:
+            folder.event("unseen", now, first=self.recorded, stop=self.first)
         have = set(zip(self.run.shown["slot"].tolist(), self.run.shown["engine"].tolist(), strict=True))
         for slot in range(max(self.recorded - 1, 0), self.first):
             row = (int(getattr(schedule, name)[slot]) for name in ("frame", "pose", "light", "on"))
@@ -51,11 +56,14 @@ class Interrupted:
 
 @dataclass(frozen=True, eq=False)
 class Left:
-    """What the folder of a host that died tells by itself. leg: the last one's event.  sign: see `Interrupted`."""
+    """What the folder of a host that died tells by itself. leg: its last event of that kind.
+
+    lit: when it told of light last [s].
+    """
 
     run: Run
     leg: dict[str, Any]
-    sign: float
+    lit: float
 
 
 def left_in(path: str | Path, limits: Limits = Limits()) -> Left:
@@ -72,14 +80,14 @@ def left_in(path: str | Path, limits: Limits = Limits()) -> Left:
             "anew with fresh resin"
         )
     sign = float(run.events[-1]["wall"])
-    rest = round((time.time() - sign) * SECOND)
-    if rest < 0:
+    if (rest := _since(sign)) < 0:
         raise BadInput(
             f"the last sign of {str(path)!r} is {-rest / SECOND:.1f} s ahead of this host's clock, so nobody knows how "
             "long it rested; begin anew with fresh resin"
         )
     may_resume(rest, limits)
-    return Left(run, leg, sign)
+    lit = max(event["wall"] for event in run.events if event["event"] in ("leg", "light", "look"))
+    return Left(run, leg, float(lit))
 
 
 def interrupted(path: str | Path, controller: Controller, schedule: Schedule, limits: Limits = Limits()) -> Interrupted:
@@ -89,19 +97,19 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
     the host that died ran out.
     """
     left = left_in(path, limits)
-    run, leg, before = left.run, left.leg, controller.before
-    if before.zero != leg.get("zero"):
+    run, leg, now = left.run, left.leg, controller.status()
+    if now.zero != leg.get("zero"):
         raise BadInput(
             f"the controller does not know the print of {str(path)!r}: it lost its power, was reset when its port was "
             "opened, or another print began, so nobody knows where the motor is; begin anew with fresh resin"
         )
     slots = run.shown["slot"]
     recorded = int(slots.max()) + 1 if len(slots) else 0
-    shown = leg["first"] + _counted(before, leg["first"], recorded, leg["preroll"])
-    if shown < recorded:
+    shown = leg["first"] + _counted(now, leg)
+    if now.plays - leg["play"] not in (-1, 0) or shown < recorded:
         raise BadInput(
-            f"the folder holds {recorded} pictures, the controller counts {shown}: another program let it play, so "
-            "nobody knows what the resin saw; begin anew with fresh resin"
+            f"another program let the controller play after {str(path)!r} was left, so nobody knows what the resin "
+            "saw; begin anew with fresh resin"
         )
     dark = run.shown[run.shown["dark"] > 0]
     if shown >= len(schedule):
@@ -109,14 +117,17 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
         raise BadInput(f"{str(path)!r} has shown all its {len(schedule)} slots{missed}; nothing is left to print")
     lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
     origin = Origin(leg["origin"], leg["zero"])
-    return Interrupted(run, shown, recorded, origin, tuple(map(tuple, lost)), left.sign)
+    since = left.lit if shown > leg["first"] else leg["wall"] - leg["dark"] / SECOND
+    found = Interrupted(run, shown, recorded, origin, tuple(map(tuple, lost)), since)
+    may_resume(found.rest, limits)
+    return found
 
 
-def _counted(before: Status, first: int, recorded: int, preroll: int) -> int:
-    """Pictures of a leg from a slot on that the controller showed.
+def _counted(now: Status, leg: dict[str, Any]) -> int:
+    """Pictures of a leg that the controller showed; a host that died in between had not let it play yet."""
+    return max(now.shown - leg["preroll"], 0) if now.plays == leg["play"] else 0
 
-    Its rows begin anew with each leg, its count only once they are played: a host that died in between left the count
-    of the leg before.
-    """
-    waits = before.row < before.shown and recorded <= first
-    return 0 if waits else max(before.shown - preroll, 0)
+
+def _since(wall: float) -> int:
+    """Since a time of these days [ns]."""
+    return round((time.time() - wall) * SECOND)

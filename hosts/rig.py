@@ -27,6 +27,7 @@ from vamgpu.hosts.rigs.rehearsing import Rehearsal, rehearsal
 from vamgpu.hosts.rigs.runs import left_by_a_host, limits, may_go_on, run_folder
 from vamgpu.hosts.rigs.stopping import stopping
 from vamgpu.hosts.run import Print
+from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.state import State
 
 __all__ = [
@@ -86,11 +87,12 @@ def carry_out(
     missing.  resume: go on with the print that a host left in the folder.  A plan with a stop is watched.
     """
     _may_watch(planned, machines, resume)
+    _shut(machines)
     left = left_by_a_host(planned, machines, folder) if resume else None
     playing = player(planned, machines, found, None if left is None else left.origin)
     if left is not None and isinstance(playing, TriggeredPlayer):
         playing.recall(left.lost)
-    with run_folder(planned, folder, left) as record:
+    with run_folder(planned, folder, left, machines.clock.now()) as record:
         shown, watch = board or Board(), None
         if planned.stop is not None and machines.camera is not None:
             speed = float(planned.schedule.speed)
@@ -115,6 +117,12 @@ def _before_the_light(watch: Watch, job: Print) -> Iterator[None]:
             job.ended(error)
             raise
         yield
+
+
+def _shut(machines: Machines | VideoMachines) -> None:
+    """Raise `InterlockOpen` while the enclosure is; a print that began would have failed, and could not go on."""
+    if not machines.controller.status().interlock_closed:
+        raise InterlockOpen("the interlock is open: close the enclosure, then print again")
 
 
 def _may_watch(planned: Plan, machines: Machines | VideoMachines, resume: bool) -> None:

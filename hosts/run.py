@@ -21,6 +21,8 @@ from vamgpu.hosts.schedules.timing import SECOND, whole
 from vamgpu.hosts.state import State, States, WrongState
 
 log = logging.getLogger(__name__)
+SIGN = SECOND // 2
+"""A print leaves a sign of its time at least as often [ns]."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ class Print:
         self.next = 0
         self.dark_since: int | None = None
         self._cancelled = self._pausing = self._finishing = self._lit = False
+        self._signed = 0
         self.states.listen(folder.state)
         self.states.listen(lambda change: self.board.show(state=change.after, message=change.message))
         self.board.on_stop(self.stop)
@@ -129,7 +132,8 @@ class Print:
         self.next, self._finishing, self._lit = first, False, False
         ahead = self.player.prime(first, self._alive)
         self.states.to(State.PRINTING, "" if first == 0 else f"from slot {first}")
-        self._event("leg", first=first, **self.player.facts())
+        dark = 0 if self.dark_since is None else self.player.clock.now() - self.dark_since
+        self._event("leg", first=first, dark=dark, **self.player.facts())
         self.guard.look(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
         self._stopped()
         self._rested(ahead)  # getting ready took its time too
@@ -227,7 +231,8 @@ class Print:
             self.next = shown.slot + 1
             if not shown.dark:
                 self.guard.spend(self.power * float(schedule.power[shown.slot, shown.engine]), shown.on_time)
-        if not seen.pictures:  # a look that writes nothing would not see a full disk
+        # a look that writes nothing would not see a full disk
+        if not seen.pictures or self.player.clock.now() >= self._signed + SIGN:
             self._event("look", shown=seen.scheduled)
 
     def _show(self, seen: Look) -> None:
@@ -248,7 +253,8 @@ class Print:
             log.error("the event could not be kept: %s", error)
 
     def _event(self, kind: str, **facts: object) -> None:
-        self.folder.event(kind, self.player.clock.now(), **facts)
+        self._signed = self.player.clock.now()
+        self.folder.event(kind, self._signed, **facts)
 
 
 def may_resume(rest: int, limits: Limits) -> None:

@@ -31,8 +31,7 @@ REASONS = {
 class Controller:
     """The controller; every command is answered, and repeated if the answer does not come or is garbled.
 
-    ``microsteps_per_mm`` turns the web's distances into microsteps. ``before`` is what it did for an earlier host, as a
-    print that is taken up again must know; a board that resets when its port is opened knows nothing of it.
+    ``microsteps_per_mm`` turns the web's distances into microsteps. Opening it ends what an earlier host let it play.
     What the controller says by itself is collected in ``events`` as words.
     """
 
@@ -70,7 +69,6 @@ class Controller:
                 "load the sketch that comes with this library"
             )
         self.capacity, self.longest_lease_ms, self.channels = capacity, longest, channels
-        self.before = self.status()
 
     def ask(self, verb: str, *arguments: object) -> tuple[str, ...]:
         """Send a command and return the words of its answer.
@@ -205,7 +203,7 @@ class Controller:
                 f"steps {most:.4g} at most: go slower, or take fewer microsteps"
             )
 
-    def zero(self, number: int = 1) -> None:
+    def zero(self, number: int) -> None:
         """Call this position of the web 0. number: 1 to 65535, by which a later host knows this zero again."""
         self.ask("zero", number)
 

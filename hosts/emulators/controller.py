@@ -101,7 +101,9 @@ class EmulatedController(RowPlayer):
 
     def _do_hello(self, now: int) -> str:
         self.close("hello", now)
-        self.web.acceleration = RAMP
+        self._drop()
+        self.done, self.steps_mode, self.fault = False, False, "none"
+        self.web.ramp(now, RAMP)
         return f"ok vam-controller 2 {self.capacity} {LONGEST_LEASE_MS} {self.channels}"
 
     def _do_lease(self, now: int, milliseconds: int) -> str:
@@ -144,7 +146,6 @@ class EmulatedController(RowPlayer):
             return "no state"
         if mode not in ("time", "steps"):
             return "no range"
-        self._drop()
         self.steps_mode = mode == "steps"
         return "ok"
 
@@ -176,6 +177,7 @@ class EmulatedController(RowPlayer):
             return "no state"
         self.running, self.done, self.started, self._floor = True, False, now, now
         self.shown = self.late = 0
+        self.plays += 1
         self._judge_at = now
         return "ok"
 
@@ -185,10 +187,10 @@ class EmulatedController(RowPlayer):
         self.web.run(now, speed / 1000)
         return "ok"
 
-    def _do_ramp(self, _: int, acceleration: int) -> str:
+    def _do_ramp(self, now: int, acceleration: int) -> str:
         if not 1 <= acceleration <= STEEPEST:
             return "no range"
-        self.web.acceleration = float(acceleration)
+        self.web.ramp(now, float(acceleration))
         return "ok"
 
     def _do_zero(self, now: int, number: int) -> str:
@@ -217,8 +219,8 @@ class EmulatedController(RowPlayer):
         lease = max((self.lease_end or now) - now, 0) // MILLI
         numbers = (
             self.next_row, self.shown, self.late, self.capacity - len(self.rows), self.microsteps(now),
-            round(self.web.velocity(now) * 1000), self.zero, lease, self.light, int(self.armed),
-            int(self.interlock_closed),
+            round(self.web.velocity(now) * 1000), self.zero, self.plays, lease, self.light,
+            int(self.armed), int(self.interlock_closed),
         )  # fmt: skip
         return " ".join(["ok", state, *map(str, numbers), self.fault])
 

@@ -34,19 +34,23 @@ class RowPlayer:
         self.on_lens: Callable[[bytes, int], None] | None = None
         self.on_light: Callable[[int, int], None] | None = None
         self.on_close: Callable[[str, int], None] | None = None
-        self.web = Track(acceleration=RAMP)
         self.interlock_closed = True
         self.powers = [65535] * channels
         self.intervals: deque[tuple[int, int, int, tuple[int, ...]]] = deque(maxlen=4096)
         self.row_times: deque[tuple[int, int]] = deque(maxlen=4096)
         self.light = 0
         self._lit_at = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        """As a board does when it gets its power."""
+        self.web = Track(acceleration=RAMP)
         self.armed = self.running = self.done = False
         self.fault = "none"
         self.lease_end: int | None = None
         self.steps_mode = False
         self.rows: deque[tuple[int, int, int | None, int, int, int]] = deque()
-        self.next_row = self.shown = self.late = self.zero = 0
+        self.next_row = self.shown = self.late = self.zero = self.plays = 0
         self.total: int | None = None
         self.started = self._floor = 0
         self._fired = -TRIGGER_GAP
@@ -162,6 +166,12 @@ class RowPlayer:
         if self.on_close is not None:
             self.on_close(reason, at)
         self.say(at, "light", "off", reason)
+
+    def lose_power(self, now: int) -> None:
+        """It goes off and on again, and knows nothing any more."""
+        self.advance(now)
+        self.set_light(0, now)
+        self._begin()
 
     def open_interlock(self, now: int) -> None:
         """Somebody opens the enclosure."""

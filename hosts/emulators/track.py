@@ -72,6 +72,11 @@ class Track:
         position, speed = self._piece(now).at(now)
         self._replan(now, self._ramp(now, position, speed, velocity))
 
+    def ramp(self, now: int, acceleration: float) -> None:
+        """Change the acceleration [1/s2]; a change of velocity that is under way goes on with it."""
+        self.acceleration = acceleration
+        self.run(now, self._pieces[-1].velocity)
+
     def _ramp(self, now: int, position: float, speed: float, velocity: float) -> list[Piece]:
         duration = abs(velocity - speed) / self.acceleration
         if duration == 0:

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from vamgpu.errors import BadInput
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.protocols.controller import FASTEST, NUMBERS
@@ -40,7 +41,9 @@ class Origin:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "at", float(fraction("origin", self.at)))
-        whole("number of the zero", self.zero)
+        if (number := whole("number of the zero", self.zero)) >= NUMBERS:
+            raise BadInput(f"a zero is numbered 1 to {NUMBERS - 1}; {number} is none")
+        object.__setattr__(self, "zero", number)
 
 
 class Motion:

@@ -42,6 +42,10 @@ APART = SECOND // 7
 """Least time between them, and to the first slot [ns]: some looks."""
 PATIENCE = 0.25
 """How long a trigger may be overdue [s], by where the motion is."""
+FORGOTTEN = (
+    "the controller has another zero than this print: it lost its power or was reset, so nobody knows where the motor "
+    "is; begin anew with fresh resin"
+)
 TURNS = 2
 """Most turns of a vial that are added for what was missed."""
 
@@ -82,14 +86,14 @@ class TriggeredPlayer:
         self._origin, self._added = origin, 0
         self._supplies: list[Supply] = []
         self._owed: list[Counter[int]] = [Counter() for _ in pictures]
-        self._first = self._kept = self._sent = self._looked = 0
+        self._first = self._kept = self._sent = self._looked = self._plays = 0
 
     # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:
         """Mirrors and buffers full, the motion at its speed, black pictures and first rows queued."""
         controller = self.machines.controller
         self._first = self._kept = first
-        self._kept_zero()
+        self._kept_zero(controller.status())
         controller.move(0.0)  # a host that died may have left it running
         self._fill(first, alive)
         controller.mode("steps")
@@ -104,15 +108,15 @@ class TriggeredPlayer:
         self._sent, self._alive = 0, alive
         self._send(controller.capacity)
         controller.end(len(self.schedule) - first + PREROLL)
+        status = controller.status()
+        self._kept_zero(status)  # all this took its time
+        self._plays = status.plays + 1
         return round(approach.ahead(start, self._origin.at) * SECOND) + PREROLL * self._apart
 
-    def _kept_zero(self) -> None:
+    def _kept_zero(self, status: Status) -> None:
         """Raise `DeviceLost` where the controller forgot where pose 0 of this print is."""
-        if self._origin is not None and self.machines.controller.status().zero != self._origin.zero:
-            raise DeviceLost(
-                "the controller has another zero than this print: it lost its power or was reset while the print "
-                "rested, so nobody knows where the motor is; begin anew with fresh resin"
-            )
+        if self._origin is not None and status.zero != self._origin.zero:
+            raise DeviceLost(FORGOTTEN)
 
     def _fill(self, first: int, alive: Callable[[], None]) -> None:
         on = int(self.schedule.on[0]) // 1000
@@ -138,9 +142,9 @@ class TriggeredPlayer:
                 self.wait()
 
     def facts(self) -> dict[str, Any]:
-        """Where pose 0 is on the motor."""
+        """Where pose 0 is on the motor, and which of the controller's plays the leg is."""
         assert self._origin is not None, "primed"
-        return {"origin": self._origin.at, "zero": self._origin.zero, "preroll": PREROLL}
+        return {"origin": self._origin.at, "zero": self._origin.zero, "play": self._plays, "preroll": PREROLL}
 
     # ---- in the light ----------------------------------------------------------------------------------------
     def start(self) -> None:
@@ -168,6 +172,8 @@ class TriggeredPlayer:
         """Why the controller cannot be trusted."""
         if status.state == "fault":
             return f"the controller closed the light: {status.fault}"
+        if self._origin is not None and status.zero != self._origin.zero:
+            return FORGOTTEN
         if status.late:
             return f"{status.late} rows came to the controller after their time; look at what holds up the host"
         if status.state == "running" and status.shown < len(self.schedule) - self._first + PREROLL:

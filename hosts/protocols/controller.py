@@ -9,7 +9,7 @@ heard nothing may repeat itself; ``hello`` and ``stat`` are answered afresh. Lin
 ========= =========================================== =================================================================
 verb      arguments                                   effect; answer
 ========= =========================================== =================================================================
-hello     \\-                                           light off, disarmed, the first ``ramp`` again; answers
+hello     \\-                                           light off, rows dropped, disarmed, the first ``ramp`` again;
                                                       ``vam-controller`` version, rows it can hold, longest lease [ms],
                                                       channels of light
 lease     milliseconds                                the light may stay on for so long from now
@@ -17,8 +17,7 @@ arm       \\-                                           allow light; refused wit
 disarm    \\-                                           light off and not allowed
 power     channel, 0..65535                           the drive of a channel, of full
 light     channels                                    steady light, while armed; 0 darkens, a row's light too
-mode      ``time`` or ``steps``                       rows dropped; those to come count microseconds since ``go``,
-                                                      or microsteps
+mode      ``time`` or ``steps``                       what the rows count: microseconds since ``go``, or microsteps
 row       index, at, lens, delay us, on us, channels  queue one slot; rows still free, and the index of the next row
 end       count                                       how many rows the print has; may be told again while they run
 go        \\-                                           begin to play the rows, and to count those shown
@@ -43,11 +42,11 @@ Told again, a smaller count ends the play with the row on its way, which is not 
 The controller closes the light by itself when the lease runs out, when the interlock opens, and at ``hello``,
 ``disarm`` and ``stop``; it then disarms and says ``! light off <reason>``.
 
-``hello`` ends what an earlier host let it play, and forgets none of it: rows stay until ``mode``, what was shown until
-``go``, the web's position and the number of its zero until ``zero``. All begin at 0 when the board is switched on or
-reset, so a host that finds its own number there knows that nothing was forgotten. Boards that reset when a host opens
-their port (by its DTR line, as many with a separate USB chip do) forget at that moment: disable that as the board's
-maker describes, or take a board without it.
+What an earlier host did outlives it, and ``hello``: what was shown until ``go``, the web's position and the number of
+its zero until ``zero``, the count of plays for good. All begin at 0 when the board is switched on or reset. A host that
+finds its own zero and its own play knows that nothing was forgotten, and that nobody else let it play. Boards that
+reset when a host opens their port (by its DTR line, as many with a separate USB chip do) forget at that moment: disable
+that as the board's maker describes, or take a board without it.
 """
 
 from __future__ import annotations
@@ -100,7 +99,7 @@ class Status:
 
     ``row`` is the next row to act, ``shown`` how many acted, ``late`` how many stayed dark because they came late,
     ``free`` how many more fit, ``position`` the web's [microsteps], ``speed`` [thousandths of microsteps per second],
-    ``zero`` the number under which its position 0 was set, 0 since power came.
+    ``zero`` the number under which its position 0 was set, 0 since power came, ``plays`` how often ``go`` was obeyed.
     """
 
     state: str
@@ -111,6 +110,7 @@ class Status:
     position: int
     speed: int
     zero: int
+    plays: int
     lease_ms: int
     light: int
     armed: bool
@@ -149,7 +149,8 @@ def parse_status(words: tuple[str, ...]) -> Status:
     """The status in the answer to ``stat``."""
     try:
         state, *numbers, fault = words
-        row, shown, late, free, position, speed, zero, lease, light, armed, closed = map(int, numbers)
+        row, shown, late, free, position, speed, zero, plays, lease, light, armed, closed = map(int, numbers)
     except ValueError:
-        raise ProtocolError(f"the controller's status {words} has not the 13 values of version {VERSION}") from None
-    return Status(state, row, shown, late, free, position, speed, zero, lease, light, bool(armed), bool(closed), fault)
+        raise ProtocolError(f"the controller's status {words} has not the 14 values of version {VERSION}") from None
+    web = (position, speed, zero, plays)
+    return Status(state, row, shown, late, free, *web, lease, light, bool(armed), bool(closed), fault)

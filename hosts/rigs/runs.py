@@ -93,10 +93,13 @@ def _light(rig: RigFile) -> dict[str, Any]:
     return told
 
 
-def run_folder(planned: Plan, folder: str | Path, left: Interrupted | None) -> RunFolder:
-    """A new folder of a run, or that of one that is gone on with, up to what was shown. Raises `StorageError`."""
+def run_folder(planned: Plan, folder: str | Path, left: Interrupted | None, now: int) -> RunFolder:
+    """A new folder of a run, or that of one that is gone on with, up to what was shown. Raises `StorageError`.
+
+    now: by the rig's clock [ns].
+    """
     if left is None:
         return RunFolder.begin(folder, asked_for(planned), planned.rig.text)
     record = RunFolder.again(folder)
-    left.take_up(record, planned.schedule)
+    left.take_up(record, planned.schedule, now)
     return record

@@ -25,6 +25,7 @@ from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.resume import interrupted
 from vamgpu.hosts.run import Limits, Print
+from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.limits import MirrorTiming
 from vamgpu.hosts.schedules.moving import turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
@@ -242,9 +243,34 @@ def test_a_vial_begins_within_a_run_up(run: Path, speed: float) -> None:
 def test_a_controller_that_was_reset_at_rest_is_told(run: Path) -> None:
     scene = Scene(run, roll())
     scene.paused()
-    scene.bench.controller.zero = 0
-    with pytest.raises(DeviceLost, match="was reset while the print rested"):
+    scene.bench.controller.lose_power(scene.bench.clock.now())
+    with pytest.raises(DeviceLost, match="it lost its power or was reset"):
         scene.print.run()
+    assert not scene.bench.controller.light
+
+
+def test_a_controller_that_is_reset_on_the_way_to_the_light_is_told(run: Path) -> None:
+    scene = Scene(run, roll())
+    scene.paused()
+    lit, fill = len(scene.bench.controller.intervals), scene.player._fill
+
+    def meanwhile(first: int, alive: Callable[[], None]) -> None:
+        fill(first, alive)
+        scene.bench.controller.lose_power(scene.bench.clock.now())
+
+    scene.player._fill = meanwhile  # type: ignore[method-assign]
+    with pytest.raises(DeviceLost, match="it lost its power or was reset"):
+        scene.print.run()
+    assert len(scene.bench.controller.intervals) == lit
+
+
+def test_a_controller_with_another_zero_is_told_in_the_light(run: Path) -> None:
+    scene = Scene(run, roll())
+    with pytest.raises(InterlockOpen, match="it lost its power or was reset"), scene.print.guard:
+        scene.print.begin(0)
+        scene.until(3)
+        scene.bench.controller.zero = 0
+        scene.until(5)
     assert not scene.bench.controller.light
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,11 +14,13 @@ import pytest
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, TimingInfeasible
 from vamgpu.hosts.players.triggered import PREROLL
-from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.protocols.controller import Row
+from vamgpu.hosts.record import RunFolder, Shown, read_run
 from vamgpu.hosts.rig import Plan, Rehearsal, carry_out, check, limits, may_go_on, plan, player, rehearsal
 from vamgpu.hosts.rigs.config import EMULATED, parse_rig
 from vamgpu.hosts.rigs.runs import asked_for, left_by_a_host
 from vamgpu.hosts.run import Print
+from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State
 from vamgpu.printing.folder import save_frames
@@ -69,9 +74,22 @@ def until(stand: Rehearsal, job: Print, pictures: int) -> None:
         stand.bench.clock.sleep(SECOND // 100)
 
 
-def gone(stand: Rehearsal, job: Print) -> None:
-    """The host dies; its lease runs out."""
+def pause(job: Print) -> int:
+    """Let it rest, and hold its light again; the next slot."""
+    job.pause()
+    while job.step():
+        job.player.wait()
+    job.guard.__exit__(None, None, None)
+    job._pausing = False
+    job.guard.__enter__()
+    return job.next
+
+
+def gone(stand: Rehearsal, job: Print, at_once: bool = False) -> None:
+    """The host dies; its lease runs out. at_once: the system takes its mirrors back before that."""
     job.guard._release_process()
+    if at_once:
+        stand.bench.alps[0].forsake()
     job.folder.close()
     stand.bench.clock.sleep(SECOND)
     assert not stand.bench.controller.light
@@ -143,23 +161,38 @@ def too_slow(*_: Any, **__: Any) -> None:
     raise TimingInfeasible("the wire is too slow", "upload", 1.0, "deg/s")
 
 
-def test_a_leg_that_nobody_wrote_down_is_known_after_refusals(job: Path, tmp_path: Path) -> None:
-    """The host died before its first look at a leg that was shown in part; the controller is opened twice then."""
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_leg_that_nobody_wrote_down_is_known_after_refusals(job: Path, tmp_path: Path, stopped: bool) -> None:
+    """The host died before its first look at a leg that was shown in part; others open the controller, or stop it."""
     wanted, path = planned(job), tmp_path / "run"
     stand, old = begun(wanted, path, 12)
-    old.pause()
-    while old.step():
-        old.player.wait()
-    rested, old._pausing = old.next, False
-    old.guard.__exit__(None, None, None)
-    old.guard.__enter__()
+    rested = pause(old)
     old.begin(rested)
     until(stand, old, PREROLL + 3)
     gone(stand, old)
+    shown = stand.bench.controller.shown - PREROLL
     for _ in range(2):
-        found = left_by_a_host(wanted, again(stand, wanted), path)
-        assert found.recorded == rested < found.first
+        machines = again(stand, wanted)
+        if stopped:
+            machines.controller.stop()
+        found = left_by_a_host(wanted, machines, path)
+        assert (found.recorded, found.first) == (rested, rested + shown) and shown >= 3
         stand.bench.alps[0].forsake()
+
+
+def test_pictures_that_another_program_played_are_not_taken_for_its_own(job: Path, tmp_path: Path) -> None:
+    wanted, path = planned(job), tmp_path / "run"
+    stand, machines = died(wanted, path)
+    other = machines.controller
+    other.mode("time")
+    other.end(24)
+    for number in range(24):
+        other.row(Row(number, 1000 * number, None, 0, 0, 0))
+    other.go()
+    stand.bench.clock.sleep(SECOND)
+    assert other.status().shown == 24
+    with pytest.raises(BadInput, match="another program let the controller play"):
+        left_by_a_host(wanted, machines, path)
 
 
 @pytest.mark.parametrize("black", [0, 1, PREROLL])
@@ -171,6 +204,67 @@ def test_a_host_that_died_before_the_first_slot(job: Path, tmp_path: Path, black
     assert stand.bench.controller.shown == black
     state, _ = carry_out(wanted, again(stand, wanted), path, resume=True)
     assert state is State.COMPLETE and read_run(path).shown["slot"].tolist() == list(range(36))
+
+
+def test_what_the_last_lease_showed_is_told_as_unseen(job: Path, tmp_path: Path) -> None:
+    """Mirrors that go dark with their program leave what the controller triggers until the lease is over black."""
+    wanted, path = planned(job, "safety.lease=1 s"), tmp_path / "run"
+    stand, old = begun(wanted, path, 12)
+    gone(stand, old, at_once=True)
+    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is State.COMPLETE
+    run = read_run(path)
+    unseen = next(event for event in run.events if event["event"] == "unseen")
+    lit = stand.bench.chamber.seconds(0, 36, 36).sum(axis=(0, 2, 3))
+    black = np.flatnonzero(lit == 0).tolist()
+    assert black and set(black) <= set(range(unseen["first"], unseen["stop"]))
+    assert run.shown["slot"].tolist() == list(range(36))
+
+
+def test_a_rest_is_counted_over_several_hosts(job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second host dies before its light; the dark began with the first."""
+    wanted, path, later = planned(job), tmp_path / "run", [0.0]
+    real = time.time
+    for module in ("resume", "record"):
+        monkeypatch.setattr(f"vamgpu.hosts.{module}.time", SimpleNamespace(time=lambda: real() + later[0]))
+    stand, machines = died(wanted, path)
+    later[0] = 20.0
+    left = left_by_a_host(wanted, machines, path)
+    assert 20 * SECOND <= left.rest <= 25 * SECOND
+    with RunFolder.again(path) as folder:
+        left.take_up(folder, wanted.schedule, machines.clock.now())
+        second = Print(player(wanted, machines, origin=left.origin), folder, limits=limits(wanted.rig))
+        second.recall(read_run(path).shown, left.rest)
+        second.guard.__enter__()
+        second.player.start = lambda: None  # type: ignore[method-assign]
+        second.begin(left.first)
+        gone(stand, second)
+    later[0] = 29.0
+    may_go_on(wanted, path)
+    later[0] = 45.0
+    with pytest.raises(BadInput, match="rested [45]"):
+        left_by_a_host(wanted, again(stand, wanted), path)
+
+
+def test_a_print_whose_every_look_sees_pictures_leaves_signs(job: Path, tmp_path: Path) -> None:
+    stand, old = begun(planned(job), tmp_path / "run", 12)
+    begin, seen = stand.bench.clock.now(), old.player.look()
+    for slot in range(12, 30):
+        stand.bench.clock.sleep(SECOND // 10)
+        old._keep(replace(seen, pictures=(Shown(slot, slot, slot, 0, 0),)))
+    gone(stand, old)
+    looks = [event["at"] for event in read_run(tmp_path / "run").events if event["event"] == "look"]
+    assert sum(at > begin for at in looks) == 3, "in 1.8 s, at least every 0.6"
+
+
+def test_an_open_door_does_not_cost_the_print(job: Path, tmp_path: Path) -> None:
+    wanted, path = planned(job), tmp_path / "run"
+    stand, machines = died(wanted, path)
+    stand.bench.controller.open_interlock(stand.bench.clock.now())
+    with pytest.raises(InterlockOpen, match="close the enclosure"):
+        carry_out(wanted, machines, path, resume=True)
+    stand.bench.controller.interlock_closed = True
+    stand.bench.alps[0].forsake()
+    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is State.COMPLETE
 
 
 def test_the_command_asks_before_it_opens_machines(

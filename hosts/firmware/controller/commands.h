@@ -28,9 +28,10 @@ static void add_status(char *out, int64_t now) {
   int64_t lease = lease_end > now ? (lease_end - now) / 1000 : 0;
   int64_t rate = (int64_t)(speed * 1000 + (speed < 0 ? -0.5 : 0.5));
   int64_t room = CAPACITY - queued;
-  int64_t numbers[11] = {next_row, shown, late_rows, room, position, rate, zero, lease, light, armed, closed};
+  int64_t numbers[12] = {next_row, shown, late_rows, room,  position, rate,
+                         zero,     plays, lease,     light, armed,    closed};
   add(out, state);
-  for (uint8_t i = 0; i < 11; i++) {
+  for (uint8_t i = 0; i < 12; i++) {
     add(out, " ");
     add_number(out, numbers[i]);
   }
@@ -40,7 +41,10 @@ static void add_status(char *out, int64_t now) {
 
 static void answer_hello(char *values) {
   close_light("hello", false);
+  reset_rows();
+  done = steps_mode = false;
   accel = RAMP;
+  fault = "none";
   add(values, "vam-controller 2 ");
   int64_t numbers[3] = {CAPACITY, LONGEST_LEASE_MS, CHANNELS};
   for (uint8_t i = 0; i < 3; i++) {
@@ -94,6 +98,7 @@ static const char *command_rows(const char *verb, const int64_t *n, bool dash, c
     running = true;
     done = false;
     shown = late_rows = 0;
+    plays++;
     started = earliest = now;
   } else if (!strcmp(verb, "move")) {
     if (n[0] > FASTEST * 1000 || n[0] < -FASTEST * 1000) return "range";
@@ -120,7 +125,6 @@ static const char *command_rows(const char *verb, const int64_t *n, bool dash, c
 static const char *set_mode(const char *word) {
   if (running) return "state";
   if (strcmp(word, "time") && strcmp(word, "steps")) return "range";
-  reset_rows();
   steps_mode = word[0] == 's';
   return 0;
 }

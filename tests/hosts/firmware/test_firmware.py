@@ -158,6 +158,19 @@ def test_rows_by_steps_follow_the_web(both: Both) -> None:
         assert (one.state, one.row, one.shown) == (other.state, other.row, other.shown)
 
 
+def test_a_ramp_that_changes_under_way_goes_on_with_the_new_one(both: Both) -> None:
+    def scenario(bench: Any) -> None:
+        bench.ask(100, "ramp", 1000)
+        bench.ask(200, "move", 900_000)
+        assert abs(bench.status(299).speed - 100_000) <= 5000
+        bench.ask(399, "ramp", 5000)
+        assert abs(bench.status(449).speed - 450_000) <= 25_000
+        bench.ask(499, "hello")
+        assert bench.status(599).speed == 900_000
+
+    both(scenario)
+
+
 def test_speeds_and_ramps_out_of_range_are_refused(both: Both) -> None:
     def scenario(bench: Any) -> None:
         at = itertools.count(100, 10)
@@ -234,12 +247,16 @@ def test_what_was_shown_survives_the_host(bench_of: BenchOf, new_board: NewBoard
         bench.ask(205, "go")
         bench.clock.sleep_until(SECOND)
         again = Controller(Wire(plug(machine, bench.clock, 0.05), "the controller"))
-        assert (again.before.state, again.before.fault, again.before.shown) == ("fault", "lease", 3)
-        assert again.before.position >= 1580
+        seen = again.status()
+        assert (seen.state, seen.row, seen.free, seen.shown, seen.plays) == ("idle", 0, 256, 3, 1)
+        assert seen.position >= 1580 and seen.zero == 0
+        again.move(0.0)
         again.zero(4711)
-        again.row(Row(again.before.row + again.capacity - again.before.free, 0, None, 0, 100))
-        later = Controller(Wire(plug(machine, bench.clock, 0.05), "the controller")).before
-        assert (later.zero, later.shown, later.row, later.free) == (4711, 3, 3, again.before.free - 1)
+        seen = Controller(Wire(plug(machine, bench.clock, 0.05), "the controller")).status()
+        assert (seen.zero, seen.shown, seen.plays) == (4711, 3, 1) and seen.position < 1580
+        again.go()
+        seen = again.status()
+        assert (seen.shown, seen.plays, seen.light) == (0, 2, 0), "no rows of the first host"
 
 
 def test_damaged_lines_are_asked_for_again_and_act_once(bench_of: BenchOf, new_board: NewBoard) -> None:

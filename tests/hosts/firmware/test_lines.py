@@ -26,7 +26,7 @@ def _heard(data: bytes) -> tuple[list[str], list[str]]:
     """Answers and complaints, without the milliseconds left of the lease, and events."""
     lines = [line.rpartition("*")[0] for line in data.decode("ascii").split("\n")]
     words = [line.split() for line in lines if line[:1] not in ("", "!")]
-    answers = [" ".join([*line[:10], *line[11:]] if len(line) > 12 else line) for line in words]
+    answers = [" ".join([*line[:11], *line[12:]] if len(line) > 12 else line) for line in words]
     return answers, [line for line in lines if line[:1] == "!"]
 
 
