@@ -20,14 +20,14 @@ from vamgpu.hosts.state import State
 
 @dataclass(frozen=True, eq=False)
 class Interrupted:
-    """A print that a host left. first: the next slot.  recorded: slots in its folder.  origin: see `Origin`.
+    """A print that a host left. first: the next slot.  unseen: from which one nobody saw all.  origin: see `Origin`.
 
     lost: poses that were black, of each projector.  since: when it had light last, by the clock of its days [s].
     """
 
     run: Run
     first: int
-    recorded: int
+    unseen: int
     origin: Origin
     lost: tuple[tuple[int, ...], ...]
     since: float
@@ -40,12 +40,13 @@ class Interrupted:
     def take_up(self, folder: RunFolder, schedule: Schedule, now: int) -> None:
         """Write down, at a time of the rig's clock [ns], what was triggered after the host's last look.
 
-        The last of it may have been cut short, and mirrors that go dark with their program have shown none of it.
+        What was on show then may have been cut short, and so the last; mirrors that go dark with their program have
+        shown none of what came after.
         """
-        if self.first > self.recorded:
-            folder.event("unseen", now, first=self.recorded, stop=self.first)
+        if self.first > self.unseen:
+            folder.event("unseen", now, first=self.unseen, stop=self.first)
         have = set(zip(self.run.shown["slot"].tolist(), self.run.shown["engine"].tolist(), strict=True))
-        for slot in range(max(self.recorded - 1, 0), self.first):
+        for slot in range(self.unseen, self.first):
             row = (int(getattr(schedule, name)[slot]) for name in ("frame", "pose", "light", "on"))
             frame, pose, light, on = row
             for engine in range(schedule.engines):
@@ -58,12 +59,13 @@ class Interrupted:
 class Left:
     """What the folder of a host that died tells by itself. leg: its last event of that kind.
 
-    lit: when it told of light last [s].
+    sign: when it wrote of light last [s].  dark: whether it had put the light out itself.
     """
 
     run: Run
     leg: dict[str, Any]
-    lit: float
+    sign: float
+    dark: bool
 
 
 def left_in(path: str | Path, limits: Limits = Limits()) -> Left:
@@ -79,15 +81,20 @@ def left_in(path: str | Path, limits: Limits = Limits()) -> Left:
             f"{str(path)!r} was printed on a screen: nobody knows what that showed until the light went off; begin "
             "anew with fresh resin"
         )
-    sign = float(run.events[-1]["wall"])
-    if (rest := _since(sign)) < 0:
+    _rested(path, float(run.events[-1]["wall"]), limits)
+    signs = [event for event in run.events if event["event"] in ("leg", "light", "look")]
+    dark = next(event.get("to") == "off" for event in reversed(signs) if event["event"] != "look")
+    return Left(run, leg, float(signs[-1]["wall"]), dark)
+
+
+def _rested(path: str | Path, since: float, limits: Limits) -> None:
+    """Raise `BadInput` for a rest since a time of these days [s] that was too long, or that nobody knows."""
+    if (rest := _since(since)) < 0:
         raise BadInput(
             f"the last sign of {str(path)!r} is {-rest / SECOND:.1f} s ahead of this host's clock, so nobody knows how "
             "long it rested; begin anew with fresh resin"
         )
     may_resume(rest, limits)
-    lit = max(event["wall"] for event in run.events if event["event"] in ("leg", "light", "look"))
-    return Left(run, leg, float(lit))
 
 
 def interrupted(path: str | Path, controller: Controller, schedule: Schedule, limits: Limits = Limits()) -> Interrupted:
@@ -106,7 +113,7 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
     slots = run.shown["slot"]
     recorded = int(slots.max()) + 1 if len(slots) else 0
     shown = leg["first"] + _counted(now, leg)
-    if now.plays - leg["play"] not in (-1, 0) or shown < recorded:
+    if now.play not in (leg["play"], leg["before"]) or shown < recorded:
         raise BadInput(
             f"another program let the controller play after {str(path)!r} was left, so nobody knows what the resin "
             "saw; begin anew with fresh resin"
@@ -117,15 +124,15 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
         raise BadInput(f"{str(path)!r} has shown all its {len(schedule)} slots{missed}; nothing is left to print")
     lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
     origin = Origin(leg["origin"], leg["zero"])
-    since = left.lit if shown > leg["first"] else leg["wall"] - leg["dark"] / SECOND
-    found = Interrupted(run, shown, recorded, origin, tuple(map(tuple, lost)), since)
-    may_resume(found.rest, limits)
-    return found
+    lit = recorded > leg["first"]  # what was shown after that counts as dark: a rest is rather told too long
+    since = left.sign if lit else leg["wall"] - leg["dark"] / SECOND
+    _rested(path, since, limits)
+    return Interrupted(run, shown, recorded - int(lit and not left.dark), origin, tuple(map(tuple, lost)), since)
 
 
 def _counted(now: Status, leg: dict[str, Any]) -> int:
     """Pictures of a leg that the controller showed; a host that died in between had not let it play yet."""
-    return max(now.shown - leg["preroll"], 0) if now.plays == leg["play"] else 0
+    return max(now.shown - leg["preroll"], 0) if now.play == leg["play"] else 0
 
 
 def _since(wall: float) -> int:

@@ -137,6 +137,7 @@ class Print:
         self.guard.look(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
         self._stopped()
         self._rested(ahead)  # getting ready took its time too
+        self._alive(force=True)  # who made it dark before ended the controller's lease too
         self.guard.on(self.power)
         self._lit, self.dark_since = True, None
         self.player.start()
@@ -206,10 +207,10 @@ class Print:
         self.states.to(state, self.guard.fault or why)
         return False
 
-    def _alive(self) -> None:
+    def _alive(self, force: bool = False) -> None:
         self._stopped()
         self.lease.beat()
-        self.lease.keep()
+        self.lease.keep(force)
 
     def _stopped(self) -> None:
         """Raise `InterlockOpen` where somebody has stopped the print."""

@@ -176,9 +176,9 @@ class Controller:
         """Tell how many rows the print has."""
         self.ask("end", count)
 
-    def go(self) -> None:
-        """Begin to play the rows."""
-        self.ask("go")
+    def go(self, number: int) -> None:
+        """Begin to play the rows. number: 1 to 65535, by which a later host knows this play again."""
+        self.ask("go", number)
 
     def stop(self) -> None:
         """Light off first, then rows dropped, then the web at rest."""

@@ -24,7 +24,7 @@ GREATEST = 10**15
 LONGEST_US = 2**31 - 1
 NUMBER = re.compile(r"-?[0-9]{1,18}")
 ARGUMENTS = {
-    "hello": 0, "lease": 1, "arm": 0, "disarm": 0, "power": 2, "light": 1, "mode": 1, "row": 6, "end": 1, "go": 0,
+    "hello": 0, "lease": 1, "arm": 0, "disarm": 0, "power": 2, "light": 1, "mode": 1, "row": 6, "end": 1, "go": 1,
     "move": 1, "ramp": 1, "zero": 1, "stop": 0, "stat": 0,
 }  # fmt: skip
 
@@ -172,12 +172,14 @@ class EmulatedController(RowPlayer):
         self.total, self._judge_at = count, now
         return "ok"
 
-    def _do_go(self, now: int) -> str:
+    def _do_go(self, now: int, number: int) -> str:
         if self.running:
             return "no state"
+        if not 1 <= number <= 65535:
+            return "no range"
         self.running, self.done, self.started, self._floor = True, False, now, now
         self.shown = self.late = 0
-        self.plays += 1
+        self.play = number
         self._judge_at = now
         return "ok"
 
@@ -219,7 +221,7 @@ class EmulatedController(RowPlayer):
         lease = max((self.lease_end or now) - now, 0) // MILLI
         numbers = (
             self.next_row, self.shown, self.late, self.capacity - len(self.rows), self.microsteps(now),
-            round(self.web.velocity(now) * 1000), self.zero, self.plays, lease, self.light,
+            round(self.web.velocity(now) * 1000), self.zero, self.play, lease, self.light,
             int(self.armed), int(self.interlock_closed),
         )  # fmt: skip
         return " ".join(["ok", state, *map(str, numbers), self.fault])

@@ -50,7 +50,7 @@ class RowPlayer:
         self.lease_end: int | None = None
         self.steps_mode = False
         self.rows: deque[tuple[int, int, int | None, int, int, int]] = deque()
-        self.next_row = self.shown = self.late = self.zero = self.plays = 0
+        self.next_row = self.shown = self.late = self.zero = self.play = 0
         self.total: int | None = None
         self.started = self._floor = 0
         self._fired = -TRIGGER_GAP

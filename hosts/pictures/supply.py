@@ -115,6 +115,12 @@ class Supply:
         """Pictures since the leg began, black ones before the first slot included."""
         return self._stream.shown()
 
+    def take_back(self, slot: int) -> None:
+        """Tell the policy that black from a slot of the leg on never came: the leg ends before it."""
+        for number in sorted(self._feed.late, reverse=True):
+            if number >= slot + self._preroll and self._order[number] != NONE:
+                self._policy.regained(int(self._poses[number - self._preroll]))
+
     def close(self) -> None:
         """Make no more pictures and give the mirrors' memory back, unless an upload hangs in it."""
         self._stream.cease()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from enum import Enum
 from typing import Protocol
 
@@ -28,6 +28,10 @@ class Underruns(Protocol):
         """Count a pose whose picture is late; poses come in rising order."""
         ...
 
+    def regained(self, pose: int) -> None:
+        """Count a lost pose no more, as its slot did not come; the latest is taken back first."""
+        ...
+
     def owes(self) -> Counter[int]:
         """How often each frame is to be shown again."""
         ...
@@ -43,16 +47,19 @@ class WebUnderrun:
     def __init__(self, window: int = 360, allowed: int = 2) -> None:
         self.window, self.allowed = whole("window", window), whole("allowed", allowed, 0)
         self.total = 0
-        self._recent: deque[int] = deque()
+        self._recent: Counter[int] = Counter()
 
     def lost(self, pose: int) -> Action:
         """Count a pose whose picture is late; poses come in rising order."""
         self.total += 1
-        if not self._recent or self._recent[-1] != pose:
-            self._recent.append(pose)
-        while self._recent[0] <= pose - self.window:
-            self._recent.popleft()
+        self._recent[pose] += 1
+        self._recent = Counter({at: lost for at, lost in self._recent.items() if at > pose - self.window})
         return Action.STOP if len(self._recent) > self.allowed else Action.BLACK
+
+    def regained(self, pose: int) -> None:
+        """Count a lost pose no more, as its slot did not come."""
+        self.total -= 1
+        self._recent -= Counter([pose])
 
     @property
     def stopped(self) -> str:
@@ -83,6 +90,12 @@ class VialUnderrun:
         self._owed[pose % self.images] += 1
         return Action.STOP if len(self._row) >= self.images else Action.BLACK
 
+    def regained(self, pose: int) -> None:
+        """Count a lost pose no more, as its slot did not come; the latest is taken back first."""
+        self._row = range(self._row.start, pose) if pose == self._row.stop - 1 else self._row
+        self.missed -= 1
+        self._owed[pose % self.images] -= 1
+
     @property
     def stopped(self) -> str:
         """Why `lost` said stop."""
@@ -90,5 +103,5 @@ class VialUnderrun:
 
     def owes(self) -> Counter[int]:
         """How often each frame is to be shown again; asking settles it."""
-        owed, self._owed = self._owed, Counter()
+        owed, self._owed = +self._owed, Counter()
         return owed

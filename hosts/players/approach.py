@@ -28,6 +28,12 @@ WINDOW = 1_000_000_000
 """Over which the motion's speed is judged [ns]."""
 
 
+def own_number(clock: Clock, other: int) -> int:
+    """A number for a controller's zero or play, which is not the one that it has, and hardly ever that of a third."""
+    number = clock.now() // MILLI % (NUMBERS - 1) + 1
+    return number if number != other else number % (NUMBERS - 1) + 1
+
+
 @dataclass(frozen=True)
 class Origin:
     """Where pose 0 of a print is on the motor.
@@ -77,11 +83,8 @@ class Approach:
         self._run_up = 4 * float(schedule.advance) + 1.6 * self._speed
 
     def fresh(self, time: int) -> Origin:
-        """A zero here, with room for a run-up to a time of the schedule [ns].
-
-        Its number follows from the time, so that another print's zero has hardly ever the same.
-        """
-        zero = self._clock.now() // MILLI % (NUMBERS - 1) + 1
+        """A zero here, with room for a run-up to a time of the schedule [ns]."""
+        zero = own_number(self._clock, self._controller.status().zero)
         self._controller.zero(zero)
         return Origin(self._run_up + 1 / self._microsteps - float(self._schedule.position_at(time)), zero)
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from vamgpu.errors import BadInput
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.camera import Camera
@@ -15,7 +13,6 @@ from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.drivers.lens import TunableLens
 from vamgpu.hosts.pictures.underrun import Underruns, VialUnderrun, WebUnderrun
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.hosts.schedules.timing import SECOND
 
 REST = 20_000
 """Least time from a picture's last light to the next trigger [ns]."""
@@ -43,7 +40,7 @@ def shows(schedule: Schedule) -> None:
     """Raise `BadInput` for slots that triggered mirrors do not show."""
     if len(set(schedule.on.tolist())) != 1 or (schedule.power != schedule.power[0]).any():
         raise BadInput("pictures differ in how long or how brightly they are lit; the mirrors take one time for all")
-    gap = int(np.diff(schedule.light).min(initial=SECOND))
+    gap = schedule.gap
     if gap - int(schedule.on[0]) < REST:
         raise BadInput(
             f"pictures are lit for {int(schedule.on[0]) / 1000:.6g} of the {gap / 1000:.6g} us that they have; mirrors "

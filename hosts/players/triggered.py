@@ -21,7 +21,7 @@ from vamgpu.hosts.insist import insist
 from vamgpu.hosts.pictures.stream import Pictures
 from vamgpu.hosts.pictures.supply import Dark, Supply, guard, length
 from vamgpu.hosts.pictures.underrun import Underruns
-from vamgpu.hosts.players.approach import LOOK, Approach, Motion, Origin
+from vamgpu.hosts.players.approach import LOOK, Approach, Motion, Origin, own_number
 from vamgpu.hosts.players.asking import Asking
 from vamgpu.hosts.players.mirrors import Machines, shows, usual
 from vamgpu.hosts.players.player import Look
@@ -43,8 +43,8 @@ APART = SECOND // 7
 PATIENCE = 0.25
 """How long a trigger may be overdue [s], by where the motion is."""
 FORGOTTEN = (
-    "the controller has another zero than this print: it lost its power or was reset, so nobody knows where the motor "
-    "is; begin anew with fresh resin"
+    "the controller has another zero or play than this print: it lost its power, was reset, or served another program, "
+    "so nobody knows where the motor is and what the resin saw; begin anew with fresh resin"
 )
 TURNS = 2
 """Most turns of a vial that are added for what was missed."""
@@ -86,14 +86,15 @@ class TriggeredPlayer:
         self._origin, self._added = origin, 0
         self._supplies: list[Supply] = []
         self._owed: list[Counter[int]] = [Counter() for _ in pictures]
-        self._first = self._kept = self._sent = self._looked = self._plays = 0
+        self._first = self._kept = self._sent = self._looked = self._before = 0
+        self._play: int | None = None
 
     # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:
         """Mirrors and buffers full, the motion at its speed, black pictures and first rows queued."""
         controller = self.machines.controller
         self._first = self._kept = first
-        self._kept_zero(controller.status())
+        self._still_own(controller.status())
         controller.move(0.0)  # a host that died may have left it running
         self._fill(first, alive)
         controller.mode("steps")
@@ -109,14 +110,18 @@ class TriggeredPlayer:
         self._send(controller.capacity)
         controller.end(len(self.schedule) - first + PREROLL)
         status = controller.status()
-        self._kept_zero(status)  # all this took its time
-        self._plays = status.plays + 1
+        self._still_own(status)  # all this took its time
+        self._before, self._play = status.play, own_number(self.clock, status.play)
         return round(approach.ahead(start, self._origin.at) * SECOND) + PREROLL * self._apart
 
-    def _kept_zero(self, status: Status) -> None:
-        """Raise `DeviceLost` where the controller forgot where pose 0 of this print is."""
-        if self._origin is not None and status.zero != self._origin.zero:
-            raise DeviceLost(FORGOTTEN)
+    def _still_own(self, status: Status) -> None:
+        """Raise `DeviceLost` where the controller forgot this print, or played something else."""
+        if why := self._forgotten(status):
+            raise DeviceLost(why)
+
+    def _forgotten(self, status: Status) -> str | None:
+        zero = self._origin is None or status.zero == self._origin.zero
+        return None if zero and self._play in (None, status.play) else FORGOTTEN
 
     def _fill(self, first: int, alive: Callable[[], None]) -> None:
         on = int(self.schedule.on[0]) // 1000
@@ -144,25 +149,28 @@ class TriggeredPlayer:
     def facts(self) -> dict[str, Any]:
         """Where pose 0 is on the motor, and which of the controller's plays the leg is."""
         assert self._origin is not None, "primed"
-        return {"origin": self._origin.at, "zero": self._origin.zero, "play": self._plays, "preroll": PREROLL}
+        own = {"zero": self._origin.zero, "play": self._play, "before": self._before}
+        return {"origin": self._origin.at, "preroll": PREROLL} | own
 
     # ---- in the light ----------------------------------------------------------------------------------------
     def start(self) -> None:
         """Let the controller play its rows."""
         self._looked = self.clock.now()
-        self.machines.controller.go()
+        assert self._play is not None, "primed"
+        self.machines.controller.go(self._play)
 
     def look(self) -> Look:
         """Compare what the controller triggered with what the mirrors counted."""
         before = [supply.shown() for supply in self._supplies]
         now, status = self._ask()
         after = [supply.shown() for supply in self._supplies]
-        counts = (each for low, each in zip(before, after, strict=True) if not low <= status.shown <= each)
+        count = status.shown if status.play == self._play else 0  # of an earlier play
+        counts = (each for low, each in zip(before, after, strict=True) if not low <= count <= each)
         error, origin = self._motion.error(now, status.position), 0.0 if self._origin is None else self._origin.at
-        pictures = self._since(status.shown)
+        pictures = self._since(count)
         self._looked, self._free = now, status.free
         return Look(
-            status.state == "running", error, next(counts, status.shown), status.shown, pictures,
+            status.state == "running", error, next(counts, count), count, pictures,
             status.position / self.machines.microsteps - origin,
             min(supply.share for supply in self._supplies),
             min(supply.ahead for supply in self._supplies) / self.schedule.rate, self._fault(status),
@@ -172,8 +180,8 @@ class TriggeredPlayer:
         """Why the controller cannot be trusted."""
         if status.state == "fault":
             return f"the controller closed the light: {status.fault}"
-        if self._origin is not None and status.zero != self._origin.zero:
-            return FORGOTTEN
+        if why := self._forgotten(status):
+            return why
         if status.late:
             return f"{status.late} rows came to the controller after their time; look at what holds up the host"
         if status.state == "running" and status.shown < len(self.schedule) - self._first + PREROLL:
@@ -242,6 +250,7 @@ class TriggeredPlayer:
         with ExitStack() as stack:
             for supply in supplies:
                 stack.callback(supply.close)
+                stack.callback(supply.take_back, self._kept - self._first)
 
     def amends(self) -> bool:
         """Add a turn that shows again what was missed. Raises `Underrun` after `TURNS` of them."""

@@ -9,9 +9,9 @@ heard nothing may repeat itself; ``hello`` and ``stat`` are answered afresh. Lin
 ========= =========================================== =================================================================
 verb      arguments                                   effect; answer
 ========= =========================================== =================================================================
-hello     \\-                                           light off, rows dropped, disarmed, the first ``ramp`` again;
-                                                      ``vam-controller`` version, rows it can hold, longest lease [ms],
-                                                      channels of light
+hello     \\-                                           light off, rows dropped, disarmed, no fault, the first ``ramp``
+                                                      and ``mode`` again; ``vam-controller`` version, rows it can hold,
+                                                      longest lease [ms], channels of light
 lease     milliseconds                                the light may stay on for so long from now
 arm       \\-                                           allow light; refused without a lease or with an open interlock
 disarm    \\-                                           light off and not allowed
@@ -20,7 +20,8 @@ light     channels                                    steady light, while armed;
 mode      ``time`` or ``steps``                       what the rows count: microseconds since ``go``, or microsteps
 row       index, at, lens, delay us, on us, channels  queue one slot; rows still free, and the index of the next row
 end       count                                       how many rows the print has; may be told again while they run
-go        \\-                                           begin to play the rows, and to count those shown
+go        1..65535                                    begin to play the rows, and to count those shown; ``stat`` tells
+                                                      the number
 move      thousandths of microsteps per second        run the web at a speed, ramping up to it
 ramp      microsteps per second squared               how fast the speed changes
 zero      1..65535                                    call this position 0; ``stat`` tells the number
@@ -42,9 +43,9 @@ Told again, a smaller count ends the play with the row on its way, which is not 
 The controller closes the light by itself when the lease runs out, when the interlock opens, and at ``hello``,
 ``disarm`` and ``stop``; it then disarms and says ``! light off <reason>``.
 
-What an earlier host did outlives it, and ``hello``: what was shown until ``go``, the web's position and the number of
-its zero until ``zero``, the count of plays for good. All begin at 0 when the board is switched on or reset. A host that
-finds its own zero and its own play knows that nothing was forgotten, and that nobody else let it play. Boards that
+What an earlier host did outlives it, and ``hello``: what was shown and the number of the play until ``go``, the web's
+position and the number of its zero until ``zero``. All begin at 0 when the board is switched on or reset. A host that
+finds its own two numbers knows that nothing was forgotten, and that nobody else let it play rows. Boards that
 reset when a host opens their port (by its DTR line, as many with a separate USB chip do) forget at that moment: disable
 that as the board's maker describes, or take a board without it.
 """
@@ -99,7 +100,7 @@ class Status:
 
     ``row`` is the next row to act, ``shown`` how many acted, ``late`` how many stayed dark because they came late,
     ``free`` how many more fit, ``position`` the web's [microsteps], ``speed`` [thousandths of microsteps per second],
-    ``zero`` the number under which its position 0 was set, 0 since power came, ``plays`` how often ``go`` was obeyed.
+    ``zero`` the number under which its position 0 was set, ``play`` that of the last ``go``; both 0 since power came.
     """
 
     state: str
@@ -110,7 +111,7 @@ class Status:
     position: int
     speed: int
     zero: int
-    plays: int
+    play: int
     lease_ms: int
     light: int
     armed: bool
@@ -149,8 +150,8 @@ def parse_status(words: tuple[str, ...]) -> Status:
     """The status in the answer to ``stat``."""
     try:
         state, *numbers, fault = words
-        row, shown, late, free, position, speed, zero, plays, lease, light, armed, closed = map(int, numbers)
+        row, shown, late, free, position, speed, zero, play, lease, light, armed, closed = map(int, numbers)
     except ValueError:
         raise ProtocolError(f"the controller's status {words} has not the 14 values of version {VERSION}") from None
-    web = (position, speed, zero, plays)
+    web = (position, speed, zero, play)
     return Status(state, row, shown, late, free, *web, lease, light, bool(armed), bool(closed), fault)

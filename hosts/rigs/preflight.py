@@ -158,7 +158,7 @@ def _in_time(schedule: Schedule, dmd: Dmd, bits: int) -> None:
             f"{1e-6 * most_us:.4g} s at most: move at {slowest:.4g} {schedule.unit}/s at least",
             "mirrors", slowest, f"{schedule.unit}/s",
         )  # fmt: skip
-    gap, on = int(np.diff(schedule.light).min(initial=SECOND)), int(schedule.on.max())
+    gap, on = schedule.gap, int(schedule.on.max())
     if min(gap, on + 1000) < least:
         most = float(schedule.speed) * min(gap, on + 1000) / least
         raise TimingInfeasible(

@@ -129,6 +129,11 @@ class Schedule:
         return self.advance * SECOND / self.cadence.period
 
     @property
+    def gap(self) -> int:
+        """The least time from one light to the next [ns]; with one slot it has no end."""
+        return int(np.diff(self.light).min(initial=np.iinfo(np.int64).max))
+
+    @property
     def duty(self) -> float:
         """Share of the time from the first light on in which there is light."""
         return float(self.on.sum() / max(self.duration - int(self.light[0]), 1)) if len(self) else 0.0

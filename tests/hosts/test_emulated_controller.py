@@ -78,7 +78,7 @@ def test_rows_act_at_their_times_with_lens_trigger_and_light() -> None:
     for i in range(4):
         host.ask(f"row {i} {10_000 * i + 1000} {1200 if i % 2 else '-'} 2000 3000 {1 + i % 2}")
     host.ask("end 4")
-    host.ask("go")
+    host.ask("go 5")
     host.clock.sleep(SECOND // 2)
     assert host.triggers == [(10 * i + 3) * MILLI for i in range(4)]
     golden = bytes.fromhex("50 77 44 41 04 b0 00 00 31 a7")
@@ -96,7 +96,7 @@ def test_rows_by_steps_follow_the_web_wherever_it_is() -> None:
     host.ask("ramp 1000")
     for i in range(5):
         host.ask(f"row {i} {100 * (i + 1)} - 0 1000 1")
-    host.ask("go")
+    host.ask("go 5")
     host.ask("move 500000")
     host.clock.sleep(900 * MILLI)
     web = host.machine.web
@@ -110,7 +110,7 @@ def test_a_web_that_slips_forward_acts_its_rows_at_once() -> None:
     host.ask("mode steps")
     for i in range(3):
         host.ask(f"row {i} {100 * (i + 1)} - 0 1000 1")
-    host.ask("go")
+    host.ask("go 5")
     host.clock.sleep(10 * MILLI)
     host.machine.web.set_position(host.clock.now(), 250.0)
     host.clock.sleep(10 * MILLI)
@@ -121,7 +121,7 @@ def test_a_row_that_comes_late_stays_dark() -> None:
     host = _Host()
     host.ready()
     host.ask("row 0 1000 - 0 100 1")
-    host.ask("go")
+    host.ask("go 5")
     host.clock.sleep(20 * MILLI)
     host.ask("row 1 10000 - 0 100 1")
     host.clock.sleep(20 * MILLI)

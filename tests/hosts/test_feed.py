@@ -287,6 +287,21 @@ def test_a_vial_owes_every_picture_once_and_bears_less_than_a_turn_in_a_row(imag
     assert not policy.owes(), "asking settles it"
 
 
+@given(st.integers(2, 12), st.lists(st.integers(0, 40)), st.lists(st.integers(41, 60)))
+def test_black_that_never_came_is_not_counted(images: int, came: list[int], never: list[int]) -> None:
+    """Nor does it matter that several focus planes of a pose were black."""
+    for make in (lambda: VialUnderrun(images), lambda: WebUnderrun(window=30, allowed=2)):
+        policy, other = make(), make()
+        for pose in sorted(came):
+            assert policy.lost(pose) is other.lost(pose)
+        for pose in sorted(never):
+            policy.lost(pose)
+        for pose in sorted(never, reverse=True):
+            policy.regained(pose)
+        assert policy.owes() == other.owes()
+        assert policy.lost(61) is other.lost(61) and policy.owes() == other.owes()
+
+
 # ---- preflight ---------------------------------------------------------------------------------------------
 def test_preflight_chooses_where_pictures_live_or_refuses_with_numbers() -> None:
     mirrors = MirrorTiming(memory=31069)

@@ -150,7 +150,7 @@ def _hour() -> list[tuple[object, ...]]:
             driver.row(Row(row, 1_000_000 * row + 10_000, 1000 + row % 3 * 100, 7600, 500_000))
             row += 1
         if not seen and not machine.running:
-            driver.go()
+            driver.go(5)
         driver.lease(1000)
         clock.sleep(900 * MILLI)
     driver.lease(1000)

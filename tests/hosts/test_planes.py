@@ -7,7 +7,7 @@ import pytest
 
 import vamgpu
 from vamgpu.backend.device import Device
-from vamgpu.kernels.planes import split_planes, strips_for, strips_of
+from vamgpu.kernels.planes import pick_pictures, split_planes, strips_for, strips_of
 
 RNG = np.random.default_rng(3)
 
@@ -59,3 +59,21 @@ def test_strips_share_out_every_block_in_order(rows: int, width: int, gpu: bool)
         assert np.array_equal(found[0], np.arange(width // 8))
     else:
         assert (np.diff(found.ravel()) >= 0).all()
+
+
+def picked(device: Device, own: tuple[int, int], size: tuple[int, int], top: int, left: int) -> np.ndarray:
+    rng = np.random.default_rng(own)
+    images, masks = rng.integers(0, 256, (3, *own), np.uint8), rng.integers(0, 256, (2, own[1]), np.uint8)
+    tables = {"images": images, "masks": masks}
+    tables |= {"chosen": np.array([[2, 0], [0, 1]], np.int32), "picked": np.full((2, *size), 77, np.uint8)}
+    held = {name: device.upload(table, table=True) for name, table in tables.items()}
+    device.launch(pick_pictures, **held, top=top, left=left)
+    return held["picked"].numpy()
+
+
+@pytest.mark.parametrize("own", [(5, 7), (1, 1), (9, 40)])
+@pytest.mark.parametrize("size", [(5, 7), (12, 50), (3, 4), (4, 0)])
+def test_pictures_are_picked_into_any_place(fast_device: Device, own: tuple[int, int], size: tuple[int, int]) -> None:
+    for top, left in ((0, 0), (2, 3), (0, size[1]), (size[0] + 1, size[1] + 9)):
+        wanted = picked(vamgpu.open_device("numpy"), own, size, top, left)
+        assert np.array_equal(picked(fast_device, own, size, top, left), wanted), (top, left)

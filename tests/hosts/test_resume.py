@@ -176,7 +176,7 @@ def test_a_leg_that_nobody_wrote_down_is_known_after_refusals(job: Path, tmp_pat
         if stopped:
             machines.controller.stop()
         found = left_by_a_host(wanted, machines, path)
-        assert (found.recorded, found.first) == (rested, rested + shown) and shown >= 3
+        assert (found.unseen, found.first) == (rested, rested + shown) and shown >= 3
         stand.bench.alps[0].forsake()
 
 
@@ -188,7 +188,7 @@ def test_pictures_that_another_program_played_are_not_taken_for_its_own(job: Pat
     other.end(24)
     for number in range(24):
         other.row(Row(number, 1000 * number, None, 0, 0, 0))
-    other.go()
+    other.go(5)
     stand.bench.clock.sleep(SECOND)
     assert other.status().shown == 24
     with pytest.raises(BadInput, match="another program let the controller play"):
@@ -218,6 +218,85 @@ def test_what_the_last_lease_showed_is_told_as_unseen(job: Path, tmp_path: Path)
     black = np.flatnonzero(lit == 0).tolist()
     assert black and set(black) <= set(range(unseen["first"], unseen["stop"]))
     assert run.shown["slot"].tolist() == list(range(36))
+
+
+def test_a_picture_that_the_lease_cut_is_told_as_unseen(job: Path, tmp_path: Path) -> None:
+    """It is lit for longer than the lease: the host that died had seen it begin."""
+    rig = parse_rig(EMULATED, ("safety.resume=60 s",), source="emulated")
+    wanted, path = plan(job, rig, speed=10.0), tmp_path / "run"
+    stand, old = begun(wanted, path, 12)
+    gone(stand, old)
+    found = left_by_a_host(wanted, again(stand, wanted), path)
+    assert (found.unseen, found.first) == (11, 12)
+    stand.bench.alps[0].forsake()
+    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is State.COMPLETE
+    frames = wanted.works[0].frames
+    assert frames is not None
+    lit = stand.bench.chamber.seconds(0, 36, 36).sum(axis=(0, 2, 3)) / frames.levels().sum(axis=(1, 2))
+    assert np.flatnonzero(np.abs(lit / np.median(lit) - 1) > 1e-3).tolist() == [11]
+    unseen = [event for event in read_run(path).events if event["event"] == "unseen"]
+    assert [(event["first"], event["stop"]) for event in unseen] == [(11, 12)]
+
+
+def test_a_play_of_another_program_is_not_taken_for_a_leg_that_never_began(job: Path, tmp_path: Path) -> None:
+    wanted, path = planned(job), tmp_path / "run"
+    stand, old = begun(wanted, path, 12)
+    rested = pause(old)
+    old.player.start = lambda: None  # type: ignore[method-assign]
+    old.begin(rested)
+    gone(stand, old)
+    machines = again(stand, wanted)
+    assert left_by_a_host(wanted, machines, path).first == rested
+    machines.controller.go(9)
+    machines.controller.stop()
+    with pytest.raises(BadInput, match="another program let the controller play"):
+        left_by_a_host(wanted, machines, path)
+
+
+def test_a_clock_that_was_set_back_in_the_light_hides_no_rest(
+    job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted, path, real, ahead = planned(job), tmp_path / "run", time.time, [3600.0]
+    for module in ("resume", "record"):
+        monkeypatch.setattr(f"vamgpu.hosts.{module}.time", SimpleNamespace(time=lambda: real() + ahead[0]))
+    stand, old = begun(wanted, path, 6)
+    ahead[0] = 0.0
+    while old.next < 12:
+        old.player.wait()
+        assert old.step()
+    gone(stand, old)
+    ahead[0] = 20.0
+    assert 20 * SECOND <= left_by_a_host(wanted, again(stand, wanted), path).rest <= 25 * SECOND
+    stand.bench.alps[0].forsake()
+    ahead[0] = 40.0
+    with pytest.raises(BadInput, match="rested 4"):
+        left_by_a_host(wanted, again(stand, wanted), path)
+
+
+def test_black_before_the_first_slot_is_no_light_after_a_rest(
+    job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second host dies in its black pictures; the controller shows more until the lease is over."""
+    wanted, path, real, later = planned(job, "safety.lease=1 s"), tmp_path / "run", time.time, [0.0]
+    for module in ("resume", "record"):
+        monkeypatch.setattr(f"vamgpu.hosts.{module}.time", SimpleNamespace(time=lambda: real() + later[0]))
+    stand, machines = died(wanted, path)
+    later[0] = 20.0
+    left = left_by_a_host(wanted, machines, path)
+    with RunFolder.again(path) as folder:
+        left.take_up(folder, wanted.schedule, machines.clock.now())
+        second = Print(player(wanted, machines, origin=left.origin), folder, limits=limits(wanted.rig))
+        second.recall(read_run(path).shown, left.rest)
+        second.guard.__enter__()
+        second.begin(left.first)
+        while stand.bench.controller.shown < PREROLL:
+            second.player.wait()
+            assert second.step()
+        gone(stand, second, at_once=True)
+    assert stand.bench.controller.shown > PREROLL
+    later[0] = 25.0
+    found = left_by_a_host(wanted, again(stand, wanted), path)
+    assert found.first > left.first and found.rest >= 25 * SECOND
 
 
 def test_a_rest_is_counted_over_several_hosts(job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -316,7 +316,7 @@ def test_another_host_goes_on_where_one_died(run: Path, schedule: Schedule) -> N
     old = died(run, schedule)
     machines = old.bench.machines(STEPS / float(schedule.advance))
     found = interrupted(run, machines.controller, schedule)
-    assert found.recorded <= found.first <= found.recorded + 10 and found.lost == ((),)
+    assert found.unseen < found.first <= found.unseen + 10 and found.lost == ((),)
     player = TriggeredPlayer(schedule, machines, [White()], origin=found.origin)
     player.recall(found.lost)
     with RunFolder.again(run) as folder:
@@ -334,7 +334,7 @@ def test_what_cannot_be_gone_on_with_is_told(run: Path) -> None:
     per_mm = STEPS / float(schedule.advance)
     controller = old.bench.machines(per_mm).controller
     old.bench.alps[0].forsake()
-    controller.go()
+    controller.go(5)
     controller.stop()
     with pytest.raises(BadInput, match="another program let the controller play"):
         interrupted(run, old.bench.machines(per_mm).controller, schedule)

@@ -134,6 +134,8 @@ class OpenclDevice(Device):
             counts: tuple[int, ...] = self._counts(kernel, over)  # type: ignore[arg-type]
             group = (*self._tiling(kernel).group, 1) if self.is_gpu else (1, 1, 1)
         elif isinstance(spec, Table):
+            if 0 in over:
+                return
             minor = self._tiling(kernel).minor or over[-1]
             counts = tuple(reversed((*over[:-1], -(-over[-1] // minor))))
             group = (_divisor(counts[0]), *(1 for _ in counts[1:])) if self._small_groups else None

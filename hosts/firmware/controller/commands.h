@@ -28,8 +28,8 @@ static void add_status(char *out, int64_t now) {
   int64_t lease = lease_end > now ? (lease_end - now) / 1000 : 0;
   int64_t rate = (int64_t)(speed * 1000 + (speed < 0 ? -0.5 : 0.5));
   int64_t room = CAPACITY - queued;
-  int64_t numbers[12] = {next_row, shown, late_rows, room,  position, rate,
-                         zero,     plays, lease,     light, armed,    closed};
+  int64_t numbers[12] = {next_row, shown, late_rows, room, position, rate,
+                         zero, play_number, lease, light, armed, closed};
   add(out, state);
   for (uint8_t i = 0; i < 12; i++) {
     add(out, " ");
@@ -95,10 +95,11 @@ static const char *command_rows(const char *verb, const int64_t *n, bool dash, c
     total = n[0];
   } else if (!strcmp(verb, "go")) {
     if (running) return "state";
+    if (n[0] < 1 || n[0] > 65535) return "range";
     running = true;
     done = false;
     shown = late_rows = 0;
-    plays++;
+    play_number = n[0];
     started = earliest = now;
   } else if (!strcmp(verb, "move")) {
     if (n[0] > FASTEST * 1000 || n[0] < -FASTEST * 1000) return "range";
@@ -135,7 +136,7 @@ struct Verb {
 };
 
 static const Verb VERBS[] = {{"hello", 0}, {"lease", 1}, {"arm", 0},   {"disarm", 0}, {"power", 2},
-                             {"light", 1}, {"mode", 1},  {"row", 6},   {"end", 1},    {"go", 0},
+                             {"light", 1}, {"mode", 1},  {"row", 6},   {"end", 1},    {"go", 1},
                              {"move", 1},  {"ramp", 1},  {"zero", 1},  {"stop", 0},   {"stat", 0}};
 
 static const Verb *find_verb(const char *name) {

@@ -15,7 +15,7 @@ struct Row {
 
 static Row rows[CAPACITY];
 static uint16_t first_row, queued;
-static int64_t next_row, total, shown, late_rows, plays;
+static int64_t next_row, total, shown, late_rows, play_number;
 static bool armed, running, done, steps_mode, waiting, pulsing, triggering, closed = true;
 static const char *fault = "none";
 static uint8_t light, steady;

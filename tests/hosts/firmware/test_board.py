@@ -38,7 +38,7 @@ def test_the_clock_turns_over_in_the_middle_of_a_print(new_board: NewBoard) -> N
     for micros in (0, 2**32 - 100_000):
         board = new_board(micros)
         _tell(board, 10 * MILLI, "hello", "lease 400", "arm")
-        _tell(board, 20 * MILLI, *(f"row {i} {20_000 * i} - 1000 5000 1" for i in range(9)), "go", "light 2")
+        _tell(board, 20 * MILLI, *(f"row {i} {20_000 * i} - 1000 5000 1" for i in range(9)), "go 5", "light 2")
         board.advance(2 * SECOND)
         seen.append((board.lights, board.triggers))
     assert seen[0] == seen[1]
@@ -48,7 +48,7 @@ def test_the_clock_turns_over_in_the_middle_of_a_print(new_board: NewBoard) -> N
 def test_a_host_that_does_not_listen_never_keeps_the_light_on(new_board: NewBoard) -> None:
     """The port holds 64 bytes, and a byte takes 87 us: 40 answers of 50 bytes would block for 170 ms."""
     board = new_board()
-    _tell(board, 10 * MILLI, "hello", "lease 100", "arm", "row 0 30000 - 0 2000 1", "go")
+    _tell(board, 10 * MILLI, "hello", "lease 100", "arm", "row 0 30000 - 0 2000 1", "go 5")
     _tell(board, 20 * MILLI, "light 2", *["stat"] * 99)
     board.advance(SECOND)
     (on, lit), (two, pulsed), (back, after), (off, dark) = board.lights

@@ -78,8 +78,8 @@ def test_rows_act_in_time_with_lens_trigger_and_light(both: Both) -> None:
         for wrong in ((6, -1, "-", 0, 0, 1), (6, 1, 32768, 0, 0, 1), (6, 1, "-", 2**31, 0, 1), (6, 1, "-", 0, 0, 4)):
             assert bench.ask(bench.clock.now() // MILLI + 10, "row", *wrong) == "range"
         bench.ask(250, "end", 6)
-        bench.ask(260, "go")
-        assert bench.ask(270, "go") == bench.ask(280, "mode", "steps") == bench.ask(290, "zero", 7) == "state"
+        bench.ask(260, "go", 5)
+        assert bench.ask(270, "go", 5) == bench.ask(280, "mode", "steps") == bench.ask(290, "zero", 7) == "state"
         seen = bench.status(320)
         assert (seen.state, seen.row, seen.shown, seen.free) == ("running", 3, 3, 253)
         assert bench.status(365).state == "running", "while the last picture is lit"
@@ -94,7 +94,7 @@ def test_rows_act_in_time_with_lens_trigger_and_light(both: Both) -> None:
 def test_a_row_that_comes_late_stays_dark(both: Both) -> None:
     def scenario(bench: Any) -> None:
         _allow(bench, 100)
-        bench.ask(120, "go")
+        bench.ask(120, "go", 5)
         bench.ask(150, "row", 0, 10_000, 1000, 1000, 5000, 1)
         bench.ask(160, "row", 1, 50_000, "-", 1000, 5000, 1)
         seen = bench.status(190)
@@ -124,7 +124,7 @@ def test_the_end_may_be_told_again_while_rows_run(both: Both, told: int, shown: 
         for i in range(9):
             bench.ask(120 + 10 * i, "row", i, 20_000 * i, "-", 2000, 5000, 1)
         bench.ask(220, "end", 6)
-        bench.ask(230, "go")
+        bench.ask(230, "go", 5)
         bench.ask(at_ms, "end", told)
         seen = bench.status(430)
         assert (seen.state, seen.shown, seen.free) == ("done", shown, 256 - (9 - shown))
@@ -145,7 +145,7 @@ def test_rows_by_steps_follow_the_web(both: Both) -> None:
         for i in range(8):
             bench.ask(150 + 10 * i, "row", i, 400 * (i + 1), "-", 500, 10_000, 1)
         bench.ask(240, "end", 8)
-        bench.ask(250, "go")
+        bench.ask(250, "go", 5)
         bench.ask(260, "move", 5_000_000)
         bench.ask(560, "lease", 1000)
         bench.ask(800, "move", -2_000_000)
@@ -212,7 +212,7 @@ def test_steady_light_does_not_outlive_what_closed_it(both: Both) -> None:
         bench.ask(130, "row", 0, 10_000, "-", 0, 5000, 1)
         bench.ask(140, "disarm")
         _allow(bench, 150)
-        bench.ask(170, "go")
+        bench.ask(170, "go", 5)
         assert bench.status(182).light == 1 and bench.status(190).light == 0
 
     both(scenario)
@@ -223,7 +223,7 @@ def test_stop_darkens_and_drops(both: Both) -> None:
         _allow(bench, 100)
         bench.ask(120, "move", 1_000_000)
         bench.ask(130, "row", 0, 0, "-", 0, 100_000, 2)
-        bench.ask(140, "go")
+        bench.ask(140, "go", 5)
         bench.ask(160, "stop")
         seen = bench.status(200)
         assert (seen.light, seen.row, seen.free, seen.shown, seen.speed, seen.armed) == (0, 0, 256, 1, 0, False)
@@ -244,19 +244,19 @@ def test_what_was_shown_survives_the_host(bench_of: BenchOf, new_board: NewBoard
         for i in range(9):
             bench.ask(120 + 8 * i, "row", i, 20_000 * i, "-", 0, 5000, 1)
         bench.ask(195, "move", 2_000_000)
-        bench.ask(205, "go")
+        bench.ask(205, "go", 5)
         bench.clock.sleep_until(SECOND)
         again = Controller(Wire(plug(machine, bench.clock, 0.05), "the controller"))
         seen = again.status()
-        assert (seen.state, seen.row, seen.free, seen.shown, seen.plays) == ("idle", 0, 256, 3, 1)
+        assert (seen.state, seen.row, seen.free, seen.shown, seen.play) == ("idle", 0, 256, 3, 5)
         assert seen.position >= 1580 and seen.zero == 0
         again.move(0.0)
         again.zero(4711)
         seen = Controller(Wire(plug(machine, bench.clock, 0.05), "the controller")).status()
-        assert (seen.zero, seen.shown, seen.plays) == (4711, 3, 1) and seen.position < 1580
-        again.go()
+        assert (seen.zero, seen.shown, seen.play) == (4711, 3, 5) and seen.position < 1580
+        again.go(6)
         seen = again.status()
-        assert (seen.shown, seen.plays, seen.light) == (0, 2, 0), "no rows of the first host"
+        assert (seen.shown, seen.play, seen.light) == (0, 6, 0), "no rows of the first host"
 
 
 def test_damaged_lines_are_asked_for_again_and_act_once(bench_of: BenchOf, new_board: NewBoard) -> None:
