@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 SHORT = 200_000
 """The last stretch before a wake-up that is not slept through but watched [ns]; a sleep overshoots by about 60 µs."""
 
 
-def _now() -> int:
-    if hasattr(time, "CLOCK_BOOTTIME"):
-        return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
-    return time.monotonic_ns()
+_now = partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns
 
 
 @runtime_checkable

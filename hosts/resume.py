@@ -47,8 +47,7 @@ class Interrupted:
             folder.event("unseen", now, first=self.unseen, stop=self.first)
         have = set(zip(self.run.shown["slot"].tolist(), self.run.shown["engine"].tolist(), strict=True))
         for slot in range(self.unseen, self.first):
-            row = (int(getattr(schedule, name)[slot]) for name in ("frame", "pose", "light", "on"))
-            frame, pose, light, on = row
+            frame, pose, light, on = (int(getattr(schedule, name)[slot]) for name in ("frame", "pose", "light", "on"))
             for engine in range(schedule.engines):
                 if (slot, engine) in have:
                     continue
@@ -68,9 +67,9 @@ class Left:
     dark: bool
 
 
-def left_in(path: str | Path, limits: Limits = Limits()) -> Left:
-    """Read the folder of a host that died. Raises `BadInput` where its print cannot be gone on with."""
-    run = read_run(path)
+def left_in(run: Run, limits: Limits = Limits()) -> Left:
+    """What the folder of a host that died tells. Raises `BadInput` where its print cannot be gone on with."""
+    path = run.path
     if run.state not in (State.PRINTING, State.PAUSED):
         raise BadInput(f"{str(path)!r} is {run.state.value}; only prints that a host left in the midst go on")
     leg = next((event for event in reversed(run.events) if event["event"] == "leg"), None)
@@ -103,7 +102,7 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
     The controller must have kept its power: it alone knows where the motor is, and what it showed until the lease of
     the host that died ran out.
     """
-    left = left_in(path, limits)
+    left = left_in(read_run(path), limits)
     run, leg, now = left.run, left.leg, controller.status()
     if now.zero != leg.get("zero"):
         raise BadInput(

@@ -77,7 +77,7 @@ class Maker:
     ) -> None:  # fmt: skip
         self.device, self.batch = device, batch
         rows, columns = size or own
-        self._top, self._left = _middle(own, (rows, columns), 8 if bits == 1 else 1)
+        top, left = _middle(own, (rows, columns), 8 if bits == 1 else 1)
         self.kernel, step = (split_planes, 8) if bits == 8 and not whole else (pick_pictures, 1)
         needed = columns if whole and bits == 8 else -(-columns // (8 * step)) * step
         width = needed if row_bytes is None else row_bytes
@@ -86,13 +86,15 @@ class Maker:
         self.planes = len(shown)
         shown = np.concatenate([shown, np.zeros((1, own[1]), bool)])  # the last shows nothing
         masks = shown.astype(np.uint8) * np.uint8(255) if bits == 8 else np.packbits(shown, axis=1)
-        self._masks = device.upload(masks, table=True)
         self._chosen = np.empty((batch, 2), np.int32)
         shape = (8, rows, width) if self.kernel is split_planes else (rows, width)
         self._made = (batch, *shape)
         self._staged: DeviceArray | None = None
-        strips = strips_for(rows, width, device.is_gpu)
-        self._sent = device.empty((batch, strips), np.int32, table=True)
+        self._fixed: dict[str, Any] = {"masks": device.upload(masks, table=True), "top": top, "left": left}
+        self._target = "picked"
+        if self.kernel is split_planes:
+            self._target, strips = "packed", strips_for(rows, width, device.is_gpu)
+            self._fixed["sent"] = device.empty((batch, strips), np.int32, table=True)
         self.shape = (1, *shape) if bits == 1 else shape
 
     def fits(self, frames: np.ndarray, out: np.ndarray) -> None:
@@ -108,15 +110,11 @@ class Maker:
         self._chosen[:] = (0, self.planes)
         lit = np.flatnonzero(places != NONE)
         self._chosen[lit, 0], self._chosen[lit, 1] = np.divmod(places[lit], self.planes)
-        bindings = {"images": images, "masks": self._masks, "chosen": self.device.upload(self._chosen, table=True)}
-        bindings |= {"top": self._top, "left": self._left}
+        chosen = self.device.upload(self._chosen, table=True)
         whole = out.reshape(self._made)
         lent = self.device.lend(whole)
         made = self._stage() if lent is None else lent
-        if self.kernel is split_planes:
-            self.device.launch(split_planes, **bindings, packed=made, sent=self._sent)
-        else:
-            self.device.launch(pick_pictures, **bindings, picked=made)
+        self.device.launch(self.kernel, **self._fixed, **{self._target: made}, images=images, chosen=chosen)
         if lent is None:
             made.numpy(whole)
         self.device.synchronize()

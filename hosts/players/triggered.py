@@ -50,6 +50,11 @@ TURNS = 2
 """Most turns of a vial that are added for what was missed."""
 
 
+def triggers(schedule: Schedule, first: int = 0) -> int:
+    """Pictures at the mirrors, and rows at the controller, from a slot on; the black ones before it count as well."""
+    return len(schedule) - first + PREROLL
+
+
 class TriggeredPlayer:
     """Plays a schedule on mirrors behind a controller; see `vamgpu.hosts.players.player.Player`.
 
@@ -108,7 +113,7 @@ class TriggeredPlayer:
         self._ask = Asking(self.clock, controller.status, float(self.schedule.cadence.period) / 8)
         self._sent, self._alive = 0, alive
         self._send(controller.capacity)
-        controller.end(len(self.schedule) - first + PREROLL)
+        controller.end(triggers(self.schedule, first))
         status = controller.status()
         self._still_own(status)  # all this took its time
         self._before, self._play = status.play, own_number(self.clock, status.play)
@@ -166,12 +171,11 @@ class TriggeredPlayer:
         after = [supply.shown() for supply in self._supplies]
         count = status.shown if status.play == self._play else 0  # of an earlier play
         counts = (each for low, each in zip(before, after, strict=True) if not low <= count <= each)
-        error, origin = self._motion.error(now, status.position), 0.0 if self._origin is None else self._origin.at
-        pictures = self._since(count)
+        error, pictures = self._motion.error(now, status.position), self._since(count)
         self._looked, self._free = now, status.free
         return Look(
             status.state == "running", error, next(counts, count), count, pictures,
-            status.position / self.machines.microsteps - origin,
+            status.position / self.machines.microsteps - self._rows.origin,
             min(supply.share for supply in self._supplies),
             min(supply.ahead for supply in self._supplies) / self.schedule.rate, self._fault(status),
         )  # fmt: skip
@@ -184,7 +188,7 @@ class TriggeredPlayer:
             return why
         if status.late:
             return f"{status.late} rows came to the controller after their time; look at what holds up the host"
-        if status.state == "running" and status.shown < len(self.schedule) - self._first + PREROLL:
+        if status.state == "running" and status.shown < triggers(self.schedule, self._first):
             speed = float(self.schedule.speed) * self.machines.microsteps
             overdue = (status.position - self._row(status.shown).at) / speed - self._longest * 1e-9
             if overdue > PATIENCE:
@@ -217,7 +221,7 @@ class TriggeredPlayer:
 
     def _send(self, free: int) -> None:
         """Send rows while there is room: the black pictures before the first slot, then slots."""
-        stop = min(self._sent + free, len(self.schedule) - self._first + PREROLL)
+        stop = min(self._sent + free, triggers(self.schedule, self._first))
         for number in range(self._sent, stop):
             self.machines.controller.row(self._row(number))
             if number % 16 == 15:  # a slow line takes a while
@@ -237,8 +241,8 @@ class TriggeredPlayer:
     # ---- after the light -------------------------------------------------------------------------------------
     def finish(self) -> None:
         """End after the picture on its way, so that none is cut."""
-        rows = len(self.schedule) - self._first + PREROLL
-        self.machines.controller.end(min(self.machines.controller.status().shown + 1, rows))
+        controller = self.machines.controller
+        controller.end(min(controller.status().shown + 1, triggers(self.schedule, self._first)))
 
     def halt(self) -> None:
         """The motion to rest, rows dropped, mirrors dark; each whatever the one before it did."""

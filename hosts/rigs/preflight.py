@@ -17,7 +17,7 @@ from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.drivers.stream import PIECE
 from vamgpu.hosts.pictures.supply import BUFFERS, guard, length
-from vamgpu.hosts.players.triggered import PREROLL
+from vamgpu.hosts.players.triggered import triggers
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND, numeric, whole
@@ -110,11 +110,6 @@ def judged(
     return Judged(tuple(replace(found, memory=free) for found in each), depth, sequences)
 
 
-def triggers(schedule: Schedule) -> int:
-    """Pictures at the mirrors, and rows at the controller: the black ones before the first slot count as well."""
-    return len(schedule) + PREROLL
-
-
 def answered(schedule: Schedule, controller: Controller, clock: Clock, seconds: float = LINE) -> float:
     """Judge the controller's own line, in the dark; exchanges a second, infinite on a clock that a program sets.
 
@@ -125,11 +120,7 @@ def answered(schedule: Schedule, controller: Controller, clock: Clock, seconds: 
     length = positive("seconds", seconds)
     if not clock.real:
         return float("inf")
-    start, asked = clock.now(), 0
-    while asked == 0 or clock.now() < start + length * SECOND:
-        controller.status()
-        asked += 1
-    measured = asked * SECOND / max(clock.now() - start, 1)
+    measured = _rate(controller.status, clock, length)
     rows, unit = triggers(schedule), f"{schedule.unit}/s"
     log.info("preflight: %.4g rows/s of %.4g on the controller's line", schedule.rate, measured)
     if rows > controller.capacity and measured < MARGIN * schedule.rate:
@@ -193,13 +184,18 @@ def measure(put: Callable[[np.ndarray], None], pictures: np.ndarray, clock: Cloc
     length = positive("seconds", seconds)
     if pictures.nbytes == 0:
         raise BadInput("measuring with pictures of 0 bytes; wanted more")
-    start, end, sent = clock.now(), clock.now() + int(length * SECOND), 0
+    return pictures.nbytes * _rate(lambda: put(pictures), clock, length)
+
+
+def _rate(act: Callable[[], object], clock: Clock, seconds: float) -> float:
+    """How often a second an act is done, when it is done again and again for so long."""
+    start, count = clock.now(), 0
     while True:
-        put(pictures)
-        sent += pictures.nbytes
-        now = clock.now()
-        if now >= end:
-            return sent * SECOND / max(now - start, 1)
+        act()
+        count += 1
+        passed = clock.now() - start
+        if passed >= int(seconds * SECOND):
+            return count * SECOND / max(passed, 1)
 
 
 def preflight(

@@ -59,7 +59,7 @@ def may_go_on(planned: Plan, folder: str | Path) -> None:
         told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
         raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
     _same_rig(planned.rig, before)
-    left_in(folder, limits(planned.rig))
+    left_in(before, limits(planned.rig))
 
 
 def left_by_a_host(planned: Plan, machines: Machines | VideoMachines, folder: str | Path) -> Interrupted:
