@@ -13,7 +13,7 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
+from doubles import White
 
 from vamgpu.hosts.clock import RealClock
 from vamgpu.hosts.drivers.controller import Controller
@@ -48,18 +48,6 @@ class Mirrors(FakeAlp):
                     self.trigger(told["due_ns"] - self._zero)
             self._reading = False
         super().advance(now)
-
-
-class White:
-    """Pictures that are full on."""
-
-    bits = 8
-
-    def planes(self, numbers: np.ndarray) -> np.ndarray:
-        return np.full((len(numbers), 8, 2, 2), 255, np.uint8)
-
-    def picture(self, number: int) -> np.ndarray:
-        return np.full((2, 16), 255, np.uint8)
 
 
 class Telling(Print):

@@ -11,39 +11,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+from doubles import MIRRORS, MODEL, STEPS, White
 
 from vamgpu.errors import BadInput
-from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.bench import Bench
 from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.resume import interrupted
 from vamgpu.hosts.run import Print
-from vamgpu.hosts.schedules.limits import MirrorTiming
 from vamgpu.hosts.schedules.moving import turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 
-STEPS, SLOTS, HOSTS = 1000, 24, 4
-MIRRORS = MirrorTiming(pixels=(16, 2), row_bytes=2, dark=1e-3)
+SLOTS, HOSTS = 24, 4
 PRINTS = {
     "web": web(SLOTS, advance=0.0785, speed=0.8, engines=MIRRORS),
     "two": web(SLOTS, advance=0.0785, speed=0.8, engines=(MIRRORS, MIRRORS)),
     "vial": turned(SLOTS, speed=60, engines=MIRRORS),
     "slow": turned(SLOTS, speed=20, engines=MIRRORS),  # pictures are lit for longer than the lease
 }
-
-
-class White:
-    """Pictures that are full on."""
-
-    bits = 8
-
-    def planes(self, numbers: np.ndarray) -> np.ndarray:
-        return np.full((len(numbers), 8, 2, 2), 255, np.uint8)
-
-    def picture(self, number: int) -> np.ndarray:
-        return np.full((2, 16), 255, np.uint8)
 
 
 class Died(BaseException):
@@ -124,7 +110,7 @@ class Mortal:
 
 def lived(bench: Bench, path: Path, schedule: Schedule, chance: random.Random, at_once: bool) -> list[tuple[int, bool]]:
     """Print by hosts of which all but the last die; when each died."""
-    whole = Mortal(Bench(STEPS, ArrayModel(height=2, width=16), schedule.engines), path.with_name("whole"), schedule)
+    whole = Mortal(Bench(STEPS, MODEL, schedule.engines), path.with_name("whole"), schedule)
     assert whole.prints()
     often = re.compile("'(stat|row|lease)'|\"look\"|shown.bin")
     rare = [moment for moment, act in enumerate(whole.moments, 1) if not often.search(act)]
@@ -155,7 +141,7 @@ def test_every_slot_is_lit_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, at_once: bool, seed: int
 ) -> None:
     schedule, path = PRINTS[kind], tmp_path / "run"
-    bench = Bench(STEPS, ArrayModel(height=2, width=16), schedule.engines)
+    bench = Bench(STEPS, MODEL, schedule.engines)
     for module in ("resume", "record"):
         monkeypatch.setattr(f"vamgpu.hosts.{module}.time", SimpleNamespace(time=lambda: 1e9 + bench.clock.now() * 1e-9))
     try:

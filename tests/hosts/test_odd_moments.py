@@ -11,20 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from doubles import MIRRORS, STEPS, Scene, White, late, roll
 
 from vamgpu.errors import BadInput, DeviceLost
-from vamgpu.hosts.emulators.array import ArrayModel
-from vamgpu.hosts.emulators.bench import Bench
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.pictures import supply
-from vamgpu.hosts.pictures.feed import Feed
 from vamgpu.hosts.pictures.underrun import WebUnderrun
 from vamgpu.hosts.players.approach import Origin
 from vamgpu.hosts.players.asking import Asking
 from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
-from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.record import read_run
 from vamgpu.hosts.resume import interrupted
-from vamgpu.hosts.run import Limits, Print
+from vamgpu.hosts.run import Limits
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.limits import MirrorTiming
 from vamgpu.hosts.schedules.moving import turned, web
@@ -32,56 +29,7 @@ from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State
 
-STEPS = 1000
-MIRRORS = MirrorTiming(pixels=(16, 2), row_bytes=2, dark=1e-3)
 QUICK = MirrorTiming(pixels=(16, 2), row_bytes=2, picture={8: 1e-3}, dark=1e-3)
-
-
-class White:
-    """Pictures that are full on."""
-
-    bits = 8
-
-    def planes(self, numbers: np.ndarray) -> np.ndarray:
-        return np.full((len(numbers), 8, 2, 2), 255, np.uint8)
-
-    def picture(self, number: int) -> np.ndarray:
-        return np.full((2, 16), 255, np.uint8)
-
-
-class Scene:
-    """A print on a bench."""
-
-    def __init__(self, path: Path, schedule: Schedule, depth: int | None = None, **options: Any) -> None:
-        self.path, self.bench = path, Bench(STEPS, ArrayModel(height=2, width=16), schedule.engines)
-        self.machines = self.bench.machines(STEPS / float(schedule.advance))
-        self.player = TriggeredPlayer(schedule, self.machines, [White()] * schedule.engines, depth=depth)
-        self.print = Print(self.player, RunFolder.begin(path, {}, ""), **options)
-
-    def until(self, slot: int) -> None:
-        while self.print.next < slot:
-            self.player.wait()
-            assert self.print.step()
-
-    def paused(self, slot: int = 5) -> None:
-        with self.print.guard:
-            self.print.begin(0)
-            self.until(slot)
-            self.print.pause()
-            while self.print.step():
-                self.player.wait()
-
-    def seconds(self, turn: int) -> np.ndarray:
-        return self.bench.chamber.seconds(0, turn, turn)[:, :, 0, 0].sum(axis=0)
-
-
-def roll(poses: int = 60) -> Schedule:
-    return web(poses, advance=0.0785, speed=0.8, engines=MIRRORS)
-
-
-@pytest.fixture
-def run(tmp_path: Path) -> Path:
-    return tmp_path / "run"
 
 
 def test_keys_pressed_twice_leave_no_motor_running(run: Path) -> None:
@@ -159,24 +107,10 @@ def test_what_is_lit_while_a_print_is_judged_enough_is_kept(run: Path) -> None:
 
     scene = Scene(run, roll(), enough=enough)
     assert scene.print.run() is State.COMPLETE
-    shown, lit = read_run(run).shown, scene.bench.chamber.seconds(0, 60)[:, :, 0, 0].sum(axis=0)
+    shown, lit = read_run(run).shown, scene.seconds()
     assert len(shown) > 6 and (lit > 0).sum() == len(shown) == scene.bench.controller.shown - PREROLL
     budget = scene.print.guard.budget
     assert budget is not None and budget.spent == pytest.approx(1e-9 * shown["on_time"].sum())
-
-
-def late(monkeypatch: pytest.MonkeyPatch, *legs: set[int]) -> None:
-    """Pictures of each leg that are not made before black stands for them."""
-    feeds: list[Feed] = []
-
-    class Late(Feed):
-        def make(self, timeout: float = 0.0) -> bool:
-            if self not in feeds:
-                feeds.append(self)
-            slots = dict(enumerate(legs)).get(feeds.index(self), set())
-            return False if self.made - PREROLL in slots and self.uploaded <= self.made else super().make(timeout)
-
-    monkeypatch.setattr(supply, "Feed", Late)
 
 
 def test_a_picture_missed_twice_is_shown_twice_again(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,7 +121,7 @@ def test_a_picture_missed_twice_is_shown_twice_again(run: Path, monkeypatch: pyt
     assert shown["slot"][shown["dark"] > 0].tolist() == [12, 16, 36]
     again = shown[(shown["slot"] >= 48) & (shown["on_time"] > 0)]
     assert sorted(again["frame"].tolist()) == [12, 12, 16]
-    lit = scene.seconds(24)
+    lit = scene.seconds(turn=24)
     assert np.abs(lit / lit[0] - 1).max() < 2e-3
 
 
@@ -196,7 +130,7 @@ def test_black_that_was_meant_is_not_owed(run: Path, monkeypatch: pytest.MonkeyP
     scene = Scene(run, turned(24, speed=40, engines=MIRRORS), depth=2)
     assert scene.print.run() is State.COMPLETE
     assert len(scene.player.schedule) == 48
-    lit = scene.seconds(24)
+    lit = scene.seconds(turn=24)
     assert np.abs(lit / lit[0] - 1).max() < 2e-3, "what was never missed is not shown again"
 
 
@@ -217,7 +151,7 @@ def test_black_that_a_pause_comes_before_is_not_owed(
     scene.paused(rested)
     scene.print._pausing = False
     assert scene.print.run() is State.COMPLETE
-    lit, shown = scene.seconds(240) if kind == "vial" else scene.seconds(60), read_run(run).shown
+    lit, shown = scene.seconds(turn=240 if kind == "vial" else None), read_run(run).shown
     came = 30 in shown["slot"][shown["dark"] > 0]
     assert came is (scene.print.next > 240) or kind == "web"
     assert np.flatnonzero(np.abs(lit / np.median(lit) - 1) > 2e-3).tolist() == ([30] if came and kind == "web" else [])
@@ -328,7 +262,7 @@ def test_another_host_knows_whether_a_leg_had_begun(run: Path, begun: bool) -> N
         scene.print.begin(rested)
     scene.bench.clock.sleep(SECOND)
     scene.print.guard._release_process()
-    shown = len(np.flatnonzero(scene.bench.chamber.seconds(0, 120)[:, :, 0, 0].sum(axis=0)))
+    shown = len(np.flatnonzero(scene.seconds()))
     assert (shown > rested) is begun
     scene.bench.alps[0].forsake()
     machines = scene.bench.machines(STEPS / 0.0785)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from doubles import LAB
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, TimingInfeasible
@@ -23,28 +24,6 @@ from vamgpu.hosts.run import Print
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State
-from vamgpu.printing.folder import save_frames
-from vamgpu.printing.frames import Frames
-from vamgpu.printing.gray import GrayCurve
-
-LAB = """
-[rig]
-name = "bench"
-machine = "vial"
-[controller]
-driver = "vam-controller"
-port = "/dev/does-not-exist"
-[projector]
-driver = "alp"
-library = "/does/not/exist.so"
-"""
-
-
-@pytest.fixture
-def job(tmp_path: Path) -> Path:
-    images = np.random.default_rng(4).integers(0, 256, (36, 6, 10), dtype=np.uint8)
-    frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
-    return save_frames(tmp_path / "part.vam", frames).path
 
 
 def planned(job: Path, *settings: str) -> Plan:

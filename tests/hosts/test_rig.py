@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from doubles import LAB
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, DeviceNotFound, JobError, StorageError, TimingInfeasible
@@ -20,25 +21,6 @@ from vamgpu.hosts.state import State
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
-
-REAL = """
-[rig]
-name = "bench"
-machine = "vial"
-[controller]
-driver = "vam-controller"
-port = "/dev/does-not-exist"
-[projector]
-driver = "alp"
-library = "/does/not/exist.so"
-"""
-
-
-@pytest.fixture
-def job(tmp_path: Path) -> Path:
-    images = np.random.default_rng(4).integers(0, 256, (36, 6, 10), dtype=np.uint8)
-    frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
-    return save_frames(tmp_path / "part.vam", frames).path
 
 
 def planned(job: Path, speed: float = 40.0, turns: int = 1) -> Plan:
@@ -113,7 +95,7 @@ def test_a_long_rest_is_not_resumed(job: Path, tmp_path: Path) -> None:
 
 def test_a_missing_machine_is_an_error_and_never_a_simulation() -> None:
     with pytest.raises(DeviceNotFound, match="/dev/does-not-exist"):
-        opened(parse_rig(REAL))
+        opened(parse_rig(LAB))
 
 
 def test_bad_rigs_are_told(tmp_path: Path) -> None:
@@ -130,7 +112,7 @@ def test_bad_rigs_are_told(tmp_path: Path) -> None:
         (("[projector]", "channel = 0\n[projector]"), "channel"),
     ):
         with pytest.raises(JobError, match=why):
-            parse_rig(REAL.replace(*change))
+            parse_rig(LAB.replace(*change))
     with pytest.raises(JobError, match="or the word emulated"):
         read_rig(tmp_path / "none.toml")
 
@@ -138,7 +120,7 @@ def test_bad_rigs_are_told(tmp_path: Path) -> None:
 def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
     with pytest.raises(TimingInfeasible):
         planned(job, speed=4000.0)
-    real = parse_rig(REAL.replace("[projector]", "microsteps = 8000\n[projector]"))
+    real = parse_rig(LAB.replace("[projector]", "microsteps = 8000\n[projector]"))
     with pytest.raises(TimingInfeasible, match="3.2e.05 microsteps/s.*move at 25 deg/s at most"):
         plan(job, real, speed=40.0, device="numpy")
     assert len(plan(job, real, speed=25.0, device="numpy").schedule) == 36
@@ -152,7 +134,7 @@ def test_the_command(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main(["print", "demo", "--rig", "emulated", "--out", str(tmp_path / "demo.run")]) == 0
     assert "complete: 120 pictures" in capsys.readouterr().out
     assert (tmp_path / "demo.run" / "report.html").stat().st_size > 10_000
-    (tmp_path / "lab.toml").write_text(REAL)
+    (tmp_path / "lab.toml").write_text(LAB)
     assert main(["print", str(job), "--rig", str(tmp_path / "lab.toml"), "--out", str(tmp_path / "x")]) == 1
     assert "does-not-exist" in capsys.readouterr().err
 

@@ -11,92 +11,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from doubles import MIRRORS, Scene, late, roll
 
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.board import Board
-from vamgpu.hosts.emulators.array import ArrayModel
-from vamgpu.hosts.emulators.bench import Bench
-from vamgpu.hosts.pictures import supply
-from vamgpu.hosts.pictures.feed import Feed
-from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
+from vamgpu.hosts.players.triggered import PREROLL
 from vamgpu.hosts.record import RunFolder, read_run
-from vamgpu.hosts.run import Print
 from vamgpu.hosts.safety.interlock import InterlockOpen
-from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import turned, web
-from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.limits import LensTiming
+from vamgpu.hosts.schedules.moving import turned
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import State, WrongState
-
-STEPS = 1000
-MODEL = ArrayModel(height=2, width=16)
-MIRRORS = MirrorTiming(pixels=(16, 2), row_bytes=2, dark=1e-3)
-
-
-class White:
-    """Pictures that are full on."""
-
-    bits = 8
-
-    def planes(self, numbers: np.ndarray) -> np.ndarray:
-        return np.full((len(numbers), 8, 2, 2), 255, np.uint8)
-
-    def picture(self, number: int) -> np.ndarray:
-        return np.full((2, 16), 255, np.uint8)
-
-
-class Scene:
-    """A print on a bench."""
-
-    def __init__(
-        self, path: Path, schedule: Schedule, board: Board | None = None, powers: tuple[float, ...] = (), **options: Any
-    ) -> None:
-        self.path, self.schedule = path, schedule
-        self.bench = Bench(STEPS, MODEL, schedule.engines, powers)
-        pictures: Any = [White()] * schedule.engines
-        self.player = TriggeredPlayer(schedule, self.machines(), pictures, **options)
-        self.print = Print(self.player, RunFolder.begin(path, {}, ""), board=board)
-
-    def machines(self) -> Any:
-        return self.bench.machines(STEPS / float(self.schedule.advance))
-
-    def until(self, slot: int) -> None:
-        while self.print.next < slot:
-            self.player.wait()
-            assert self.print.step()
-
-    def paused(self) -> None:
-        with self.print.guard:
-            self.print.begin(0)
-            self.until(3)
-            self.print.pause()
-            while self.print.step():
-                self.player.wait()
-
-    def lit(self) -> bool:
-        return bool(self.bench.controller.intervals) or bool(self.bench.controller.light)
-
-    def seconds(self, engine: int = 0, turn: int | None = None) -> np.ndarray:
-        count = turn or len(self.schedule)
-        return self.bench.chamber.seconds(engine, count, turn)[:, :, 0, 0].sum(axis=0)
-
-    def read(self) -> Any:
-        self.print.folder.close()
-        return read_run(self.path)
-
-
-def roll(poses: int = 60, speed: float = 0.8, **options: Any) -> Schedule:
-    return web(poses, advance=0.0785, speed=speed, **{"engines": MIRRORS, **options})
-
-
-@pytest.fixture
-def run(tmp_path: Path) -> Path:
-    return tmp_path / "run"
 
 
 def test_a_stop_at_rest_is_not_forgotten(run: Path) -> None:
     scene = Scene(run, roll())
-    scene.paused()
+    scene.paused(3)
     before = len(scene.bench.controller.intervals)
     scene.print.stop("at rest")
     scene.print.pause()
@@ -106,7 +36,7 @@ def test_a_stop_at_rest_is_not_forgotten(run: Path) -> None:
 
 def test_a_stop_while_a_resumed_print_gets_ready_is_not_forgotten(run: Path) -> None:
     scene = Scene(run, roll())
-    scene.paused()
+    scene.paused(3)
     before, wait = len(scene.bench.controller.intervals), scene.bench.clock.sleep_until
 
     def stopping(until: int) -> None:
@@ -204,22 +134,8 @@ def test_each_engine_has_its_own_power(run: Path) -> None:
     assert budget is not None and budget.spent == pytest.approx(1.25e-9 * scene.schedule.on.sum())
 
 
-def hide(monkeypatch: pytest.MonkeyPatch, slots: set[int], which: int = 0) -> None:
-    """Pictures of some slots of one projector are not made before black stands for them."""
-    made: list[Feed] = []
-
-    class Torn(Feed):
-        def make(self, timeout: float = 0.0) -> bool:
-            if self not in made:
-                made.append(self)
-            late = self.made - PREROLL in slots and self.uploaded <= self.made
-            return False if late and made.index(self) == which else super().make(timeout)
-
-    monkeypatch.setattr(supply, "Feed", Torn)
-
-
 def test_an_added_turn_lights_only_the_engine_that_missed(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    hide(monkeypatch, {10, 12, 14, 16, 18, 20}, which=1)
+    late(monkeypatch, set(), {10, 12, 14, 16, 18, 20})
     scene = Scene(run, turned(24, speed=40, engines=(MIRRORS, MIRRORS)), depth=2)
     assert scene.print.run() is State.COMPLETE
     for engine in (0, 1):
@@ -232,7 +148,7 @@ def test_an_added_turn_lights_only_the_engine_that_missed(run: Path, monkeypatch
 
 @pytest.mark.parametrize("speed", [2.4, 5.0, 8.0])
 def test_two_lost_poses_are_borne_at_any_rate(run: Path, monkeypatch: pytest.MonkeyPatch, speed: float) -> None:
-    hide(monkeypatch, {298, 398})
+    late(monkeypatch, {298, 398})
     scene = Scene(run, roll(500, speed), depth=50)
     assert scene.print.run() is State.COMPLETE
     shown = scene.read().shown

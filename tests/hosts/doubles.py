@@ -1,0 +1,107 @@
+"""What tests of prints share: pictures that are full on, a print on a bench, and feeds that are late."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vamgpu.hosts.board import Board
+from vamgpu.hosts.emulators.array import ArrayModel
+from vamgpu.hosts.emulators.bench import Bench
+from vamgpu.hosts.pictures import supply
+from vamgpu.hosts.pictures.feed import Feed
+from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
+from vamgpu.hosts.record import Run, RunFolder, read_run
+from vamgpu.hosts.run import Print
+from vamgpu.hosts.schedules.limits import MirrorTiming
+from vamgpu.hosts.schedules.moving import web
+from vamgpu.hosts.schedules.schedule import Schedule
+
+if TYPE_CHECKING:
+    import pytest
+
+STEPS = 1000
+MODEL = ArrayModel(height=2, width=16)
+MIRRORS = MirrorTiming(pixels=(16, 2), row_bytes=2, dark=1e-3)
+LAB = """
+[rig]
+name = "bench"
+machine = "vial"
+[controller]
+driver = "vam-controller"
+port = "/dev/does-not-exist"
+[projector]
+driver = "alp"
+library = "/does/not/exist.so"
+"""
+"""A rig whose machines are not there."""
+
+
+class White:
+    """Pictures that are full on."""
+
+    bits = 8
+
+    def planes(self, numbers: np.ndarray) -> np.ndarray:
+        return np.full((len(numbers), 8, 2, 2), 255, np.uint8)
+
+    def picture(self, number: int) -> np.ndarray:
+        return np.full((2, 16), 255, np.uint8)
+
+
+class Scene:
+    """A print on a bench. options: of `Print`."""
+
+    def __init__(
+        self, path: Path, schedule: Schedule, board: Board | None = None, *, powers: tuple[float, ...] = (),
+        depth: int | None = None, **options: Any,
+    ) -> None:  # fmt: skip
+        self.path, self.schedule = path, schedule
+        self.bench = Bench(STEPS, MODEL, schedule.engines, powers)
+        self.machines = self.bench.machines(STEPS / float(schedule.advance))
+        self.player = TriggeredPlayer(schedule, self.machines, [White()] * schedule.engines, depth=depth)
+        self.print = Print(self.player, RunFolder.begin(path, {}, ""), board=board, **options)
+
+    def until(self, slot: int) -> None:
+        while self.print.next < slot:
+            self.player.wait()
+            assert self.print.step()
+
+    def paused(self, slot: int = 5) -> None:
+        with self.print.guard:
+            self.print.begin(0)
+            self.until(slot)
+            self.print.pause()
+            while self.print.step():
+                self.player.wait()
+
+    def lit(self) -> bool:
+        return bool(self.bench.controller.intervals) or bool(self.bench.controller.light)
+
+    def seconds(self, engine: int = 0, turn: int | None = None) -> np.ndarray:
+        count = turn or len(self.schedule)
+        return self.bench.chamber.seconds(engine, count, turn)[:, :, 0, 0].sum(axis=0)
+
+    def read(self) -> Run:
+        self.print.folder.close()
+        return read_run(self.path)
+
+
+def roll(poses: int = 60, speed: float = 0.8, **options: Any) -> Schedule:
+    return web(poses, advance=0.0785, speed=speed, **{"engines": MIRRORS, **options})
+
+
+def late(monkeypatch: pytest.MonkeyPatch, *feeds: set[int]) -> None:
+    """Slots whose pictures a feed does not make before black stands for them, of each feed in the order they begin."""
+    begun: list[Feed] = []
+
+    class Late(Feed):
+        def make(self, timeout: float = 0.0) -> bool:
+            if self not in begun:
+                begun.append(self)
+            slots = dict(enumerate(feeds)).get(begun.index(self), set())
+            return False if self.made - PREROLL in slots and self.uploaded <= self.made else super().make(timeout)
+
+    monkeypatch.setattr(supply, "Feed", Late)
