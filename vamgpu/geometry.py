@@ -15,6 +15,10 @@ import numpy as np
 from vamgpu.errors import BadInput
 
 
+HALF_A_PIXEL = 0.5
+"""Standard deviation [pixels] of the point spread of a projector in focus, where nobody measured it."""
+
+
 def positive(name: str, value: float, *, zero: bool = False) -> float:
     """``value`` as a float if it is finite and positive (or zero, where allowed), else `BadInput`."""
     try:
@@ -82,15 +86,34 @@ class Grid:
 class Beam:
     """A collimated beam of light pixels, centered on the axis of rotation.
 
-    pixels: columns along r, rows along z.  pitch: pixel edge [mm], measured in air.  Raises `BadInput`.
+    A pixel lights a square box, blurred by a Gaussian point spread. Both keep its power.
+
+    Args:
+        pixels: columns along r, rows along z.
+        pitch: pixel edge [mm], measured in air.
+        fill: share of a pixel's area that is lit (the fill factor of the mirrors), above 0, at most 1.
+        spread: standard deviation of the point spread in the resin [mm], or what was measured of it (anything with a
+            ``width`` [mm], such as the `EdgeResponse` of `vam calibrate mtf`). None, the default, is a projector in
+            focus: half a pixel, along columns and along rows. 0 is a perfect lens, which no machine has.
+
+    Raises:
+        BadInput: a value is out of its range.
     """
 
     pixels: tuple[int, int]
     pitch: float
+    fill: float = 1.0
+    spread: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", counts("Beam pixels", self.pixels, 2))
         object.__setattr__(self, "pitch", positive("Beam pitch [mm]", self.pitch))
+        object.__setattr__(self, "fill", positive("Beam fill", self.fill))
+        if self.fill > 1.0:
+            raise BadInput(f"Beam fill is {self.fill:g}; expected a share of the pixel's area, above 0 and at most 1")
+        if self.spread is not None:
+            measured = getattr(self.spread, "width", self.spread)
+            object.__setattr__(self, "spread", positive("Beam spread [mm]", measured, zero=True))
 
     @property
     def pixel_area(self) -> float:
@@ -100,6 +123,16 @@ class Beam:
     def columns(self) -> np.ndarray:
         """Offsets r [mm] of the columns from the axis."""
         return centers(self.pixels[0], self.pitch)
+
+    def blur(self, column: float | None = None) -> tuple[float, float]:
+        """Standard deviations of the point spread, in columns and in rows.
+
+        Args:
+            column: width of a column in the resin on the axis [mm], where refraction makes it another than the pitch.
+        """
+        if self.spread is None:
+            return HALF_A_PIXEL, HALF_A_PIXEL
+        return self.spread / (self.pitch if column is None else column), self.spread / self.pitch
 
 
 @dataclass(frozen=True)
