@@ -19,7 +19,8 @@ typedef struct {
 
 // The poses, the light and the pixels' shape, as every item needs them.
 typedef struct {
-    __global const float2 *directions, *light;
+    __global const float2 *directions;
+    __global const float4 *light;
     int n_angle, n_r, n_across, n_along, n_x, n_y, bent;
     float ratio, strength, fill, sigma, radius;
 } Scene;
@@ -43,8 +44,8 @@ static inline Foot footprints(const Scene *k, float2 direction, float x, float y
     return foot_of(VLOAD(0, a), VLOAD(0, b), VLOAD(0, strength), k->fill, k->sigma);
 }
 
-// Notes columns [skip, skip + TAPS) of those that light voxels (row, column..), at `count` poses; false if none is lit.
-static inline bool note(const Scene *k, Notes *notes, int angle, int count, int row, int column, int skip) {
+// Notes columns [skip, skip + taps) of those that light voxels (row, column..), at `count` poses; false if none is lit.
+static inline bool note(const Scene *k, Notes *notes, int angle, int count, int row, int column, int skip, int taps) {
     const float x = row - 0.5f * (k->n_x - 1), y = column - 0.5f * (k->n_y - 1);
     const float inverse_sigma = k->sigma > 0.0f ? 1.0f / k->sigma : 0.0f;
     bool any = false;
@@ -59,7 +60,7 @@ static inline bool note(const Scene *k, Notes *notes, int angle, int count, int 
         const Real first = ceil(u - foot.reach) + skip;
         VSTORE(CONVERT_INT(first), 0, notes->first[pose]);
         Real distance = u - first, above = edge(&foot, distance + 0.5f * k->fill, k->sigma, inverse_sigma);
-        for (int tap = 0; tap < TAPS; tap++, distance -= 1.0f) {
+        for (int tap = 0; tap < taps; tap++, distance -= 1.0f) {
             const Real below = edge(&foot, distance - 0.5f * k->fill, k->sigma, inverse_sigma);
             const Real weight = foot.gain * fmax(above - below, 0.0f);
             VSTORE(fabs(distance) < foot.reach ? weight : (Real)(0.0f), 0, notes->weight[pose][tap]);
@@ -112,7 +113,7 @@ static inline size_t slab_beyond(int s, int n_major, int n_minor, int n_z) {
 }
 
 // Column, strength and footprint of one voxel at one pose.
-static inline Foot footprint(__global const float2 *restrict light, int n_across, int n_along, int n_r, float2 direction,
+static inline Foot footprint(__global const float4 *restrict light, int n_across, int n_along, int n_r, float2 direction,
                              float x, float y, int bent, float ratio, float strength, float fill, float sigma, float *u) {
     float4 ray = (float4)((y * direction.x - x * direction.y) * ratio + 0.5f * (n_r - 1), strength, ratio, 0.0f);
     if (bent) ray = look_up(light, n_across, n_along, direction, x, y);
@@ -147,7 +148,7 @@ static inline int2 window_of(__local const float2 *lit, int skip, int n_r) {
 
 #ifdef COMPILE_back_footprint
 FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global const float2 *restrict directions,
-                            __global const float2 *restrict light, int bent, float ratio, float strength, float fill,
+                            __global const float4 *restrict light, int bent, float ratio, float strength, float fill,
                             float sigma, float radius, int taps, __global float *restrict volume,
                             int n_angle, int n_r, int n_z, int n_across, int n_along, int n_x, int n_y) {
 #ifdef CPU
@@ -163,7 +164,7 @@ FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global co
         const int count = min(ANGLES, n_angle - block), width = min(TAPS, taps - skip);
         const bool begin = block == 0 && skip == 0;
         for (int row = rows.x; row < rows.y; row++) for (int column = 0; column < y_end; column += WIDTH) {
-            const bool lit = note(&k, &notes, block, count, row, column, skip);
+            const bool lit = note(&k, &notes, block, count, row, column, skip, width);
             if (!lit && !begin) continue;
             for (int fold = 0; fold < folds; fold++) for (int slab = 0; slab < slabs; slab++)
                 for (int lane = 0; lane < min(WIDTH, y_end - column); lane++) {
@@ -294,7 +295,7 @@ static inline int2 cells_of(const Span *span, int plane, int skip) {
 #endif
 
 FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global const float2 *restrict directions,
-                               __global const float2 *restrict light, __global const float8 *restrict edges, int bent,
+                               __global const float4 *restrict light, __global const float8 *restrict edges, int bent,
                                float ratio, float strength, float fill, float sigma, float radius, int taps, int cells,
                                __global float *restrict sinogram,
                                int n_x, int n_y, int n_z, int n_angle, int n_across, int n_along, int n_r) {
@@ -304,6 +305,7 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
     const Scene k = {directions, light, n_angle, n_r, n_across, n_along, n_x, n_y, bent, ratio, strength, fill, sigma, radius};
     const size_t from_slab = (size_t)n_x * n_y * LANES, to_slab = (size_t)n_angle * n_r * LANES;
     const int folds = folds_of(&k), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
+    const int x_end = folds == 4 ? n_x / 2 : n_x, y_end = folds == 4 ? n_y / 2 : n_y;
     const int2 angles = part_of(ITEM_MAJOR, get_global_size(1), folds == 4 ? n_angle / 4 : n_angle);
     for (int fold = 0; fold < folds; fold++) for (int slab = 0; slab < slabs; slab++)
         for (int angle = angles.x; angle < angles.y; angle++) {
@@ -314,10 +316,13 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
     Notes notes;
     for (int block = angles.x; block < angles.y; block += ANGLES) for (int skip = 0; skip < taps; skip += TAPS) {
         const int count = min(ANGLES, angles.y - block), width = min(TAPS, taps - skip);
-        for (int row = 0; row < n_x; row++) for (int column = 0; column < n_y; column += WIDTH) {
-            if (!note(&k, &notes, block, count, row, column, skip)) continue;
+        // Footprints are those of a quarter of the grid at all poses, as in the other direction, rounded the same.
+        for (int quarter = 0; quarter < folds; quarter++) for (int row = 0; row < x_end; row++)
+        for (int column = 0; column < y_end; column += WIDTH) {
+            const int first_pose = block + quarter * (n_angle / 4);
+            if (!note(&k, &notes, first_pose, count, row, column, skip, width)) continue;
             for (int fold = 0; fold < folds; fold++) for (int slab = 0; slab < slabs; slab++)
-                for (int lane = 0; lane < min(WIDTH, n_y - column); lane++) {
+                for (int lane = 0; lane < min(WIDTH, y_end - column); lane++) {
                     if (!notes.lit[lane]) continue;
                     __global const float *from =
                         volume + slab * from_slab + (size_t)turned_voxel(&k, fold, row, column + lane) * LANES;
@@ -326,7 +331,7 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
                     for (int pose = 0; pose < count; pose++) {
                         const int first = notes.first[pose][lane];
                         const int2 in = taps_in(first, width, n_r);
-                        __global float *out = sinogram + slab * to_slab + turned_row(&k, fold, block + pose);
+                        __global float *out = sinogram + slab * to_slab + turned_row(&k, fold, first_pose + pose);
                         for (int tap = in.x; tap < in.y; tap++) {
                             const Vector weight = (Vector)(notes.weight[pose][tap][lane]);
                             __global float *sample = out + (first + tap) * LANES;

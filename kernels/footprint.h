@@ -49,16 +49,15 @@ static inline Real edge(const Foot *foot, Real x, float sigma, float inverse_sig
 }
 
 // Column of the light, its strength, and the gradient of the column across and along the light, at a voxel of one pose.
-static inline float4 look_up(__global const float2 *restrict light, int n_across, int n_along, float2 direction,
+static inline float4 look_up(__global const float4 *restrict light, int n_across, int n_along, float2 direction,
                              float x, float y) {
     const float across = fma(y, direction.x, -x * direction.y) + 0.5f * (n_across - 1);
     const float along = fma(-x, direction.x, -y * direction.y) + 0.5f * (n_along - 1);
     const int i = clamp((int)across, 0, n_across - 2), j = clamp((int)along, 0, n_along - 2);
-    const float p = across - i, q = along - j;
-    __global const float2 *here = light + i * n_along + j;
-    const float2 low = here[1] - here[0], high = here[n_along + 1] - here[n_along];
-    const float2 near = here[0] + q * low, by_across = here[n_along] + q * high - near;
-    return (float4)(near + p * by_across, by_across.x, low.x + p * (high.x - low.x));
+    __global const float4 *here = light + i * n_along + j;
+    const float4 near = here[0] + (along - j) * (here[1] - here[0]);
+    const float4 far = here[n_along] + (along - j) * (here[n_along + 1] - here[n_along]);
+    return near + (across - i) * (far - near);
 }
 
 // Half-integers below 2048 square exactly in float32, so both directions agree on every voxel.

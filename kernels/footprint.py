@@ -19,8 +19,8 @@ import numpy as np
 from vamgpu.kernels.project import Directions, middle
 from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, Table, Tiling, Volume, VolumeOut, kernel
 
-Map = Annotated[np.ndarray, Table("float32", ("across", "along", "2"))]
-"""Column and strength of the light in the laboratory, samples one voxel apart around the axis."""
+Map = Annotated[np.ndarray, Table("float32", ("across", "along", "4"))]
+"""Column of the light, its strength, and the columns a voxel across and along it, samples one voxel apart."""
 Edges = Annotated[np.ndarray, Table("float32", ("r", "8"))]
 """p, cos d, sin d, slack of the two chords between which a column's light falls."""
 
@@ -90,9 +90,7 @@ def _lit(
         j = np.clip(along.astype(int), 0, light.shape[1] - 2)
         p, q = (across - i)[..., None], (along - j)[..., None]
         near, far = (light[i + k, j] + q * (light[i + k, j + 1] - light[i + k, j]) for k in (0, 1))
-        by_along = (1 - p) * (light[i, j + 1] - light[i, j]) + p * (light[i + 1, j + 1] - light[i + 1, j])
-        u, weight = np.moveaxis(near + p * (far - near), -1, 0)
-        g, h = (far - near)[..., 0], by_along[..., 0]
+        u, weight, g, h = np.moveaxis(near + p * (far - near), -1, 0)
     else:
         u = (y * c - x * s) * ratio + middle(columns)
         weight, g, h = np.full(u.shape, strength), np.full(u.shape, ratio), np.zeros(u.shape)
@@ -110,7 +108,7 @@ def _lit(
     over="sinogram",
     cpu=Tiling(major=20, minor=0, slabs=4),
     gpu=Tiling(major=1, minor=4, slabs=2, group=(32, 4, 4)),
-    constants={"cpu": {"ANGLES": 6, "TAPS": 6}, "gpu": GPU},
+    constants={"cpu": {"ANGLES": 6, "TAPS": 8}, "gpu": GPU},
 )
 def forward_footprint(
     volume: Volume, directions: Directions, light: Map, edges: Edges, bent: Integer, ratio: Real, strength: Real,
@@ -132,7 +130,7 @@ def forward_footprint(
     over="volume",
     cpu=Tiling(major=16, minor=0, slabs=4),
     gpu=Tiling(major=2, minor=2, slabs=2, group=(64, 1, 4)),
-    constants={"cpu": {"ANGLES": 12, "TAPS": 6}, "gpu": GPU},
+    constants={"cpu": {"ANGLES": 12, "TAPS": 8}, "gpu": GPU},
 )
 def back_footprint(
     sinogram: Sinogram, directions: Directions, light: Map, bent: Integer, ratio: Real, strength: Real, fill: Real,

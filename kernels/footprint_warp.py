@@ -105,16 +105,16 @@ def load(row: int, slot: int):
 
 
 @wp.func_native("""
-    const char* at = (const char*)light.data + (size_t)i * light.strides[0] + (size_t)j * 8;
+    const char* at = (const char*)light.data + (size_t)i * light.strides[0] + (size_t)j * 16;
 #if defined(__CUDA_ARCH__)
-    const float2 pair = *(const float2*)at;
-    return wp::vec2(pair.x, pair.y);
+    const float4 wide = *(const float4*)at;
+    return wp::vec4(wide.x, wide.y, wide.z, wide.w);
 #else
-    return *(const wp::vec2*)at;
+    return *(const wp::vec4*)at;
 #endif
 """)
-def node(light: wp.array3d(dtype=float), i: int, j: int) -> wp.vec2:  # type: ignore[empty-body]
-    """Column and strength at a sample of the map, in one load."""
+def node(light: wp.array3d(dtype=float), i: int, j: int) -> wp.vec4:  # type: ignore[empty-body]
+    """A sample of the map, in one load."""
     ...
 
 
@@ -163,19 +163,16 @@ def footprint(
         along = -x * c - y * s + 0.5 * float(n_along - 1)
         i = wp.clamp(int(across), 0, n_across - 2)
         j = wp.clamp(int(along), 0, n_along - 2)
-        p = across - float(i)
         q = along - float(j)
-        corner = node(light, i, j)
-        opposite = node(light, i + 1, j)
-        low = node(light, i, j + 1) - corner
-        high = node(light, i + 1, j + 1) - opposite
-        near = corner + q * low
-        far = opposite + q * high - near
-        ray = near + p * far
+        near = node(light, i, j)
+        near += q * (node(light, i, j + 1) - near)
+        far = node(light, i + 1, j)
+        far += q * (node(light, i + 1, j + 1) - far)
+        ray = near + (across - float(i)) * (far - near)
         u = ray[0]
         gain = ray[1]
-        by_across = far[0]
-        by_along = low[0] + p * (high[0] - low[0])
+        by_across = ray[2]
+        by_along = ray[3]
     a = wp.abs(by_across * s + by_along * c)
     b = wp.abs(by_across * c - by_along * s)
     thin = wp.max(wp.min(a, b), THINNEST)

@@ -12,8 +12,8 @@ from typing import Annotated
 
 import numpy as np
 
+from vamgpu.kernels.footprint import Edges
 from vamgpu.kernels.project import middle
-from vamgpu.kernels.refract import Edges
 from vamgpu.kernels.signature import Field, Integer, Real, SinogramOut, Table, Tiling, VolumeOut, kernel
 
 Poses = Annotated[np.ndarray, Table("float32", ("angle", "4"))]

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.refract_warp import overlap
-
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 Field = wp.array4d(dtype=wp.vec4)
+
+
+@wp.func
+def overlap(distance: float, reach: float, inverse: float):
+    """How much of a voxel, 2 reach - 1 = 1 / inverse columns wide, lies in a column that far from it."""
+    return wp.clamp(reach - wp.abs(distance), 0.0, 1.0) * inverse
 
 
 @wp.func

@@ -137,7 +137,16 @@ def _straight(n: int) -> Example:
     return Example(sizes, {"directions": _poses(sizes["angle"]), "pitch": 0.1})
 
 
-def _refracted(n: int) -> Example:
+def _footprint(n: int) -> Example:
+    """Refracted light of pixels narrower than their pitch, blurred."""
+    light, sizes = _tabulated(n, None)
+    tables = {"light": light.map, "edges": light.edges, "directions": _poses(sizes["angle"])}
+    numbers = {"bent": 1, "ratio": light.steepest, "strength": 0.0, "fill": light.fill, "sigma": light.sigma}
+    return Example(sizes, {**tables, **numbers, "radius": light.radius, "taps": light.taps, "cells": light.cells})
+
+
+def _tabulated(n: int, half: float | None) -> tuple[Any, dict[str, int]]:
+    """Tables of a vial and the sizes of what they serve."""
     from vamgpu.geometry import Beam, Grid
     from vamgpu.operators.light import tabulate
     from vamgpu.optics.vial import Vial
@@ -145,30 +154,30 @@ def _refracted(n: int) -> Example:
     pitch = 12.0 / n
     vial = Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, absorption=0.05)
     sizes = {**_volume(n), **_light(n)}
-    light = tabulate(Grid((n, sizes["y"], 1), pitch), Beam((sizes["r"], 1), 1.2 * pitch), vial)
-    sizes |= {"across": light.map.shape[0], "along": light.map.shape[1]}
-    tables = {"light": light.map, "edges": light.edges, "directions": _poses(sizes["angle"])}
-    return Example(sizes, {**tables, "width": light.width, "radius": light.radius})
+    light = tabulate(Grid((n, sizes["y"], 1), pitch), Beam((sizes["r"], 1), 1.2 * pitch, fill=0.9), vial, half)
+    return light, {**sizes, "across": light.map.shape[0], "along": light.map.shape[1]}
 
 
 def _oblique(n: int, source: str) -> Example:
     """Refracted light that also climbs, past an axis that wobbles."""
-    example = _refracted(n)
-    volume, rows = example.sizes["z"], example.sizes["z"] + 3
-    light, poses = example.given["light"], example.given["directions"]
+    width = 1.25
+    tables, sizes = _tabulated(n, 0.5 * (1.0 + width))
+    volume, rows = sizes["z"], sizes["z"] + 3
+    light, poses = tables.map[..., :2], _poses(sizes["angle"])
     climb = np.broadcast_to(0.3 * np.arange(light.shape[1]) - 0.15 * light.shape[1], light.shape[:2])
     table = np.concatenate([light, np.stack([climb, np.full_like(climb, 0.9)], axis=-1)], axis=-1)
     places = 0.3 * np.stack([poses[:, 1], poses[:, 0]], axis=1)
-    given = {**example.given, "light": table, "poses": np.concatenate([poses, places], axis=1)}
-    given |= {"radius": example.given["radius"] - 0.5, "lanes": lambda _, arguments: arguments[source].lanes}
+    given = {"light": table, "edges": tables.edges, "poses": np.concatenate([poses, places], axis=1), "width": width}
+    given |= {"radius": tables.radius - 0.5, "lanes": lambda _, arguments: arguments[source].lanes}
     written = volume if source == "sinogram" else rows
-    return Example({**example.sizes, "z": written, "row": rows, "slice": volume}, given)
+    return Example({**sizes, "z": written, "row": rows, "slice": volume}, given)
 
 
 def _resampled(n: int) -> Example:
     source = n - n // 3
-    given = {"ratio": source / n, "reach": 1.0, "most": 1.0, "gain": 0.7, "lanes": lambda _, a: a["source"].lanes}
-    return Example({"i": n, "j": n + n % 2, "source": source, "z": n}, given)
+    first = np.arange(n) * source // n - 1
+    given = {"first": first, "lanes": lambda _, arguments: arguments["source"].lanes}
+    return Example({"i": n, "j": n + n % 2, "source": source, "z": n, "tap": 3}, given)
 
 
 def _shifted(n: int) -> Example:
@@ -454,8 +463,8 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "expose": _lit_through,
     "forward_joseph": _straight,
     "back_joseph": _straight,
-    "forward_refracted": _refracted,
-    "back_refracted": _refracted,
+    "forward_footprint": _footprint,
+    "back_footprint": _footprint,
     "forward_oblique": lambda n: _oblique(n, "volume"),
     "back_oblique": lambda n: _oblique(n, "sinogram"),
     "resample": _resampled,

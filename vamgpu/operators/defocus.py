@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, log, pi, sqrt
 from typing import Any, final
 
@@ -177,7 +177,7 @@ class Defocused(Derived):
 
         plane = Graded(self._plane, share)
         if isinstance(A, Projection):
-            return Projection(A.grid, A.beam, A.motion, plane, A.device)
+            return Projection(A.grid, replace(A.beam, spread=0.0), A.motion, plane, A.device)
         rows = getattr(A.light, "rows", None)
         light = plane if rows is None else _GradedRows(plane, rows)
         return Oblique(A.grid, A.beam, A.motion, light, A.wobble, A.device)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, hypot, inf
+from math import ceil, hypot, inf, sqrt
 
 import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Chords, Grid, Vessel
+from vamgpu.kernels.footprint import half_support, sides
 
 FINE = 65_536
 SAFETY = 1.5
 """On the strays measured midway between samples of the map."""
 ROUNDING = 0.01
 """Voxels that float32 may be off by."""
+TOGETHER = 4
+"""Neighboring columns whose rays a device follows together."""
 EQUAL = 1.05
-"""Voxels up to this much wider than a column's light count as equally wide: the ripple stays below five percent."""
+"""Voxels up to this much wider than a column's light count as equally wide where widths are one number."""
 
 
 @dataclass(frozen=True)
@@ -36,23 +39,42 @@ class OpenAir:
 
 @dataclass(frozen=True)
 class Light:
-    """Tables of the refracting projector; lengths in voxels, columns counted from 0.
+    """Tables of one pose; lengths in voxels, columns counted from 0.
 
-    map: (n, n, 2) column index and weight.  edges: (columns, 8).  width: of a voxel in columns, at least 1.
-    radius: of the lit disc in voxels.
+    map: (n, n, 4) column, strength, and the columns a voxel across and along the light.  edges: (columns, 8), chords either side of a column's light, and slack.
+    radius: of the lit disc in voxels.  width: of a voxel on the axis in columns.  steepest: columns a voxel, at most.
+    fill, sigma: of a pixel's box and of its point spread in columns.
     """
 
     map: np.ndarray
     edges: np.ndarray
-    width: float
     radius: float
+    width: float
+    steepest: float
+    fill: float
+    sigma: float
+
+    @property
+    def taps(self) -> int:
+        """Columns that light one voxel, at most."""
+        return int(2.0 * float(half_support(*_widest(self.steepest), self.fill, self.sigma))) + 1
+
+    @property
+    def cells(self) -> int:
+        """Voxels of a row that `TOGETHER` neighboring columns light, at most."""
+        far = np.minimum(np.arange(len(self.edges)) + TOGETHER - 1, len(self.edges) - 1)
+        low, high = self.edges[:, :4], self.edges[far, 4:]
+        turned = np.arctan2(high[:, 2], high[:, 1]) - np.arctan2(low[:, 2], low[:, 1])
+        across = np.abs(high[:, 0] - low[:, 0]) + np.abs(turned) * min(self.radius, len(self.map))
+        return int(np.max(np.sqrt(2.0) * across) + 2.0 * self.edges[:, 3].max()) + 2
 
 
-def tabulate(grid: Grid, beam: Beam, vessel: Vessel) -> Light:
-    """The tables of ``vessel`` for a grid and a beam. Raises `BadInput` for a beam of a single column."""
+def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None) -> Light:
+    """The tables of ``vessel`` for a grid and a beam.
+
+    half: columns from a voxel's middle to the farthest that lights it; what footprints and point spread ask by default.
+    """
     columns = beam.pixels[0]
-    if columns < 2:
-        raise BadInput(f"a beam of {columns} column cannot be interpolated; give it at least 2")
     corner = hypot(*(0.5 * (n - 1) for n in grid.shape[:2]))
     radius = min(vessel.lit_radius / grid.pitch, corner + 1.0)
     samples = 2 * (ceil(min(radius, corner)) + 2)
@@ -60,10 +82,54 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel) -> Light:
     u, weight = _continued(vessel, radius * grid.pitch, *np.meshgrid(position, position, indexing="ij"))
     column = u / beam.pitch + 0.5 * (columns - 1)
     strength = weight * grid.pitch**2 / beam.pitch  # so that a row of the operator sums to the length of its ray
-    width = _voxel_width(grid, beam, vessel)
-    rays = _Rays(grid, beam, vessel, width)
-    table = np.stack([column, strength], axis=-1)
-    return Light(table, rays.edges(_slack(column, radius, rays)), width, radius)
+    in_resin = column_in_resin(beam, vessel)
+    fill, sigma = sqrt(beam.fill), beam.blur(in_resin)[0]
+    reaches = _reaches(column, columns, radius, fill, sigma) if half is None else np.full(columns, half)
+    rays = _Rays(grid, beam, vessel, reaches)
+    table = np.stack([column, strength, *np.gradient(column)], axis=-1)
+    edges = rays.edges(_slack(column, radius, rays))
+    return Light(table, edges, radius, grid.pitch / in_resin, _steepest(column, radius), fill, sigma)
+
+
+def column_in_resin(beam: Beam, vessel: Vessel) -> float:
+    """Width of a column of the beam in the resin, on the axis [mm]."""
+    center = vessel.chords(np.array([-1e-3, 1e-3]) * beam.pitch).p
+    return float(center[1] - center[0]) / 2e-3
+
+
+def _widest(gradient: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The two boxes of a voxel seen along its diagonal."""
+    side = np.sqrt(0.5) * np.asarray(gradient)
+    return sides(side, side)
+
+
+def _gradient(column: np.ndarray) -> np.ndarray:
+    """Columns a voxel between samples of the map, no less than anywhere in the cell; one fewer than samples."""
+    across, along = np.abs(np.diff(column, axis=0)), np.abs(np.diff(column, axis=1))
+    return np.hypot(np.maximum(across[:, 1:], across[:, :-1]), np.maximum(along[1:], along[:-1]))
+
+
+def _near(shape: tuple[int, ...], radius: float) -> np.ndarray:
+    """Cells of the map that a lit voxel may look itself up in."""
+    position = np.arange(shape[0] - 1) - 0.5 * (shape[0] - 2)
+    return np.hypot(position[:, None], position[None, :]) <= radius + 3.0
+
+
+def _steepest(column: np.ndarray, radius: float) -> float:
+    return float(_gradient(column)[_near(column.shape, radius)].max())
+
+
+def _reaches(column: np.ndarray, columns: int, radius: float, fill: float, sigma: float) -> np.ndarray:
+    """How far to either side of each column's middle its light may fall [columns]."""
+    near, gradient = _near(column.shape, radius), _gradient(column)
+    place = np.clip(0.5 * (column[:-1, :-1] + column[1:, 1:])[near], 0, columns - 1).astype(int)
+    steep = np.zeros(columns)
+    np.maximum.at(steep, place, gradient[near])
+    most = float(half_support(*_widest(float(gradient[near].max())), fill, sigma))
+    around = int(np.ceil(most)) + 2
+    padded = np.pad(steep, around, mode="edge")
+    steep = np.max([padded[k : k + columns] for k in range(2 * around + 1)], axis=0)
+    return half_support(*_widest(steep), fill, sigma)
 
 
 def _continued(
@@ -88,19 +154,11 @@ def _continued(
     return u, weight
 
 
-def _voxel_width(grid: Grid, beam: Beam, vessel: Vessel) -> float:
-    """A voxel's width in columns; 1 for columns as wide or wider, between which voxels interpolate."""
-    center = vessel.chords(np.array([-1e-3, 1e-3]) * beam.pitch).p
-    column_in_resin = float(center[1] - center[0]) / 2e-3
-    ratio = grid.pitch / column_in_resin
-    return 1.0 if ratio <= EQUAL else ratio
-
-
 class _Rays:
     """Chords in voxels by column index, kept to rays that enter the resin."""
 
-    def __init__(self, grid: Grid, beam: Beam, vessel: Vessel, width: float) -> None:
-        self.columns, self.reach = beam.pixels[0], 0.5 * (1.0 + width)
+    def __init__(self, grid: Grid, beam: Beam, vessel: Vessel, reaches: np.ndarray) -> None:
+        self.columns, self.reaches, self.reach = beam.pixels[0], reaches, float(reaches.max())
         self._fine = np.linspace(-self.reach, self.columns - 1 + self.reach, FINE)
         chords = vessel.chords((self._fine - 0.5 * (self.columns - 1)) * beam.pitch)
         entering = chords.transmittance > 0
@@ -116,7 +174,7 @@ class _Rays:
     def edges(self, slack: np.ndarray) -> np.ndarray:
         """(columns, 8): p, cos d, sin d, slack of the chords on either side of the light of each column."""
         sides = []
-        for side in (-self.reach, self.reach):
+        for side in (-self.reaches, self.reaches):
             p, angle = self.at(np.arange(self.columns) + side)
             sides += [p, np.cos(angle), np.sin(angle), slack]
         return np.stack(sides, axis=-1)

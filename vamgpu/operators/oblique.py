@@ -13,7 +13,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.kernels.oblique import back_oblique, forward_oblique
-from vamgpu.operators.light import OpenAir, tabulate
+from vamgpu.operators.light import EQUAL, OpenAir, column_in_resin, tabulate
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
 from vamgpu.operators.wobble import Wobble
@@ -90,7 +90,9 @@ class Oblique(LinearOperator):
         grid, beam = self.grid, self.beam
         margin = 2 * ceil(float(np.abs(self._places).max(initial=0.0)))
         wide = Grid((grid.shape[0] + margin, grid.shape[1] + margin, grid.shape[2]), grid.pitch)
-        light = tabulate(wide, beam, plane)
+        ratio = grid.pitch / column_in_resin(beam, plane)
+        width = 1.0 if ratio <= EQUAL else ratio
+        light = tabulate(wide, beam, plane, half=0.5 * (1.0 + width))
         n = light.map.shape[0]
         position = (np.arange(n) - 0.5 * (n - 1)) * grid.pitch
         lift, stretch, gain = self._rows(*np.meshgrid(position, position, indexing="ij"))
@@ -103,7 +105,7 @@ class Oblique(LinearOperator):
         table = np.stack([light.map[..., 0], strength, *rows], axis=-1)
         poses = np.stack([np.cos(self.motion.poses), np.sin(self.motion.poses), *self._places.T], axis=1)
         wander = float(np.hypot(*self._places.T).max(initial=0.0))
-        self._size = {"width": light.width, "radius": max(light.radius - wander, 0.0)}
+        self._size = {"width": width, "radius": max(light.radius - wander, 0.0)}
         upload = self.device.table
         return {"poses": upload(poses), "light": upload(table), "edges": upload(light.edges)}
 

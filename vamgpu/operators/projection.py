@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from math import sqrt
 from typing import final
 
 import numpy as np
@@ -12,25 +13,37 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel
+from vamgpu.kernels.footprint import back_footprint, forward_footprint
 from vamgpu.kernels.project import back_joseph, forward_joseph
-from vamgpu.kernels.refract import back_refracted, forward_refracted
 from vamgpu.operators.light import OpenAir, tabulate
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.rows import Rows
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
+
+FOOTPRINTS = ("exact", "joseph")
 
 
 @final
 class Projection(LinearOperator):
     """Rays of a beam through a volume that a turntable turns, in air or inside a vessel.
 
-    ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose [x, y, z]; ``A[i, j]`` is the length [mm] of
-    ray i in voxel j, times transmittance and the absorbed fraction per mm where a vessel absorbs. Straight rays as far
-    apart as voxels follow Joseph; all others an inverse map of the rays, exact inside the vessel's printable radius
-    (outside it two or three rays meet and the voxels count as unlit).
+    ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose [x, y, z]. ``A[i, j]`` is the mean, over the
+    box of voxel j, of the light that the box of pixel i sends, blurred by the beam's point spread: the length [mm] of
+    the ray in the voxel, times transmittance and the absorbed fraction per mm where a vessel absorbs. Inside a vessel
+    the light has one ray through each point within the printable radius; voxels outside it count as unlit.
 
-    grid, beam, motion: the geometry.  vessel: e.g. `Vial`; None for straight light.  device: a name or a device.
-    Raises `BadInput`, `DeviceError`.
+    Args:
+        grid: voxels of the volume.
+        beam: pixels, with their fill factor and point spread.
+        motion: poses of the turntable.
+        vessel: e.g. `Vial`; None for straight light.
+        device: a name or a device; the best one here by default.
+        footprint: "exact", or "joseph" for straight rays interpolated between voxels as tomography packages do: no
+            fill factor, no point spread, columns as wide as voxels (P. M. Joseph, IEEE Trans. Med. Imaging 1 (1982)).
+
+    Raises:
+        BadInput: an argument is of another kind, or Joseph's rays do not fit the geometry.
+        DeviceError: there is no such device.
     """
 
     domain: VolumeSpace
@@ -43,47 +56,82 @@ class Projection(LinearOperator):
         motion: Turntable,
         vessel: Vessel | None = None,
         device: str | Device | None = None,
+        *,
+        footprint: str = "exact",
     ) -> None:
         for value, kind in ((grid, Grid), (beam, Beam), (motion, Turntable)):
             if not isinstance(value, kind):
-                raise BadInput(f"got {value!r} where a {kind.__name__} is wanted; Projection(grid, beam, motion, …)")
+                raise BadInput(f"got {value!r} where a {kind.__name__} is expected; Projection(grid, beam, motion, …)")
         if vessel is not None and not isinstance(vessel, Vessel):
-            raise BadInput(f"got {vessel!r} as vessel; wanted a Vial, a Vat, or None for straight light")
-        self.grid, self.beam, self.motion, self.vessel = grid, beam, motion, vessel
+            raise BadInput(f"got {vessel!r} as vessel; expected a Vial, a Vat, or None for straight light")
+        self.grid, self.beam, self.motion, self.vessel, self.footprint = grid, beam, motion, vessel, footprint
+        self._check_footprint()
         self.domain, self.range = VolumeSpace(grid), SinogramSpace(beam, motion)
         self.device = open_device(device)
         poses = motion.poses
         self._directions = self.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
-        self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch)
-        self._joseph = vessel is None and self._rows.same_pitch
-        self._light = None if self._joseph else self._tables(vessel or OpenAir())
+        if footprint == "joseph":
+            self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device)
+        else:
+            flat = beam.pixels[1] == 1  # a single row stands for a print that is the same at every z
+            pixel = {"fill": 1.0 if flat else sqrt(beam.fill), "sigma": 0.0 if flat else beam.blur()[1]}
+            self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device, **pixel)
+            self._light, self._gather = self._tables()
         self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
         vessel = f", {self.vessel!r}" if self.vessel else ""
-        return f"Projection({self.grid!r}, {self.beam!r}, {self.motion!r}{vessel}, device={self.device.name!r})"
+        how = f", footprint={self.footprint!r}" if self.footprint != "exact" else ""
+        return f"Projection({self.grid!r}, {self.beam!r}, {self.motion!r}{vessel}, device={self.device.name!r}{how})"
 
     @property
     def T(self) -> LinearOperator:  # noqa: N802
         return self._transpose
+
+    def _check_footprint(self) -> None:
+        if self.footprint not in FOOTPRINTS:
+            raise BadInput(f"footprint is {self.footprint!r}; expected one of {', '.join(FOOTPRINTS)}")
+        if self.footprint == "exact":
+            return
+        beam, grid = self.beam, self.grid
+        if self.vessel is not None or abs(beam.pitch / grid.pitch - 1.0) > 1e-6:
+            raise BadInput(f"got footprint='joseph' with {self.vessel!r}, pixels of {beam.pitch:g} mm and voxels of "
+                           f"{grid.pitch:g} mm; Joseph's rays are straight and as far apart as voxels: leave the "
+                           "vessel out and make the pitches equal, or take footprint='exact'")  # fmt: skip
+        if beam.fill != 1.0 or beam.spread:
+            raise BadInput(f"got footprint='joseph' with {beam!r}; Joseph's rays know no fill factor and no point "
+                           "spread: give neither, or take footprint='exact'")  # fmt: skip
 
     @cached_property
     def _slices(self) -> tuple[int, int, int]:
         """Shape of a sinogram with one row a slice."""
         return (self.motion.angles, self.beam.pixels[0], self.grid.shape[2])
 
-    def _tables(self, vessel: Vessel) -> dict[str, object]:
-        light = tabulate(self.grid, self.beam, vessel)
-        table = self.device.table
-        return {"light": table(light.map), "edges": table(light.edges), "width": light.width, "radius": light.radius}
+    def _tables(self) -> tuple[dict[str, object], dict[str, object]]:
+        """What both directions take, and what the forward one takes to gather along rays."""
+        light = tabulate(self.grid, self.beam, self.vessel or OpenAir())
+        ratio, strength = self.grid.pitch / self.beam.pitch, self.grid.pitch**2 / self.beam.pitch
+        bent, table = self.vessel is not None, self.device.table
+        both = {
+            "directions": self._directions,
+            "light": table(light.map if bent else np.zeros((2, 2, 4))),
+            "bent": int(bent),
+            "ratio": light.steepest if bent else ratio,
+            "strength": strength,
+            "fill": light.fill,
+            "sigma": light.sigma,
+            "radius": light.radius,
+            "taps": light.taps,
+        }
+        return both, {"edges": table(light.edges), "cells": light.cells}
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         rows = out if self._rows.same else self.device.empty(self._slices)
-        common = {"volume": x, "directions": self._directions, "sinogram": rows}
-        if self._light is None:
-            self.device.launch(forward_joseph, **common, pitch=self.grid.pitch)
+        if self.footprint == "joseph":
+            given = {"directions": self._directions, "pitch": self.grid.pitch}
+            self.device.launch(forward_joseph, volume=x, sinogram=rows, **given)
         else:
-            self.device.launch(forward_refracted, **common, **self._light)
+            self.device.launch(forward_footprint, volume=x, sinogram=rows, **self._light, **self._gather)
         if rows is not out:
             self._rows.from_slices(rows, out)
 
@@ -92,9 +140,8 @@ class Projection(LinearOperator):
         if not self._rows.same:
             rows = self.device.empty(self._slices)
             self._rows.to_slices(y, rows)
-        common = {"sinogram": rows, "directions": self._directions, "volume": out}
-        if self._light is None:
-            self.device.launch(back_joseph, **common, pitch=self.grid.pitch)
+        if self.footprint == "joseph":
+            given = {"directions": self._directions, "pitch": self.grid.pitch}
+            self.device.launch(back_joseph, sinogram=rows, volume=out, **given)
         else:
-            light = {name: value for name, value in self._light.items() if name != "edges"}
-            self.device.launch(back_refracted, **common, **light)
+            self.device.launch(back_footprint, sinogram=rows, volume=out, **self._light)

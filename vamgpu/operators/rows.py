@@ -2,54 +2,76 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.kernels.footprint import TAIL, THINNEST
 from vamgpu.kernels.resample import resample
-from vamgpu.operators.light import EQUAL
 
 
-@dataclass(frozen=True)
 class Rows:
-    """How light of ``rows`` of ``row_pitch`` [mm] falls on ``slices`` of ``slice_pitch``; both ways are transposes."""
+    """How light of rows of pixels falls on slices of voxels; both ways are transposes.
 
-    rows: int
-    row_pitch: float
-    slices: int
-    slice_pitch: float
+    A weight is the mean, over a slice, of the light of a row: of its lit box, blurred by the point spread.
 
-    @property
-    def same(self) -> bool:
+    Args:
+        rows: rows of the beam; row_pitch: their distance [mm].
+        slices: slices of the grid; slice_pitch: their thickness [mm].
+        device: that holds the tables.
+        fill: height of a row's lit box over its pitch.
+        sigma: standard deviation of the point spread [rows].
+    """
+
+    def __init__(
+        self, rows: int, row_pitch: float, slices: int, slice_pitch: float, device: Device, fill: float = 1.0,
+        sigma: float = 0.0,
+    ) -> None:  # fmt: skip
+        self.rows, self.slices, self.device = rows, slices, device
+        ratio = slice_pitch / row_pitch
+        self.same_pitch = abs(ratio - 1.0) < 1e-6
+        self.same = rows == slices and self.same_pitch and fill == 1.0 and sigma == 0.0
         """Whether each row is a slice."""
-        return self.rows == self.slices and self.same_pitch
-
-    @property
-    def same_pitch(self) -> bool:
-        """Whether a row is as high as a slice."""
-        return abs(self._ratio - 1.0) < 1e-6
-
-    @property
-    def _ratio(self) -> float:
-        return self.slice_pitch / self.row_pitch
+        if self.same:
+            return
+        position = (np.arange(slices) - 0.5 * (slices - 1)) * ratio + 0.5 * (rows - 1)
+        matrix = ratio * _mean(position[:, None] - np.arange(rows), ratio, fill, sigma)
+        self._to_slices, self._from_slices = (_banded(device, m) for m in (matrix, matrix.T))
 
     def from_slices(self, source: DeviceArray, target: DeviceArray) -> None:
         """target [pose, r, row] from source [pose, r, slice]."""
-        self._resample(source, target, 1.0 / self._ratio, row=1.0 / self._ratio)
+        self.device.launch(resample, source=source, lanes=source.lanes, target=target, **self._from_slices)
 
     def to_slices(self, source: DeviceArray, target: DeviceArray) -> None:
         """target [pose, r, slice] from source [pose, r, row]."""
-        self._resample(source, target, self._ratio, row=1.0)
+        self.device.launch(resample, source=source, lanes=source.lanes, target=target, **self._to_slices)
 
-    def _resample(self, source: DeviceArray, target: DeviceArray, ratio: float, row: float) -> None:
-        """A row being ``row`` samples of the source high: what a slice and a row overlap."""
-        width = 1.0 if self._ratio <= EQUAL else self._ratio  # of a slice, in rows
-        target.device.launch(
-            resample,
-            source=source,
-            ratio=ratio,
-            reach=0.5 * (1.0 + width) * row,
-            most=row,
-            gain=self._ratio / (width * row),
-            lanes=source.lanes,
-            target=target,
-        )
+
+def _mean(distance: np.ndarray, height: float, fill: float, sigma: float) -> np.ndarray:
+    """Mean over a slice ``height`` rows high of the light of a row at a distance [rows]; sums to 1 over rows."""
+    outer, inner = 0.5 * (height + fill), 0.5 * abs(height - fill)
+    ends = sum(_second_integral(distance + x, sigma) for x in (outer, -outer))
+    middle = sum(_second_integral(distance + x, sigma) for x in (inner, -inner))
+    inside = np.abs(distance) < outer + TAIL * sigma
+    return np.where(inside, np.maximum(ends - middle, 0.0) / (height * fill), 0.0)
+
+
+def _second_integral(x: np.ndarray, sigma: float) -> np.ndarray:
+    """Second integral from −∞ of a Gaussian of standard deviation ``sigma`` about 0; x₊ for none."""
+    if sigma < 1e-3 * THINNEST:
+        return np.maximum(x, 0.0)
+    from scipy.special import ndtr
+
+    t = x / sigma
+    return x * ndtr(t) + sigma / np.sqrt(2.0 * np.pi) * np.exp(-0.5 * t**2)
+
+
+def _banded(device: Device, matrix: np.ndarray) -> dict[str, DeviceArray]:
+    """The tables of `resample` for a matrix [target, source] whose rows are one short run each."""
+    filled = matrix > 0.0
+    first = np.where(filled.any(axis=1), filled.argmax(axis=1), 0)
+    last = np.where(filled.any(axis=1), matrix.shape[1] - filled[:, ::-1].argmax(axis=1), 1)
+    taps = np.arange(int((last - first).max()))
+    columns = np.minimum(first[:, None] + taps, matrix.shape[1] - 1)
+    weights = np.take_along_axis(matrix, columns, axis=1) * (first[:, None] + taps < last[:, None])
+    return {"first": device.table(first, "int32"), "weights": device.table(weights)}

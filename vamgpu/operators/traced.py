@@ -124,7 +124,7 @@ class _Matrix:
 
     def __init__(self, owner: TracedProjection) -> None:
         self.device, grid, beam = owner.device, owner.grid, owner.beam
-        self.resampled = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch)
+        self.resampled = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, owner.device)
         self.slices = (owner.motion.angles, beam.pixels[0], grid.shape[2])
         cells, rays = grid.shape[0] * grid.shape[1], owner.motion.angles * beam.pixels[0]
         if max(cells, rays) > WHOLE:

@@ -92,7 +92,7 @@ class WebProjection(LinearOperator):
         self.first = self.motion.start
         self.domain, self.range = WebSpace(grid), FeedSpace(beam, self.motion)
         self.device = open_device(device)
-        self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2])
+        self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2], self.device)
         self._between = None if self.motion.whole else _Between(self.motion, self.device)
         begin, stride = (int(self.first), int(self.motion.step)) if not self._between else (self._between.first, 1)
         self._forward = Bands.forward(light, begin, stride).on(self.device)

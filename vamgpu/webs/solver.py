@@ -69,7 +69,7 @@ class Solver:
     def _rows_norm(self) -> float:
         """What rows unlike slices add to ‖A‖²; 1 where each row is a slice."""
         grid, beam = self.operator.grid, self.operator.beam
-        rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2])
+        rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2], self.device)
         if rows.same:
             return 1.0
         slices, shown = (self.device.upload(np.ones((1, 1, n))) for n in (grid.shape[2], rows.rows))
