@@ -68,7 +68,8 @@ class Target:
         ``shape``: voxels of the grid; by default the smallest multiples of 4 that hold the part and the margin.
 
         Raises BadInput (pitch, height, factor, orientation, shape), TargetTooLarge (the part does not fit ``shape``),
-        EmptyMesh (nothing is filled), OutOfMemory, and what reading a mesh raises.
+        EmptyMesh (nothing is filled), OutOfMemory, and what reading a mesh raises. Warns MeshWarning when the mesh was
+        mended; ``mended`` keeps what was done.
         """
         pitch = positive("pitch [mm]", pitch)
         _one_scale(height, factor)
@@ -101,6 +102,11 @@ class Target:
         radius = float(np.hypot(x[:, None], y[None, :])[footprint].max())
         volume = float(fraction.sum(dtype=np.float64)) * grid.voxel_volume
         return cls(grid, name, fraction, radius, volume, float(slices[-1] - slices[0] + 1) * grid.pitch)
+
+    @property
+    def mended(self) -> tuple[str, ...]:
+        """What a repair changed of its mesh, a sentence each; empty for a sound mesh and for arrays."""
+        return () if self.solid is None else self.solid.mended
 
     def on(self, device: str | Device | None = None) -> DeviceArray:
         """The fractions as a field on ``device``; copied there once, then kept."""
