@@ -2,6 +2,7 @@
 
 #define SAMPLES 16
 #define GENERATOR 7
+#define OFFSET 11
 #define RAY_SHIFT 22
 
 // As FIELD_KERNEL, of a kernel without fields.
@@ -36,7 +37,9 @@ static inline int height(long wa, long wb, long wc, int az, int bz, int cz) {
 
 // Where a ray passes within its column.
 static inline long ray_x(int ray, int bits) { return ((2 * ray + 1) << bits) / (2 * SAMPLES); }
-static inline long ray_y(int ray, int bits) { return ((2 * (GENERATOR * ray % SAMPLES) + 1) << bits) / (2 * SAMPLES); }
+static inline long ray_y(int ray, int bits) {
+    return ((2 * ((GENERATOR * ray + OFFSET) % SAMPLES) + 1) << bits) / (2 * SAMPLES);
+}
 
 // Which rays of a column meet the triangle, one bit each; ea, eb and ec are its edges at the column's corner.
 static inline uint met_rays(const Edge a, const Edge b, const Edge c, long ea, long eb, long ec, int bits) {

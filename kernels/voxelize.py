@@ -12,7 +12,9 @@ never both miss it. All sums are multiples of 1 / (SAMPLES · 2**bits) of at mos
 the very same numbers.
 
 The points are a lattice of 16 rows and 16 columns with one point in each (rank 1, generator 7): a wall along x or y is
-resolved to 1/16 of a voxel, where a square array of as many points would resolve 1/4. A wall one voxel thick along x, y
+resolved to 1/16 of a voxel, where a square array of as many points would resolve 1/4. Its offset of 11 makes it its own
+image under half a turn, so that a part that is, is so in voxels too. The volume of a round section 10 voxels in radius
+is right to 1e-3 (root mean square), of one of 35 to 2e-4. A wall one voxel thick along x, y
 or z meets exactly 16 points, or units of height, wherever it stands: the voxels it straddles add up to one.
 """
 
@@ -26,6 +28,7 @@ from vamgpu.kernels.signature import Integer, Table, Tiling, VolumeOut, kernel
 
 SAMPLES = 16
 GENERATOR = 7
+OFFSET = 11
 FINEST = 5
 """Fewest bits at which the sample points lie on the fine grid."""
 
@@ -46,7 +49,7 @@ CPU, GPU = Tiling(), Tiling(group=(64, 1))
 def sample_points(bits: int) -> np.ndarray:
     """Where the rays pass within a column, in units of the fine grid; int64 (SAMPLES, 2)."""
     i = np.arange(SAMPLES)
-    return (2 * np.stack([i, GENERATOR * i % SAMPLES], axis=1) + 1) * (1 << bits) // (2 * SAMPLES)
+    return (2 * np.stack([i, (GENERATOR * i + OFFSET) % SAMPLES], axis=1) + 1) * (1 << bits) // (2 * SAMPLES)
 
 
 @kernel(over="first", cpu=CPU, gpu=GPU)

@@ -8,6 +8,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 SAMPLES = wp.constant(16)
 GENERATOR = wp.constant(7)
+OFFSET = wp.constant(11)
 RAY_SHIFT = wp.constant(22)
 
 
@@ -75,7 +76,7 @@ def change(volume: wp.array4d(dtype=wp.vec4), x: int, y: int, h: int, weight: fl
 def met(a: Edge, b: Edge, c: Edge, ea: wp.int64, eb: wp.int64, ec: wp.int64, i: int, unit: int):
     """Whether ray i of a column meets the triangle, and where: its three areas."""
     px = wp.int64((2 * i + 1) * unit // (2 * SAMPLES))
-    py = wp.int64((2 * (GENERATOR * i % SAMPLES) + 1) * unit // (2 * SAMPLES))
+    py = wp.int64((2 * ((GENERATOR * i + OFFSET) % SAMPLES) + 1) * unit // (2 * SAMPLES))
     wa = ea + a.along_x * px + a.along_y * py
     wb = eb + b.along_x * px + b.along_y * py
     wc = ec + c.along_x * px + c.along_y * py

@@ -92,6 +92,24 @@ def test_a_tilted_box_agrees_with_points_inside_it(device: Device) -> None:
     assert np.abs(got.numpy() - wanted).mean() < 2e-3
 
 
+@pytest.mark.parametrize("bits", [5, 10])
+def test_sample_points_hold_every_row_and_column_once_and_are_their_own_half_turn(bits: int) -> None:
+    points = sample_points(bits)
+    middles = (2 * np.arange(SAMPLES) + 1) * (1 << bits) // (2 * SAMPLES)
+    for axis in range(2):
+        np.testing.assert_array_equal(np.sort(points[:, axis]), middles)
+    turned = (1 << bits) - points
+    assert {tuple(p) for p in turned.tolist()} == {tuple(p) for p in points.tolist()}
+
+
+def test_a_part_that_is_its_own_half_turn_is_so_in_voxels(device: Device) -> None:
+    turn = rotation(0.3, 0.0)
+    wall = Solid(BOX_CORNERS * (5.1, 0.7, 1.9) @ turn.T, BOX_FACES, "wall")
+    values = voxelize(wall, Grid((24, 20, 8), 0.3), device).fraction.numpy()
+    np.testing.assert_array_equal(values, values[::-1, ::-1])
+    assert len(np.unique(values)) > 5
+
+
 def test_rays_through_vertices_and_edges_cross_once(device: Device) -> None:
     """Every vertex of a bumpy slab sits on a sampling point, so rays meet vertices and edges all over."""
     points = sample_points(10) / 1024.0
