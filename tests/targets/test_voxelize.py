@@ -249,7 +249,7 @@ def test_bands_of_little_memory_give_the_same_voxels(device: Device, monkeypatch
     assert got.volume == pytest.approx(wanted.volume, rel=1e-7)
 
 
-@pytest.mark.parametrize("room", [1, 300, 10**9])
+@pytest.mark.parametrize("room", [1, 300, 1100, 10**9])
 def test_lists_of_crossings_share_what_room_there_is(room: int) -> None:
     counts = np.random.default_rng(4).integers(0, 9, (35, 12))
     bands, start, longest = listed(counts, 8, room)
