@@ -289,7 +289,7 @@ def _solid(n: int, *, listed: bool = True) -> Example:
         return Example(sizes, given)
     counts = np.zeros((sizes["x"], sizes["y"]), np.int32)
     count_crossings.definition(**given, counts=counts)
-    _, start, entries = share_lists(counts, tile, counts.size)
+    _, start, entries = share_lists(counts, tile, room=1 << 20)
     return Example({**sizes, "entry": entries}, {**given, "start": start, "row": 0})
 
 
