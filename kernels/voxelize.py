@@ -1,14 +1,21 @@
 """Anti-aliased voxels of a closed triangle surface.
 
-Rays run up z through SAMPLES points of every (x, y) column. Where a ray enters the solid at height h, every voxel above
-gains one, the voxel cut by the surface its part above h; where it leaves, they lose as much. The running sum is the
-winding number, so nothing needs sorting, and the result is exact along z. Vertices sit on a fine grid of 2**bits units
-a voxel, edge tests and heights are integers of 64 bits, and a ray through an edge or a vertex counts as passing it an
-infinitesimal (ε, ε²) beside: neighboring triangles never both take it and never both miss it. All sums are multiples of
-1 / (SAMPLES · 2**bits), exact in float32 up to a thousand shells, so devices give the very same numbers in any order.
+Rays run up z through SAMPLES points of every (x, y) column, and every ray keeps a list of the heights at which it
+crosses the surface. Sorted, they tell its winding number from below: the ray is in the part wherever that is at least
+1, so that bodies that overlap, touch or coincide count once, and bodies wound inward are cavities. Where a ray enters
+at height h, every voxel above gains one, the voxel cut by the surface its part above h; where it leaves, they lose as
+much. The result is exact along z.
+
+Vertices sit on a fine grid of 2**bits units a voxel, edge tests and heights are integers of 64 bits, and a ray through
+an edge or a vertex counts as passing it an infinitesimal (ε, ε²) beside: neighboring triangles never both take it and
+never both miss it. All sums are multiples of 1 / (SAMPLES · 2**bits) of at most 1, exact in float32, so devices give
+the very same numbers.
 
 The points are a lattice of 16 rows and 16 columns with one point in each (rank 1, generator 7): a wall along x or y is
-resolved to 1/16 of a voxel, where a square array of as many points would resolve 1/4.
+resolved to 1/16 of a voxel, where a square array of as many points would resolve 1/4. Its offset of 11 makes it its own
+image under half a turn, so that a part that is, is so in voxels too. The volume of a round section 10 voxels in radius
+is right to 1e-3 (root mean square), of one of 35 to 2e-4. A wall one voxel thick along x, y
+or z meets exactly 16 points, or units of height, wherever it stands: the voxels it straddles add up to one.
 """
 
 from __future__ import annotations
@@ -21,30 +28,58 @@ from vamgpu.kernels.signature import Integer, Table, Tiling, VolumeOut, kernel
 
 SAMPLES = 16
 GENERATOR = 7
+OFFSET = 11
 FINEST = 5
 """Fewest bits at which the sample points lie on the fine grid."""
+
+RAY_SHIFT = 22
+"""A crossing is one integer that sorts by ray, then height: ray << 22 | height << 1 | whether the ray leaves."""
 
 Triangles = Annotated[np.ndarray, Table("int32", ("triangle", "10"))]
 """Three corners (x, y, z), counter-clockwise seen from above; sign."""
 Members = Annotated[np.ndarray, Table("int32", ("member",))]
 Bounds = Annotated[np.ndarray, Table("int32", ("tile_x", "tile_y"))]
+Start = Annotated[np.ndarray, Table("int32", ("x", "y"))]
+Counts = Annotated[np.ndarray, Table("int32", ("x", "y"), writes=True)]
+Lists = Annotated[np.ndarray, Table("int32", ("entry",), writes=True)]
 Filled = Annotated[np.ndarray, Table("float32", ("tile_x", "tile_y"), writes=True)]
+CPU, GPU = Tiling(), Tiling(group=(64, 1))
 
 
 def sample_points(bits: int) -> np.ndarray:
     """Where the rays pass within a column, in units of the fine grid; int64 (SAMPLES, 2)."""
     i = np.arange(SAMPLES)
-    return (2 * np.stack([i, GENERATOR * i % SAMPLES], axis=1) + 1) * (1 << bits) // (2 * SAMPLES)
+    return (2 * np.stack([i, (GENERATOR * i + OFFSET) % SAMPLES], axis=1) + 1) * (1 << bits) // (2 * SAMPLES)
 
 
-@kernel(over="first", cpu=Tiling(), gpu=Tiling(group=(64, 1)))
-def voxelize(
+@kernel(over="first", cpu=CPU, gpu=GPU)
+def count_crossings(
     triangles: Triangles,
     members: Members,
     first: Bounds,
     last: Bounds,
     tile: Integer,
     bits: Integer,
+    counts: Counts,
+) -> None:
+    """counts[x, y] = crossings of the column's rays with the triangles, which are those of `voxelize`."""
+    counts[...] = 0
+    for point in sample_points(int(bits)):
+        x, y, _, _ = crossings(triangles.astype(np.int64), point, 1 << int(bits), counts.shape)
+        np.add.at(counts, (x, y), 1)
+
+
+@kernel(over="first", cpu=CPU, gpu=GPU)
+def voxelize(
+    triangles: Triangles,
+    members: Members,
+    first: Bounds,
+    last: Bounds,
+    start: Start,
+    tile: Integer,
+    bits: Integer,
+    row: Integer,
+    lists: Lists,
     volume: VolumeOut,
     filled: Filled,
 ) -> None:
@@ -52,25 +87,51 @@ def voxelize(
 
     triangles: corners in units of the fine grid, counted from the low corner of the volume, and −1 where the surface
     is entered from below (it faces down), +1 where it is left. members[first:last] of a tile are the triangles whose
-    boxes touch it; they spare devices a search and change nothing.
+    boxes touch it; they spare devices a search and change nothing. Only the rows of tiles from ``row`` on that first
+    has are computed. lists[start[x, y]] is the number of crossings of a column and what follows are they, sorted.
     """
-    unit = 1 << int(bits)
-    changes = np.zeros((*volume.shape[:2], volume.shape[2] + 1), np.int64)
-    for point in sample_points(int(bits)):
+    unit, (n_x, n_y, n_z) = 1 << int(bits), volume.shape
+    low, high = int(row * tile), min(int((row + first.shape[0]) * tile), n_x)
+    found = []
+    for ray, point in enumerate(sample_points(int(bits))):
         x, y, height, sign = crossings(triangles.astype(np.int64), point, unit, volume.shape)
-        voxel = np.clip(height // unit, 0, volume.shape[2])
-        above = np.clip(height - voxel * unit, 0, unit)  # part of the voxel below the surface
-        np.subtract.at(changes, (x, y, voxel), sign * (unit - above))
-        lifted = voxel < volume.shape[2]
-        np.subtract.at(changes, (x[lifted], y[lifted], voxel[lifted] + 1), (sign * above)[lifted])
-    winding = np.cumsum(changes[:, :, :-1], axis=2) / (SAMPLES * unit)
-    volume[...] = np.clip(winding, 0.0, 1.0)
-    columns = volume.sum(axis=2)
+        code = ray << RAY_SHIFT | np.clip(height, 0, n_z * unit) << 1 | (sign > 0)
+        found.append(np.stack([x * n_y + y, code])[:, (x >= low) & (x < high)])
+    column, code = np.concatenate(found, axis=1)
+    order = np.lexsort((code, column))
+    column, code = column[order], code[order]
+    _enlist(lists, start.ravel()[low * n_y : high * n_y], column - low * n_y, code)
+    entered, changed = _changes(column, code)
+    step, z, above = np.where(entered, 1, -1)[changed], *np.divmod((code & (1 << RAY_SHIFT) - 1)[changed] >> 1, unit)
+    changes = np.zeros(((high - low) * n_y, n_z + 2), np.int64)
+    np.add.at(changes, (column[changed] - low * n_y, z), step * (unit - above))
+    np.add.at(changes, (column[changed] - low * n_y, z + 1), step * above)
+    inside = np.cumsum(changes[:, :n_z], axis=1).reshape(high - low, n_y, n_z)
+    volume[low:high] = inside / (SAMPLES * unit)
+    columns = volume[low:high].sum(axis=2)
     filled[...] = np.add.reduceat(
         np.add.reduceat(columns, np.arange(0, columns.shape[0], tile), axis=0),
         np.arange(0, columns.shape[1], tile),
         axis=1,
     )
+
+
+def _enlist(lists: np.ndarray, start: np.ndarray, column: np.ndarray, code: np.ndarray) -> None:
+    """Write sorted crossings behind their number, each column's where it starts."""
+    counts = np.bincount(column, minlength=len(start))
+    lists[start] = counts
+    lists[start[column] + 1 + np.arange(len(code)) - (np.cumsum(counts) - counts)[column]] = code
+
+
+def _changes(column: np.ndarray, code: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of sorted crossings: whether the ray enters there, and whether its winding number passes between 0 and 1."""
+    entered = code & 1 == 0
+    step = np.where(entered, 1, -1)
+    winding = np.cumsum(step)
+    ray = column * SAMPLES + (code >> RAY_SHIFT)
+    begins = np.concatenate([[True], ray[1:] != ray[:-1]])[: len(ray)]
+    winding -= (winding - step)[begins][np.cumsum(begins) - 1]
+    return entered, (winding > 0) != (winding - step > 0)
 
 
 def crossings(

@@ -272,11 +272,13 @@ def _rebinned(n: int) -> Example:
     return Example({**_light(n), "column": n}, {"rays": rays})
 
 
-def _solid(n: int) -> Example:
-    """A tilted cube, in one list of triangles for every tile."""
+def _solid(n: int, *, listed: bool = True) -> Example:
+    """Two tilted cubes that overlap, in one list of triangles for every tile, and room for the rays' crossings."""
     from vamgpu.geometry import Grid
+    from vamgpu.kernels.voxelize import count_crossings
     from vamgpu.targets.solid import Solid
     from vamgpu.targets.voxelize import binned, oriented, snapped
+    from vamgpu.targets.voxelize import listed as share_lists
 
     corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -285,13 +287,19 @@ def _solid(n: int) -> Example:
     turn *= np.sign(np.linalg.det(turn))
     sizes = _volume(n)
     grid, tile = Grid((sizes["x"], sizes["y"], sizes["z"]), 1.0), 4
-    placed, bits = snapped(Solid(corners @ turn.T * 0.2 * n, faces, "cube"), grid)
+    cube, faces = corners @ turn.T * 0.2 * n, np.concatenate([faces, faces + len(corners)])
+    placed, bits = snapped(Solid(np.concatenate([cube, cube + 0.1 * n]), faces, "cubes"), grid)
     triangles = oriented(placed, faces)
     members, first, last = binned(triangles, grid, bits, tile)
     sizes |= {"triangle": len(triangles), "member": len(members)}
     sizes |= {"tile_x": first.shape[0], "tile_y": first.shape[1]}
-    tables = {"triangles": triangles, "members": members, "first": first, "last": last}
-    return Example(sizes, {**tables, "tile": tile, "bits": bits})
+    given = {"triangles": triangles, "members": members, "first": first, "last": last, "tile": tile, "bits": bits}
+    if not listed:
+        return Example(sizes, given)
+    counts = np.zeros((sizes["x"], sizes["y"]), np.int32)
+    count_crossings.definition(**given, counts=counts)
+    _, start, entries = share_lists(counts, tile, room=1 << 20)
+    return Example({**sizes, "entry": entries}, {**given, "start": start, "row": 0})
 
 
 def _banded(n: int) -> Example:
@@ -498,6 +506,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "mask_bytes": lambda n: Example({**_light(n), "byte": _light(n)["r"]}),
     "mask_rays": lambda n: Example(_light(n)),
     "rebin_rays": _rebinned,
+    "count_crossings": lambda n: _solid(n, listed=False),
     "voxelize": _solid,
     "trace_entries": _entries,
     "survey_rays": lambda n: _marched(n, _slices(n), 5),

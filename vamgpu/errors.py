@@ -137,6 +137,10 @@ class Cancelled(VamError):
         self.plan = plan
 
 
+class MeshWarning(UserWarning):
+    """A mesh had faults that were mended; the message says which."""
+
+
 class OpticsWarning(UserWarning):
     """Light reaches part of the target so weakly that the print will suffer there."""
 

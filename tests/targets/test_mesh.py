@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from vamgpu.errors import BadInput, EmptyMesh, MeshError, NotWatertight
+from vamgpu.errors import BadInput, EmptyMesh, MeshError, MeshWarning, NotWatertight
 from vamgpu.targets.circle import smallest_enclosing_circle
 from vamgpu.targets.mesh import FORMATS, from_trimesh, load_mesh
 from vamgpu.targets.repair import repaired
 from vamgpu.targets.solid import Solid
+from vamgpu.targets.target import Target
 
 QUARTER_TURN_ABOUT_X = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -102,32 +103,49 @@ def test_solid_refuses_broken_arrays() -> None:
         good.vertices[0, 0] = 1.0
 
 
+def mending(solid: Solid) -> Solid:
+    """The repaired solid, once the warning has told what it records."""
+    with pytest.warns(MeshWarning) as caught:
+        result = repaired(solid)
+    (warning,) = caught
+    assert result.mended[-1] in str(warning.message) and solid.name in str(warning.message)
+    return result
+
+
+@pytest.mark.filterwarnings("error::vamgpu.errors.MeshWarning")
 def test_a_sound_mesh_is_left_alone() -> None:
     part = block()
     assert repaired(part) is part
+    loose = repaired(soup(part))  # as STL files are
+    assert loose.open_edges == 0 and loose.mended == part.mended == ()
 
 
 def test_loose_triangles_with_a_missing_one_are_closed() -> None:
     whole = soup(ball())
     part = Solid(whole.vertices, whole.faces[1:], "holed")
-    mended = repaired(part)
+    mended = mending(part)
     assert mended.open_edges == 0
+    assert mended.mended == ("1 hole closed (rims of up to 3 edges)",)
     assert mended.volume == pytest.approx(ball().volume, rel=1e-12)
 
 
 def test_a_small_round_hole_is_filled() -> None:
     part = ball(4)
     pole = int(np.argmax(part.vertices[:, 2]))
-    mended = repaired(Solid(part.vertices, part.faces[(part.faces != pole).all(axis=1)]))
+    sides = np.count_nonzero(part.faces == pole)
+    mended = mending(Solid(part.vertices, part.faces[(part.faces != pole).all(axis=1)]))
     assert mended.open_edges == 0
+    assert mended.mended == (f"1 hole closed (rims of up to {sides} edges)",)
     assert mended.volume == pytest.approx(part.volume, rel=2e-3)
 
 
 def test_cracks_below_the_tolerance_are_sewn() -> None:
     part = soup(ball())
     shaken = part.vertices + np.random.default_rng(1).uniform(-1e-6, 1e-6, part.vertices.shape)
-    mended = repaired(Solid(shaken, part.faces))
+    mended = mending(Solid(shaken, part.faces))
     assert mended.open_edges == 0
+    joined_corners = len(part.vertices) - len(ball().vertices)
+    assert mended.mended == (f"{joined_corners} corners along cracks joined to a neighbor",)
     assert mended.volume == pytest.approx(part.volume, rel=1e-5)
 
 
@@ -136,9 +154,35 @@ def test_winding_is_made_outward(share: float) -> None:
     part = ball()
     flipped = np.random.default_rng(2).random(len(part.faces)) < share
     faces = np.where(flipped[:, None], part.faces[:, ::-1], part.faces)
-    mended = repaired(Solid(part.vertices, faces))
+    mended = mending(Solid(part.vertices, faces))
     assert mended.open_edges == 0
     assert mended.volume == pytest.approx(part.volume, rel=1e-12)
+    few = min(flipped.sum(), (~flipped).sum())
+    turned = f"{few} triangles turned to face as their neighbors do"
+    outward = "1 body of 1 wound the wrong way, turned"
+    assert mended.mended == {0.1: (turned,), 0.9: (turned, outward), 1.0: (outward,)}[share]
+
+
+def test_repeated_and_empty_triangles_are_removed_and_told() -> None:
+    part = ball()
+    extra = np.array([[0, 1, 1], [3, 2, 3], [5, 5, 5]])
+    mended = mending(Solid(part.vertices, np.concatenate([part.faces, part.faces[:2], extra])))
+    assert mended.volume == pytest.approx(part.volume, rel=1e-12)
+    assert mended.mended == ("3 triangles without area removed", "2 triangles that repeated another removed")
+
+
+def test_what_was_mended_stays_with_the_part(tmp_path: Path) -> None:
+    part = ball()
+    holed = Solid(part.vertices, part.faces[3:], "holed").save(tmp_path / "holed.ply")
+    with pytest.warns(MeshWarning, match="holed: the mesh was mended: . holes? closed"):
+        target = Target.from_mesh(holed, height=3.0, pitch=0.5, device="numpy")
+    assert target.solid is not None and target.mended == target.solid.mended
+    assert target.mended[0].startswith(("1 hole closed", "2 holes closed", "3 holes closed"))
+    again = Target.from_mesh(target.solid, height=2.0, pitch=0.5, orientation=QUARTER_TURN_ABOUT_X, device="numpy")
+    assert again.mended == target.mended
+    assert Target.from_array(target.numpy(), 0.5).mended == ()
+    sound = Target.from_mesh(part, height=3.0, pitch=0.5, device="numpy")
+    assert sound.mended == ()
 
 
 def test_a_cavity_stays_a_cavity_and_a_neighbor_turned_inside_out_is_turned_back() -> None:
@@ -146,10 +190,11 @@ def test_a_cavity_stays_a_cavity_and_a_neighbor_turned_inside_out_is_turned_back
     hollow = joined(outer, Solid(inner.vertices, inner.faces[:, ::-1]))
     expected = outer.volume - inner.volume
     assert repaired(hollow).volume == pytest.approx(expected, rel=1e-12)
-    assert repaired(Solid(hollow.vertices, hollow.faces[:, ::-1])).volume == pytest.approx(expected, rel=1e-12)
+    assert mending(Solid(hollow.vertices, hollow.faces[:, ::-1])).volume == pytest.approx(expected, rel=1e-12)
     aside = inner.translated((5.0, 0.0, 0.0))
-    both = joined(outer, Solid(aside.vertices, aside.faces[:, ::-1]))
-    assert repaired(both).volume == pytest.approx(outer.volume + inner.volume, rel=1e-12)
+    both = mending(joined(outer, Solid(aside.vertices, aside.faces[:, ::-1])))
+    assert both.mended == ("1 body of 2 wound the wrong way, turned",)
+    assert both.volume == pytest.approx(outer.volume + inner.volume, rel=1e-12)
 
 
 def test_a_large_hole_is_refused_with_the_number_of_open_edges() -> None:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from vamgpu.errors import MeshError, NotWatertight
+from vamgpu.errors import MeshError, MeshWarning, NotWatertight
 from vamgpu.targets.solid import Solid, unmatched_edges
 
 Faces = npt.NDArray[np.int32]
 Vertices = npt.NDArray[np.float64]
+Mended = tuple[Vertices, Faces, tuple[str, ...]]
+"""A surface after a step of the repair, and what the step did, in words."""
 
 _CRACK = 1e-5
 """Open borders closer than this part of the box diagonal are sewn together."""
@@ -22,18 +25,20 @@ _HOLE = 0.2
 def repaired(solid: Solid, *, fix: bool = True) -> Solid:
     """Return a watertight, outward-wound copy of solid (the same object when nothing is wrong).
 
-    Merges equal vertices, drops degenerate and repeated triangles, sews cracks up to 1e-5 of the box diagonal, makes
+    Merges equal corners, drops degenerate and repeated triangles, sews cracks up to 1e-5 of the box diagonal, makes
     the winding consistent, fills small holes (three or four edges, or a rim below 0.2 of the box diagonal) with a fan,
     and turns bodies outward; a body wound inward inside another one stays a cavity.
 
-    With fix=False nothing is changed and open edges are an error at once.
+    What was changed stands in ``mended`` of the result and in a MeshWarning; only the merging of equal corners, which
+    every STL file needs, is no news. With fix=False nothing is changed and open edges are an error at once.
 
     Raises NotWatertight with the number of open edges when that was not enough, MeshError when no volume is enclosed.
+    Warns MeshWarning with what it mended.
     """
-    vertices, faces = solid.vertices, solid.faces
+    vertices, faces, mended = solid.vertices, solid.faces, ()
     left = solid.open_edges
     if left and fix:
-        vertices, faces, left = _closed(vertices, faces)
+        vertices, faces, mended, left = _closed(vertices, faces)
     if left:
         tried = " after merging vertices and filling small holes" if fix else ""
         raise NotWatertight(
@@ -41,25 +46,39 @@ def repaired(solid: Solid, *, fix: bool = True) -> Solid:
             "mesh editor (make solid / close holes) and export again"
         )
     if fix:
-        faces = _turn_outward(vertices, faces)
+        vertices, faces, turned = _turn_outward(vertices, faces)
+        mended += turned
     result = solid
     if vertices is not solid.vertices or faces is not solid.faces:
-        result = replace(solid, vertices=vertices, faces=faces)
+        result = replace(solid, vertices=vertices, faces=faces, mended=solid.mended + mended)
     low, high = result.bounds
     if not abs(result.volume) > 1e-9 * float(np.prod(high - low)):
         raise MeshError(f"{solid.name}: the surface encloses no volume; wanted a solid part, not a sheet: thicken it")
+    if mended:
+        warnings.warn(
+            f"{solid.name}: the mesh was mended: {'; '.join(mended)}. Look at the part before it is printed, or mend "
+            "it in the CAD program and export it again",
+            MeshWarning,
+            stacklevel=3,
+        )
     return result
 
 
-def _closed(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces, int]:
+def _closed(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces, tuple[str, ...], int]:
+    """The surface after as many steps as it takes to close it, what they did, and the open edges left."""
     vertices, faces = _merge_equal(vertices, faces)
-    left = len(unmatched_edges(faces))
+    left, mended = len(unmatched_edges(faces)), ()
     for step in (_drop_bad_faces, _sew_cracks, _fix_winding, _fill_holes):
         if not left:
             break
-        vertices, faces = step(vertices, faces)
-        left = len(unmatched_edges(faces))
-    return vertices, faces, left
+        vertices, faces, done = step(vertices, faces)
+        left, mended = len(unmatched_edges(faces)), mended + done
+    return vertices, faces, mended, left
+
+
+def _said(number: int, one: str, many: str, rest: str) -> tuple[str, ...]:
+    """What was done, as one sentence; nothing where the number is 0."""
+    return (f"{number} {one if number == 1 else many} {rest}",) if number else ()
 
 
 def _merge_equal(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
@@ -67,14 +86,16 @@ def _merge_equal(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
     return merged, where.reshape(-1)[faces].astype(np.int32)
 
 
-def _drop_bad_faces(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+def _drop_bad_faces(vertices: Vertices, faces: Faces) -> Mended:
     a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    return vertices, faces[np.sort(first)]
+    kept = faces[(a != b) & (b != c) & (c != a)]
+    _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
+    done = _said(len(faces) - len(kept), "triangle", "triangles", "without area removed")
+    done += _said(len(kept) - len(first), "triangle", "triangles", "that repeated another removed")
+    return vertices, kept[np.sort(first)], done
 
 
-def _sew_cracks(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+def _sew_cracks(vertices: Vertices, faces: Faces) -> Mended:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
@@ -86,10 +107,12 @@ def _sew_cracks(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
     _, first = np.unique(group, return_index=True)
     target = np.arange(len(vertices), dtype=np.int32)
     target[border] = border[first[group]]
-    return _drop_bad_faces(vertices, target[faces])
+    sewn = _said(len(border) - len(first), "corner", "corners", "along cracks joined to a neighbor")
+    vertices, faces, dropped = _drop_bad_faces(vertices, target[faces])
+    return vertices, faces, sewn + dropped
 
 
-def _fix_winding(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+def _fix_winding(vertices: Vertices, faces: Faces) -> Mended:
     """Wind neighbors alike; each body keeps the sense that most of its area had."""
     import trimesh
 
@@ -97,29 +120,33 @@ def _fix_winding(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
     trimesh.repair.fix_winding(mesh)
     fixed = np.asarray(mesh.faces, dtype=np.int32)
     before, after = _area_vectors(vertices, faces), _area_vectors(vertices, fixed)
+    same = np.einsum("ij,ij->i", before, after)
     body = _bodies(fixed, len(vertices))
-    agreement = np.bincount(body, weights=np.einsum("ij,ij->i", before, after) / np.maximum(_norm(after), 1e-300))
+    agreement = np.bincount(body, weights=same / np.maximum(_norm(after), 1e-300))
     wrong = agreement[body] < 0.0
     fixed[wrong] = fixed[wrong][:, ::-1]
-    return vertices, fixed
+    turned = int(np.where(wrong, same > 0.0, same < 0.0).sum())
+    return vertices, fixed, _said(turned, "triangle", "triangles", "turned to face as their neighbors do")
 
 
-def _fill_holes(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
+def _fill_holes(vertices: Vertices, faces: Faces) -> Mended:
     limit = _HOLE * _diagonal(vertices)
-    points, patches = [vertices], [faces]
+    points, patches, rims = [vertices], [faces], []
     count = len(vertices)
     for loop in _loops(unmatched_edges(faces)):
         rim = vertices[loop]
         length = float(_norm(rim - np.roll(rim, 1, axis=0)).sum())
         if len(loop) < 3 or (len(loop) > 4 and length > limit):
             continue
+        rims.append(len(loop))
         if len(loop) == 3:
             patches.append(np.array([loop[::-1]], dtype=np.int32))
             continue
         points.append(rim.mean(axis=0, keepdims=True))
         patches.append(np.array([(b, a, count) for a, b in zip(loop, np.roll(loop, -1), strict=True)], dtype=np.int32))
         count += 1
-    return np.concatenate(points), np.concatenate(patches)
+    done = _said(len(rims), "hole", "holes", f"closed (rims of up to {max(rims, default=0)} edges)")
+    return np.concatenate(points), np.concatenate(patches), done
 
 
 def _loops(edges: npt.NDArray[np.int64]) -> list[list[int]]:
@@ -144,10 +171,10 @@ def _loops(edges: npt.NDArray[np.int64]) -> list[list[int]]:
     return loops
 
 
-def _turn_outward(vertices: Vertices, faces: Faces) -> Faces:
+def _turn_outward(vertices: Vertices, faces: Faces) -> Mended:
     """Flip everything if the total volume is negative, then every inward body that lies inside no outward one."""
     if not len(faces):
-        return faces
+        return vertices, faces, ()
     body = _bodies(faces, len(vertices))
     origin = vertices.mean(axis=0)
     a, b, c = np.moveaxis((vertices - origin)[faces], 1, 0)
@@ -164,8 +191,10 @@ def _turn_outward(vertices: Vertices, faces: Faces) -> Faces:
         inside = outward & (low <= low[index]).all(axis=1) & (high >= high[index]).all(axis=1)
         if not inside.any():
             flip[index] = not flip[index]
-    wrong = flip[body]
-    return np.where(wrong[:, None], faces[:, ::-1], faces) if wrong.any() else faces
+    if not flip.any():
+        return vertices, faces, ()
+    done = _said(int(flip.sum()), "body", "bodies", f"of {len(flip)} wound the wrong way, turned")
+    return vertices, np.where(flip[body][:, None], faces[:, ::-1], faces), done
 
 
 def _bodies(faces: Faces, vertices: int) -> npt.NDArray[np.intp]:

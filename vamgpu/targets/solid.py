@@ -21,7 +21,7 @@ class Solid:
     """A triangle surface in mm, outward faces counter-clockwise seen from outside.
 
     vertices: float64 (n, 3) [mm]; faces: int32 (m, 3), indices into vertices. Both are kept as read-only copies.
-    The vial's axis is x = y = 0, along z.
+    The vial's axis is x = y = 0, along z.  mended: what a repair changed, a sentence each; empty for a sound mesh.
 
     Raises EmptyMesh without faces, MeshError for wrong shapes, indices out of range or coordinates that are not finite.
     """
@@ -29,6 +29,7 @@ class Solid:
     vertices: npt.NDArray[np.float64]
     faces: npt.NDArray[np.int32]
     name: str = "solid"
+    mended: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         vertices = np.array(self.vertices, dtype=np.float64, order="C")

@@ -34,6 +34,7 @@ class Target:
     fraction: filled part of each voxel, 0..1, [x, y, z]: a field on a device, or a NumPy array.
     radius: largest distance from the axis [mm].  volume: filled volume [mm³], the sum of the fractions.
     height: extent along z [mm].
+    solid: the surface it was voxelized from, placed as it is printed [mm]; None where it came from an array.
     """
 
     grid: Grid
@@ -42,6 +43,7 @@ class Target:
     radius: float
     volume: float
     height: float
+    solid: Solid | None = field(default=None, repr=False)
     _copies: dict[str, DeviceArray] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
@@ -66,7 +68,8 @@ class Target:
         ``shape``: voxels of the grid; by default the smallest multiples of 4 that hold the part and the margin.
 
         Raises BadInput (pitch, height, factor, orientation, shape), TargetTooLarge (the part does not fit ``shape``),
-        EmptyMesh (nothing is filled), OutOfMemory, and what reading a mesh raises.
+        EmptyMesh (nothing is filled), OutOfMemory, and what reading a mesh raises. Warns MeshWarning when the mesh was
+        mended; ``mended`` keeps what was done.
         """
         pitch = positive("pitch [mm]", pitch)
         _one_scale(height, factor)
@@ -82,7 +85,7 @@ class Target:
                 f"{solid.name}: no voxel of {pitch:g} mm is filled ({solid.volume:.3g} mm³ in the mesh); wanted a "
                 "part not much thinner than a voxel: use a smaller pitch or a larger part"
             )
-        return cls(grid, name or solid.name, fraction, solid.radius, volume, solid.height)
+        return cls(grid, name or solid.name, fraction, solid.radius, volume, solid.height, solid)
 
     @classmethod
     def from_array(cls, values: npt.ArrayLike, pitch: float, name: str = "array") -> Target:
@@ -100,6 +103,11 @@ class Target:
         volume = float(fraction.sum(dtype=np.float64)) * grid.voxel_volume
         return cls(grid, name, fraction, radius, volume, float(slices[-1] - slices[0] + 1) * grid.pitch)
 
+    @property
+    def mended(self) -> tuple[str, ...]:
+        """What a repair changed of its mesh, a sentence each; empty for a sound mesh and for arrays."""
+        return () if self.solid is None else self.solid.mended
+
     def on(self, device: str | Device | None = None) -> DeviceArray:
         """The fractions as a field on ``device``; copied there once, then kept."""
         place = open_device(device)
@@ -109,9 +117,45 @@ class Target:
             self._copies[place.name] = place.upload(self.numpy())
         return self._copies[place.name]
 
+    def resampled(
+        self, grid: Grid, shift: tuple[float, float, float] = (0.0, 0.0, 0.0), device: str | Device | None = None
+    ) -> DeviceArray:
+        """The part on other voxels: the filled part of every voxel of ``grid`` once its middle is moved by ``shift``.
+
+        A target that knows its ``solid`` voxelizes that again, so finer voxels show more of it; of one that came from
+        an array the fractions, constant within each voxel and 0 outside, are averaged exactly over the new voxels.
+
+        Args:
+            grid: the new voxels; a slab of them too, moved to its place by ``shift``.
+            shift: where the middle of ``grid`` goes, (x, y, z) [mm] in the part's frame.
+            device: where to compute and keep the result; None takes the default device.
+
+        Returns:
+            Field [x, y, z] on ``device``, 0..1; what of the part lies outside is cut off.
+
+        Raises:
+            BadInput: shift is not three finite lengths.
+            TargetTooLarge, OutOfMemory, DeviceError: as voxelizing raises them.
+        """
+        place, move = open_device(device), _lengths(shift)
+        if self.solid is not None:
+            from vamgpu.targets.voxelize import voxelize
+
+            return voxelize(self.solid.translated([-length for length in move]), grid, place).fraction
+        from vamgpu.targets.resampling import averaged
+
+        return place.upload(averaged(self.numpy(), self.grid, grid, move))
+
     def numpy(self) -> npt.NDArray[np.floating]:
         """The fractions as a NumPy array [x, y, z]."""
         return self.fraction.numpy() if isinstance(self.fraction, DeviceArray) else self.fraction
+
+
+def _lengths(shift: tuple[float, float, float]) -> tuple[float, float, float]:
+    move = np.asarray(shift, dtype=np.float64)
+    if move.shape != (3,) or not np.isfinite(move).all():
+        raise BadInput(f"shift is {shift!r}; wanted three finite lengths (x, y, z) [mm]")
+    return float(move[0]), float(move[1]), float(move[2])
 
 
 def _one_scale(height: float | None, factor: float | None) -> None:

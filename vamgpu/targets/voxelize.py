@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import OutOfMemory, TargetTooLarge
 from vamgpu.geometry import Grid
-from vamgpu.kernels.voxelize import FINEST
+from vamgpu.kernels.voxelize import FINEST, count_crossings
 from vamgpu.kernels.voxelize import voxelize as scan
 from vamgpu.targets.solid import Solid
 
@@ -22,6 +23,8 @@ _BITS = 10
 """Fine units per voxel edge, as a power of two, where the solid is small enough."""
 _REACH = 20
 """Largest extent in fine units, as a power of two: volumes of three extents then fit 63 bits."""
+_ROOM = 1 << 26
+"""Crossings that are kept at once, 256 MB; a part with more is worked on in bands."""
 _TIE = 1e-6
 """Added before rounding to the fine grid, so that round lengths never sit on a tie that rounding errors decide."""
 
@@ -37,30 +40,77 @@ def voxelize(solid: Solid, grid: Grid, device: str | Device | None = None) -> Vo
     """The part of each voxel of ``grid`` inside ``solid``, in the solid's own place, on ``device``.
 
     Corners are rounded to 1/1024 of a voxel (coarser beyond 1024 voxels); the fraction is exact along z at 16 points of
-    each (x, y) column. All devices give the same numbers. It is the winding number clipped to 0..1: overlapping bodies
-    count once, bodies wound inward are cavities. What lies outside the grid is cut off.
+    each (x, y) column. All devices give the same numbers. A point is in the part where its winding number is 1 or more:
+    bodies that overlap or coincide count once, bodies wound inward are cavities. What lies outside the grid is cut off.
 
     Raises TargetTooLarge where the solid or grid is more than 32768 voxels wide, OutOfMemory, DeviceError.
     """
     place = open_device(device)
     corners, bits = snapped(solid, grid)
-    triangles = oriented(corners, solid.faces)
+    triangles = oriented(corners, solid.faces, grid.shape[2] << bits)
     tile = _tile(place)
     fraction = _allocate(place, grid)
     members, first, last = binned(triangles, grid, bits, tile)
-    filled = place.empty(first.shape, place.kept("float32"), table=True)
-    place.launch(
-        scan,
-        triangles=place.table(triangles, "int32"),
-        members=place.table(members, "int32"),
-        first=place.table(first, "int32"),
-        last=place.table(last, "int32"),
-        tile=tile,
-        bits=bits,
-        volume=fraction,
-        filled=filled,
-    )
-    return Voxels(fraction, float(filled.numpy().sum(dtype=np.float64)) * grid.voxel_volume)
+    shared = {"triangles": place.table(triangles, "int32"), "members": place.table(members, "int32")}
+    counts = place.empty(grid.shape[:2], "int32", table=True)
+    whole = {"first": place.table(first, "int32"), "last": place.table(last, "int32")}
+    place.launch(count_crossings, **shared, **whole, tile=tile, bits=bits, counts=counts)
+    bands, start, longest = listed(counts.numpy(), tile, _ROOM)
+    lists, starts = place.empty((longest,), "int32", table=True), place.table(start, "int32")
+    filled = 0.0
+    for band in bands:
+        sums = place.empty(first[band].shape, place.kept("float32"), table=True)
+        place.launch(
+            scan,
+            **shared,
+            first=place.table(first[band], "int32"),
+            last=place.table(last[band], "int32"),
+            start=starts,
+            tile=tile,
+            bits=bits,
+            row=band.start,
+            lists=lists,
+            volume=fraction,
+            filled=sums,
+        )
+        filled += float(sums.numpy().sum(dtype=np.float64))
+    return Voxels(fraction, filled * grid.voxel_volume)
+
+
+def listed(counts: npt.NDArray[np.integer], tile: int, room: int) -> tuple[list[slice], npt.NDArray[np.int32], int]:
+    """How the lists of crossings of all columns share memory.
+
+    Args:
+        counts: crossings of every column, (x, y).
+        tile: columns along the side of a square.
+        room: entries that may be kept at once, unless a single row of squares has more.
+
+    Returns:
+        Bands of rows of squares that are worked on one after the other; where the list of each column begins within its
+        band, int32 (x, y): its length, then its crossings; entries of the longest band.
+    """
+    entries = counts.astype(np.int64).sum(axis=1) + counts.shape[1]
+    rows = np.add.reduceat(entries, np.arange(0, len(entries), tile))
+    cuts, held = [0], 0
+    for row, size in enumerate(rows.tolist()):
+        if held and held + size > room:
+            cuts.append(row)
+            held = 0
+        held += size
+    cuts.append(len(rows))
+    bands = [slice(low, high) for low, high in pairwise(cuts)]
+    longest = max(int(rows[band].sum()) for band in bands)
+    if longest >= 1 << 31:
+        raise TargetTooLarge(
+            f"rays of {tile} rows of columns cross the surface {longest} times; wanted at most {1 << 31}: use a larger "
+            "pitch or a mesh with fewer bodies"
+        )
+    start = np.empty(counts.shape, np.int32)
+    for band in bands:
+        of_band = counts[band.start * tile : band.stop * tile]
+        after = np.cumsum(of_band.ravel() + 1, dtype=np.int64)
+        start[band.start * tile : band.stop * tile] = (after - of_band.ravel() - 1).reshape(of_band.shape)
+    return bands, start, longest
 
 
 def snapped(solid: Solid, grid: Grid) -> tuple[Integers, int]:
@@ -77,18 +127,26 @@ def snapped(solid: Solid, grid: Grid) -> tuple[Integers, int]:
     return np.floor(voxels * (1 << bits) + (0.5 + _TIE)).astype(np.int64), bits
 
 
-def oriented(corners: Integers, faces: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """Triangles counter-clockwise from above with a sign, int32 (m, 10); those seen edge-on are left out."""
-    triangles = corners[faces]
-    (ax, ay), (bx, by), (cx, cy) = triangles[:, :, :2].transpose(1, 2, 0)
-    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    rows = np.empty((len(faces), 10), np.int32)
-    rows[:, :3] = triangles[:, 0]
-    up = (area > 0)[:, None]
-    rows[:, 3:6] = np.where(up, triangles[:, 1], triangles[:, 2])
-    rows[:, 6:9] = np.where(up, triangles[:, 2], triangles[:, 1])
+def oriented(corners: Integers, faces: npt.NDArray[np.int32], top: int | None = None) -> npt.NDArray[np.int32]:
+    """Triangles counter-clockwise from above with a sign, int32 (m, 10); those seen edge-on are left out.
+
+    top: leave out those that lie at this height or higher, in units of the fine grid.
+    """
+    x, y, z = np.ascontiguousarray(corners.T)
+    a, b, c = np.ascontiguousarray(faces.T)
+    area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
+    kept = area != 0
+    if top is not None:
+        kept &= np.minimum(np.minimum(z[a], z[b]), z[c]) < top
+    kept = np.flatnonzero(kept)
+    a, b, c, area = a[kept], b[kept], c[kept], area[kept]
+    rows = np.empty((len(kept), 10), np.int32)
+    placed = corners.astype(np.int32)
+    rows[:, :3] = placed[a]
+    rows[:, 3:6] = placed[np.where(area > 0, b, c)]
+    rows[:, 6:9] = placed[np.where(area > 0, c, b)]
     rows[:, 9] = np.sign(area)
-    return rows[area != 0]
+    return rows
 
 
 def binned(
@@ -96,9 +154,9 @@ def binned(
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.int32]]:
     """Triangles by square of tile × tile columns: members[first[i, j]:last[i, j]] may cross the square (i, j)."""
     tiles = np.array([-(-n // tile) for n in grid.shape[:2]])
-    box = triangles[:, :9].reshape(-1, 3, 3)[:, :, :2]
-    low = np.maximum((box.min(axis=1) >> bits) // tile, 0)
-    high = np.minimum((box.max(axis=1) >> bits) // tile, tiles - 1)
+    a, b, c = (triangles[:, k : k + 2] for k in (0, 3, 6))
+    low = np.maximum((np.minimum(np.minimum(a, b), c) >> bits) // tile, 0)
+    high = np.minimum((np.maximum(np.maximum(a, b), c) >> bits) // tile, tiles - 1)
     size = np.maximum(high - low + 1, 0)
     count = size[:, 0] * size[:, 1]
     which = np.repeat(np.arange(len(triangles), dtype=np.int32), count)

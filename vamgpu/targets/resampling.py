@@ -1,0 +1,57 @@
+"""Fractions of one grid averaged over the voxels of another."""
+
+from __future__ import annotations
+
+from math import prod
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.geometry import Grid
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+def averaged(
+    fraction: npt.NDArray[np.floating], grid: Grid, other: Grid, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> npt.NDArray[np.float32]:
+    """The mean of ``fraction``, constant within each voxel of ``grid`` and 0 outside, over every voxel of ``other``.
+
+    Args:
+        fraction: [x, y, z], values 0..1 on ``grid``.
+        grid: the voxels it lives on.
+        other: the voxels to average over.
+        shift: where the middle of ``other`` lies in the frame of ``grid`` [mm].
+
+    Returns:
+        float32 [x, y, z] on ``other``, 0..1. Where ``other`` covers all that is filled, the volume is kept.
+    """
+    values = np.asarray(fraction)
+    for axis in (2, 0, 1):  # z first: it is cut to a slab more often than x and y
+        share = _shares(grid, other, axis, shift[axis])
+        used = np.flatnonzero(np.diff(share.tocsc().indptr))
+        reach = slice(used[0], used[-1] + 1) if len(used) else slice(0, 0)
+        cut = np.moveaxis(values, axis, 0)[reach]
+        flat = share[:, reach] @ np.ascontiguousarray(cut, np.float32).reshape(len(cut), prod(cut.shape[1:]))
+        values = np.moveaxis(flat.reshape(other.shape[axis], *cut.shape[1:]), 0, axis)
+    return np.ascontiguousarray(np.minimum(values, np.float32(1.0)))
+
+
+def _shares(grid: Grid, other: Grid, axis: int, shift: float) -> csr_array:
+    """Share of every voxel of ``other`` (rows) that lies in each voxel of ``grid`` (columns) along an axis; float32."""
+    from scipy.sparse import csr_array
+
+    n, fine = grid.shape[axis], other.shape[axis]
+    # Edges of the other voxels, counted in voxels of the grid from its low side.
+    edges = ((np.arange(fine + 1) - 0.5 * fine) * other.pitch + shift) / grid.pitch + 0.5 * n
+    low, high = edges[:-1], edges[1:]
+    span = int(np.ceil(other.pitch / grid.pitch)) + 1
+    columns = np.floor(low).astype(np.int64)[:, None] + np.arange(span)
+    common = np.minimum(high[:, None], columns + 1.0) - np.maximum(low[:, None], columns)
+    share = common * (grid.pitch / other.pitch)
+    # Less than float32 tells is the rounding of an edge that lies on a voxel's side.
+    keep = (share > 1e-7) & (columns >= 0) & (columns < n)
+    rows = np.broadcast_to(np.arange(fine)[:, None], keep.shape)
+    return csr_array((share[keep].astype(np.float32), (rows[keep], columns[keep])), shape=(fine, n))
