@@ -8,7 +8,7 @@ from typing import ClassVar
 from vamgpu.errors import BadInput
 from vamgpu.optimize.band import Band
 from vamgpu.optimize.descent import Descent
-from vamgpu.optimize.method import Steps
+from vamgpu.optimize.method import Criterion, Steps
 from vamgpu.optimize.papers import AUTOMATIC_EXPOSURE, NESTEROV, RAMP, RESTART, THRESHOLDS, TWO_METRIC
 from vamgpu.optimize.ramp import capped_ramp
 from vamgpu.optimize.recipe import Recipe
@@ -40,6 +40,8 @@ class ProcessWindow:
     step: float = 1.0
     papers: ClassVar[tuple[str, ...]] = (THRESHOLDS, AUTOMATIC_EXPOSURE, RAMP, NESTEROV, RESTART, TWO_METRIC)
     iterations: ClassVar[int] = 40
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "window"
 
     def __post_init__(self) -> None:
         self._band()
@@ -52,6 +54,7 @@ class ProcessWindow:
 
     def steps(self, work: Work) -> Steps:
         yield from self._warm(work)
+        work.memory.setdefault("stage", work.iteration)  # from here on the loss is another one
         step = self.step / work.number("gain", 1.0)
         descent = Descent(self._band(), capped_ramp(work.operator, self.cap, SPAN), step=step)
         yield from descent.steps(work)
