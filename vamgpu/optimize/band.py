@@ -31,9 +31,10 @@ class Band:
     def __post_init__(self) -> None:
         pairs = len(self.slack) == len(self.gain) == 2
         bounded = all(0 <= value < MOST for value in (*self.slack, *self.gain, self.ridge))
+        bounded = bounded and all(abs(value) < MOST for value in self.center)
         if not (pairs and bounded and 1 <= self.power <= GREATEST_POWER):
             raise BadInput(
-                f"{self!r}: wanted two of slack and gain, they and ridge ≥ 0 and below {MOST:g}, and a power from 1 to "
+                f"{self!r}: wanted two of slack and gain, centers that are numbers, the others ≥ 0 and below {MOST:g}, and a power from 1 to "
                 f"{GREATEST_POWER:g}"
             )
 

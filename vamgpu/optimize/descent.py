@@ -31,7 +31,7 @@ class Descent:
         taps: Filter of the gradient along r.
         step: Length of the first step; None takes one that changes the light by ``share`` of itself.
         share: See ``step``.
-        growth: Of the step, from one to the next.
+        growth: Of the step, from one to the next; if ``guarded``, after one that lowered the loss.
         momentum: Constant, or None for Nesterov's k / (k + 3).
         order: q in (Σ e^p)^(q/p); None for q = p.
         weight: Of each voxel; None for 1.
@@ -80,8 +80,11 @@ class Descent:
                 if "best" in memory:
                     loss, window = work.best.loss, work.best.window
             else:
-                if work.offer(loss, window, 0):
+                better = work.offer(loss, window, 0)
+                if better:
                     memory["retreats"] = 0.0
+                if "step" in memory and (better or not self.guarded):
+                    memory["step"] = work.number("step") * self.growth
                 self._advance(work, gradient, loss, outer)
             yield loss, window
             if loss == 0.0 or work.number("retreats") >= RETREATS:
@@ -148,7 +151,7 @@ class Descent:
         run = work.number("run")
         momentum = run / (run + 3.0) if self.momentum is None else self.momentum * (run > 0)
         work.step(gradient, self.taps, work.number("step") * outer, momentum)
-        work.memory.update({"run": run + 1.0, "step": work.number("step") * self.growth, "carried": momentum})
+        work.memory.update({"run": run + 1.0, "carried": momentum})
 
     def _first(self, work: Work, gradient: DeviceArray, outer: float) -> float:
         light = work.held("light")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 from typing import ClassVar
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.operators.reductions import dot
-from vamgpu.optimize.band import Band
+from vamgpu.optimize.band import GREATEST_POWER, MOST, Band
 from vamgpu.optimize.fbp import filtered_light
 from vamgpu.optimize.method import Criterion, Steps
 from vamgpu.optimize.pairs import Pairs
@@ -45,8 +44,8 @@ class LBFGS:
     def __post_init__(self) -> None:
         self._band()
         counted = isinstance(self.history, int) and self.history >= 1
-        if not (counted and 0 <= self.efficiency < inf and 1 <= self.power < inf):
-            raise BadInput(f"{self!r}: wanted efficiency ≥ 0, power ≥ 1 and a whole history ≥ 1")
+        if not (counted and 0 <= self.efficiency < MOST and 1 <= self.power <= GREATEST_POWER):
+            raise BadInput(f"{self!r}: wanted efficiency ≥ 0, a power from 1 to {GREATEST_POWER:g} and a whole history ≥ 1")
 
     def _band(self) -> Band:
         return Band.thresholds(self.outside, self.inside, self.most)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from vamgpu.errors import BadInput
-from vamgpu.optimize.band import Band
+from vamgpu.optimize.band import MOST, Band
 from vamgpu.optimize.descent import Descent
 from vamgpu.optimize.method import Criterion, Steps
 from vamgpu.optimize.papers import AUTOMATIC_EXPOSURE, NESTEROV, RAMP, RESTART, THRESHOLDS, TWO_METRIC
@@ -46,7 +46,7 @@ class ProcessWindow:
     def __post_init__(self) -> None:
         self._band()
         Recipe(self.background)
-        if self.passes < 1 or not 0.0 < self.cap <= 0.5 or not self.step > 0.0:
+        if self.passes < 1 or not 0.0 < self.cap <= 0.5 or not 0.0 < self.step < MOST:
             raise BadInput(f"{self!r}: wanted passes ≥ 1, 0 < cap ≤ 0.5 and step > 0")
 
     def _band(self) -> Band:
