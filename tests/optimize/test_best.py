@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import DivergenceWarning, Diverged
+from vamgpu.errors import Diverged, DivergenceWarning
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.web import WebProjection
@@ -32,8 +32,6 @@ from vamgpu.optimize.course import Course
 from vamgpu.targets.lattices import SheetGyroid
 from vamgpu.units import mm
 from vamgpu.web import WebGrid
-from vamgpu.webs.layout import Layout
-from vamgpu.webs.solver import Solver
 
 SIZE = 16
 METHODS: list[Any] = [
@@ -71,7 +69,7 @@ def window_of(light: Any) -> float:
     return float((dose[inside & disc].min() - dose[~inside & disc].max()) / dose[disc].max())
 
 
-# ---- best light -----------------------------------------------------------------------------------------------------
+# ---- best light -------------------------------------------------------------------------------------------------
 @untold
 @each_method
 def test_no_light_that_was_evaluated_is_better(method: Any) -> None:
@@ -134,7 +132,7 @@ def test_choosing_costs_one_back_projection_at_the_end(method: Any, monkeypatch:
     assert len(calls) == 2 * plan.pairs + 1
 
 
-# ---- divergence -----------------------------------------------------------------------------------------------------
+# ---- divergence -------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", [GradientDescent(share=0.5, growth=1.2), PenaltyMinimization(share=0.5, growth=2.0),
                                     BCLP(share=1.0, growth=2.0), BCLP(p=3.0, ridge=0.04, share=1.0, growth=2.0,
                                     momentum=0.9)], ids=repr)  # fmt: skip
@@ -167,11 +165,9 @@ class Bursting:
     criterion: ClassVar[Any] = "loss"
 
     def steps(self, work: Any) -> Any:
-        work.memory["light"] = work.sinogram()
         for loss in self.losses:
-            work.scale(0.0, work.device.upload(np.ones(work.operator.range.shape)), work.held("light"))
-            work.combine(1.0, work.device.upload(np.full(work.operator.range.shape, loss if loss < 9.0 else 0.0)), 0.0, work.held("light"),
-                         work.held("light"))  # fmt: skip
+            value = loss if loss < 9.0 else 0.0
+            work.memory["light"] = work.device.upload(np.full(work.operator.range.shape, value))
             work.offer(loss, 0.1, 1)
             yield loss, 0.1
 
@@ -199,7 +195,7 @@ def test_what_counts_as_divergence(losses: tuple[float, ...], risen: bool, blown
     assert course.began == 5 + int(np.argmin(losses))
 
 
-# ---- webs -------------------------------------------------------------------------------------------------------------
+# ---- webs -------------------------------------------------------------------------------------------------------
 def gyroid(device: Device) -> tuple[WebProjection, np.ndarray]:
     """A film of a sheet gyroid, coarse."""
     film = Film(thickness=3 * mm, resin_index=1.49, bath_index=1.33, absorption=0.22 / mm)

@@ -98,7 +98,9 @@ def test_great_weights_still_give_light(fast_device: Device) -> None:
     assert np.isfinite(plan.sinogram.numpy()).all()
 
 
-@pytest.mark.parametrize("target", [np.zeros(SHAPE), block(0.4), np.where(disc(), 0.0, 1.0)], ids=["empty", "thin", "out"])
+@pytest.mark.parametrize(
+    "target", [np.zeros(SHAPE), block(0.4), np.where(disc(), 0.0, 1.0)], ids=["empty", "thin", "out"]
+)
 def test_a_target_without_a_voxel_to_judge_is_refused(device: Device, target: np.ndarray) -> None:
     with pytest.raises(EmptyMesh, match="is 0|at least half filled"):
         optimize(operator(device), target, iterations=1)

@@ -84,7 +84,7 @@ def light_of(method: object, iterations: int) -> tuple[np.ndarray, list[float]]:
     return plan.state["light"].numpy().ravel(), [step.loss for step in plan.history]
 
 
-# ---- band constraint Lp norm ----------------------------------------------------------------------------------------
+# ---- band constraint Lp norm ------------------------------------------------------------------------------------
 def printed_loss(dose: np.ndarray) -> np.ndarray:
     """(S1) of the roll-to-roll paper, corrected, voxel by voxel, with the parameters it prints."""
     response = logistic(dose, steepness=10.0)
@@ -117,7 +117,7 @@ def test_no_voxel_within_its_band_is_pushed() -> None:
     assert not dose.numpy().any()
 
 
-# ---- computed axial lithography -----------------------------------------------------------------------------------
+# ---- computed axial lithography ---------------------------------------------------------------------------------
 def test_cal_projects_the_error_of_its_sigmoid() -> None:
     method = GradientDescent()
     wanted = descend(lambda dose: logistic(dose) - F, method.share, method.growth, 0.0, 5)
@@ -144,7 +144,7 @@ def test_cal_of_a_linear_response_is_least_squares() -> None:
     assert loss == pytest.approx(0.5 * float((DISC * (dose - F) ** 2).sum()), rel=1e-3)
 
 
-# ---- penalty minimization ---------------------------------------------------------------------------------------------
+# ---- penalty minimization ---------------------------------------------------------------------------------------
 def test_penalty_minimization_pays_for_wrong_voxels_alone() -> None:
     method = PenaltyMinimization(0.3, 0.95, price=(1.0, 2.0))
 
@@ -161,7 +161,7 @@ def test_penalty_minimization_pays_for_wrong_voxels_alone() -> None:
     assert losses == pytest.approx([loss(g @ matrix()) for g in wanted[:-1]], rel=1e-6)
 
 
-# ---- object space -----------------------------------------------------------------------------------------------------
+# ---- object space -----------------------------------------------------------------------------------------------
 @pytest.mark.filterwarnings("ignore::vamgpu.errors.DivergenceWarning")
 def test_osmo_corrects_its_model_by_what_is_wrong() -> None:
     method = OSMO(outside=0.25)
@@ -183,7 +183,7 @@ def test_osmo_corrects_its_model_by_what_is_wrong() -> None:
     assert got[DISC].max() == pytest.approx(1.0)
 
 
-# ---- automatic exposure -----------------------------------------------------------------------------------------------
+# ---- automatic exposure -----------------------------------------------------------------------------------------
 def test_the_recipe_begins_with_a_background_of_60_percent() -> None:
     """Target over the background, ramp, clip; then the target times what was asked over what came."""
     asked = 0.6 + 0.4 * F
@@ -197,9 +197,9 @@ def test_the_recipe_begins_with_a_background_of_60_percent() -> None:
     assert np.abs(start.state["light"].numpy().ravel() - wanted).max() <= 1e-9
 
 
-# ---- accelerated descent ------------------------------------------------------------------------------------------------
+# ---- accelerated descent ----------------------------------------------------------------------------------------
 def test_momentum_is_dropped_where_the_loss_rises() -> None:
-    """Adaptive restart by function values: after a rise the point ahead is the light itself, then momentum builds up."""
+    """Adaptive restart by function values: after a rise the point ahead is the light itself."""
     work = Work(slice_operator(), slice_operator().device.upload(target()), {})
     work.memory["light"] = work.device.upload(first_light().reshape(work.operator.range.shape))
     descent = Descent(Band((0.0, 1.0), (0.0, 0.0), (0.5, 0.5)), identity(work.operator), share=0.15)
@@ -223,7 +223,7 @@ def test_the_capped_ramp_is_a_ramp_up_to_its_cap() -> None:
         assert gain == pytest.approx(min(cycles, 0.25), abs=0.01)
 
 
-# ---- limited memory -----------------------------------------------------------------------------------------------------
+# ---- limited memory ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(("efficiency", "power"), [(0.3, 4.0), (3.0, 1.0)])
 def test_a_line_search_lowers_the_whole_loss(efficiency: float, power: float) -> None:
     """That of doses and that of bright light together, at every iteration."""
@@ -241,7 +241,7 @@ def test_a_line_search_lowers_the_whole_loss(efficiency: float, power: float) ->
     assert losses == sorted(losses, reverse=True) and losses[-1] < 0.9 * whole(first)
 
 
-# ---- two colors -----------------------------------------------------------------------------------------------------------
+# ---- two colors -------------------------------------------------------------------------------------------------
 def test_sc2_overlooks_gray_below_75_percent() -> None:
     """One-sided: nothing up to three quarters of the design's greatest value is too much, anywhere."""
     n = 12
@@ -253,6 +253,6 @@ def test_sc2_overlooks_gray_below_75_percent() -> None:
     dose /= dose.max()
     over = np.maximum(0.0, dose - np.maximum(design, 0.75))
     assert plan.history[0].oversupply == pytest.approx(np.sqrt(np.mean(over**2)), rel=1e-9)
-    assert 0 < over[design == 0.4].size and ((dose > 0.4) & (dose < 0.75) & (design < 0.75)).any()
+    assert over[design == 0.4].size > 0 and ((dose > 0.4) & (dose < 0.75) & (design < 0.75)).any()
     under = np.maximum(0.0, design - dose)
     assert plan.history[0].undersupply == pytest.approx(np.sqrt(np.mean(under**2)), rel=1e-9)

@@ -34,8 +34,8 @@ class Band:
         bounded = bounded and all(abs(value) < MOST for value in self.center)
         if not (pairs and bounded and 1 <= self.power <= GREATEST_POWER):
             raise BadInput(
-                f"{self!r}: wanted two of slack and gain, centers that are numbers, the others ≥ 0 and below {MOST:g}, and a power from 1 to "
-                f"{GREATEST_POWER:g}"
+                f"{self!r}: wanted two of slack and gain, centers that are numbers, the others ≥ 0 and below {MOST:g}, "
+                f"and a power from 1 to {GREATEST_POWER:g}"
             )
 
     @classmethod

@@ -54,8 +54,9 @@ class Course:
 
     def message(self, light: str = "the plan holds the best light of before") -> str:
         """What happened, from which iteration on, what became of the light, and what to do."""
+        least, last, end = self.losses[self._least], self.losses[-1], self.start + len(self.losses)
         return (
-            f"the loss rose from {self.losses[self._least]:.4g} at iteration {self.began} to {self.losses[-1]:.4g} at "
-            f"iteration {self.start + len(self.losses)}: the method diverged from there on; {light}. Take shorter steps "
-            "(a smaller share, growth, step or gain) or fewer iterations"
+            f"the loss rose from {least:.4g} at iteration {self.began} to {last:.4g} at iteration {end}: the method "
+            f"diverged from there on; {light}. Take shorter steps (a smaller share, growth, step or gain) or fewer "
+            "iterations"
         )

@@ -45,7 +45,9 @@ class LBFGS:
         self._band()
         counted = isinstance(self.history, int) and self.history >= 1
         if not (counted and 0 <= self.efficiency < MOST and 1 <= self.power <= GREATEST_POWER):
-            raise BadInput(f"{self!r}: wanted efficiency ≥ 0, a power from 1 to {GREATEST_POWER:g} and a whole history ≥ 1")
+            raise BadInput(
+                f"{self!r}: wanted efficiency ≥ 0, a power from 1 to {GREATEST_POWER:g} and a whole history ≥ 1"
+            )
 
     def _band(self) -> Band:
         return Band.thresholds(self.outside, self.inside, self.most)
@@ -107,7 +109,7 @@ class LBFGS:
             share *= 0.4
         work.scale(1.0, pairs.step, light)
         work.scale(1.0, pairs.change, gradient)
-        work.memory["stuck"] = float(not pairs.used)
+        work.memory["stuck"] = float(not pairs.used and work.affords(1.0))
         pairs.forget()
 
     def _bright(self, work: Work) -> float:
