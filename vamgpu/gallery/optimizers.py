@@ -62,9 +62,9 @@ def optimizers(
         "dose, every voxel of the cylinder counted as one or the other, no shell left out. Above zero there is one "
         f"exposure that prints every voxel right. All methods ask for at most {OUTSIDE:g} of the part's dose outside "
         f"and at least {INSIDE:g} inside; those with one threshold take the middle, the recipe and filtered back "
-        "projection take none. All may spend the same projector pairs, one forward and one back projection each, warm starts "
-        "included, and return the best light they found. The curves are what they claim on the way; proved is what "
-        "the simulation makes of the frames of 8 bits, packed by default, as are IoU and VER."
+        "projection take none. All may spend the same projector pairs, one forward and one back projection each, warm "
+        "starts included, and return the best light they found. The curves are what they claim on the way; proved is "
+        "what the simulation makes of the frames of 8 bits, packed by default, as are IoU and VER."
     )
     cited = tuple(dict.fromkeys(paper for name in LABELS for paper in METHODS[name].papers))
     return Picture(figure, caption, facts, table, cited)
