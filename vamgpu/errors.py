@@ -141,6 +141,24 @@ class MeshWarning(UserWarning):
     """A mesh had faults that were mended; the message says which."""
 
 
+class Diverged(VamError, ArithmeticError):
+    """A method's loss became infinite or not a number.
+
+    Attributes:
+        plan: A `Plan` of the best light found before, or None where there was none.
+        iteration: The iteration from which the loss only rose, counted from 1.
+    """
+
+    def __init__(self, message: str, plan: object | None = None, iteration: int = 1) -> None:
+        super().__init__(message)
+        self.plan = plan
+        self.iteration = iteration
+
+
+class DivergenceWarning(UserWarning):
+    """A method's loss rose instead of falling; the message names the iteration at which that began."""
+
+
 class OpticsWarning(UserWarning):
     """Light reaches part of the target so weakly that the print will suffer there."""
 

@@ -170,6 +170,14 @@ def test_least_squares_reaches_the_bounded_minimum() -> None:
     assert loss == pytest.approx(0.5 * float(residual) ** 2, rel=5e-3)
 
 
+@pytest.mark.parametrize("count", [3, 7, 12, 25])
+def test_least_squares_returns_the_best_light_it_looked_at(count: int) -> None:
+    design = letter()
+    plan = superpose(points(), design, LeastSquares(count))
+    error = float(np.sqrt(np.mean((plan.dose().numpy() - design) ** 2)))
+    assert error == pytest.approx(min(record.error for record in plan.history), rel=1e-9)
+
+
 def test_a_cost_of_light_saves_light() -> None:
     colors, design = points(), letter()
     free, dear = (superpose(colors, design, LeastSquares(40, cost=cost)) for cost in (0.0, 0.3))

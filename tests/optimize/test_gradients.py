@@ -122,7 +122,7 @@ def test_the_history_shrinks_with_a_notice() -> None:
         short = optimize(operator, target, LBFGS(history=6, history_bytes=4 * size + 8), 8)
     assert short.history[-1].loss < short.history[0].loss
     with warnings.catch_warnings():
-        warnings.simplefilter("error")
+        warnings.simplefilter("error", MemoryNotice)
         two = optimize(operator, target, LBFGS(history=2), 8)
     assert np.array_equal(short.sinogram.numpy(), two.sinogram.numpy())
 

@@ -26,6 +26,7 @@ from vamgpu.optimize.joint import (
     TwoColorResin,
     optimize_colors,
 )
+from vamgpu.optimize.work import Work
 
 PITCH = 0.1
 RATES = Rates(k_a=1 / 30, k_b=0.2138 / 30, k_c=1 / 30, k_2=0.43, supply=5.0)
@@ -273,3 +274,19 @@ def test_wrong_input_is_refused() -> None:
         TwoColorResin.of(Rates(1, 1, 1, 1, supply=0.0, order=0), A, B)
     with pytest.raises(BadInput, match="order 0"):
         TwoColorResin.of(replace(RATES, order=0), A, B)
+
+
+def test_the_best_light_looked_at_is_returned() -> None:
+    """Its loss, computed anew, is the least of the history; light is never negative, nor was any that was looked at."""
+    A, B = both((12, 12, 1), 12, "numpy")
+    x, y, _ = np.meshgrid(*A.grid.axes(), indexing="ij")
+    part = np.where((np.hypot(x, y) < 0.45) & (np.hypot(x, y) > 0.2), 1.0, 0.0)
+    model, aims = LinearModel(A, B, TwoColorResin(11.0, 0.2, 3.0, 0.5), 3), Aims()
+    for count in (4, 9, 14):
+        plan = optimize_colors(model, part, aims, count, warm=2)
+        losses = [step.loss for step in plan.history]
+        work = Work(A, A.device.upload(part), {})
+        loss = work.loss(plan.effective_dose(), aims.band(model.resin))
+        assert loss == pytest.approx(min(losses), rel=1e-9, abs=1e-12)
+        assert plan.best_iteration == 1 + max(i for i, loss in enumerate(losses) if loss == min(losses))
+        assert plan.visible.numpy().min() >= 0.0 and plan.ultraviolet.numpy().min() >= 0.0

@@ -53,7 +53,7 @@ def part() -> np.ndarray:
 
 @cache
 def operator(name: str | Device) -> Projection:
-    return Projection(Grid((SIZE, SIZE, SIZE), 0.2), Beam((SIZE, SIZE), 0.2), Turntable(ANGLES), device=name)
+    return Projection(Grid((SIZE, SIZE, SIZE), 0.2), Beam((SIZE, SIZE), 0.2, spread=0), Turntable(ANGLES), device=name)
 
 
 @cache
@@ -117,14 +117,14 @@ def test_nothing_large_crosses_the_bus(fast_device: Device, method: Any) -> None
 
 
 @each_method
-def test_memory_stays_within_three_volumes_and_three_sinograms(fast_device: Device, method: Any) -> None:
+def test_memory_stays_within_three_volumes_and_four_sinograms(fast_device: Device, method: Any) -> None:
     device = Projection(Grid((64, 64, 32), 0.2), Beam((64, 32), 0.2), Turntable(60), device=fast_device).device
     here = Projection(Grid((64, 64, 32), 0.2), Beam((64, 32), 0.2), Turntable(60), device=fast_device)
     target = device.upload(np.pad(part()[..., :24], ((20, 20), (20, 20), (4, 4))))
     held = device.ledger.allocated - target.nbytes
     device.ledger.reset_peak()
     plan = optimize(here, target, method, 5)
-    budget = 3 * target.nbytes + (3 + 2 * getattr(method, "history", 0)) * plan.sinogram.nbytes
+    budget = 3 * target.nbytes + (4 + 2 * getattr(method, "history", 0)) * plan.sinogram.nbytes
     assert device.ledger.peak - held <= 1.02 * budget  # two hundredths for tables of partial results
 
 
@@ -209,13 +209,13 @@ def test_a_part_that_sticks_out_of_the_light_is_named() -> None:
         optimize(narrow, target, "fbp")
 
 
-def test_the_default_opens_a_window_where_the_others_leave_none(fast_device: Device) -> None:
+def test_the_default_opens_a_window_twice_as_wide_as_what_costs_as_little(fast_device: Device) -> None:
     here, budget = operator(fast_device), 30
     plan = optimize(here, part(), iterations=budget)
     assert plan.pairs <= budget and isinstance(plan.method, ProcessWindow)
     assert plan.window >= 0.1
     for other in (Recipe(), GradientDescent(), FilteredBackProjection()):
-        assert optimize(here, part(), other, budget).window < plan.window - 0.1
+        assert optimize(here, part(), other, budget).window < 0.5 * plan.window
 
 
 def test_every_method_names_its_papers_and_iterations() -> None:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 
 from vamgpu.errors import BadInput
 from vamgpu.optimize.response import Linear, Response
+
+MOST = 1e12
+"""Weights and slacks are below this: sums of what they multiply must fit float32, as devices keep it."""
+GREATEST_POWER = 64.0
+"""Of an excess: that of a dose three times the part's to a higher power leaves float32."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +30,13 @@ class Band:
 
     def __post_init__(self) -> None:
         pairs = len(self.slack) == len(self.gain) == 2
-        bounded = all(0 <= value < inf for value in (*self.slack, *self.gain, self.ridge))
-        if not (pairs and bounded and 1 <= self.power < inf):
-            raise BadInput(f"{self!r}: wanted two of slack and gain, they and ridge finite and ≥ 0, and power ≥ 1")
+        bounded = all(0 <= value < MOST for value in (*self.slack, *self.gain, self.ridge))
+        bounded = bounded and all(abs(value) < MOST for value in self.center)
+        if not (pairs and bounded and 1 <= self.power <= GREATEST_POWER):
+            raise BadInput(
+                f"{self!r}: wanted two of slack and gain, centers that are numbers, the others ≥ 0 and below {MOST:g}, "
+                f"and a power from 1 to {GREATEST_POWER:g}"
+            )
 
     @classmethod
     def thresholds(cls, outside: float, inside: float, most: float = 1.0, power: float = 2.0) -> Band:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.optimize.band import Band
-from vamgpu.optimize.method import Steps
+from vamgpu.optimize.method import Criterion, Steps
 from vamgpu.optimize.papers import RAMP
 from vamgpu.optimize.ramp import ramp
 from vamgpu.optimize.work import Work
@@ -19,6 +19,8 @@ class FilteredBackProjection:
 
     papers: ClassVar[tuple[str, ...]] = (RAMP,)
     iterations: ClassVar[int] = 1
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "window"
 
     def steps(self, work: Work) -> Steps:
         dose = work.volume()

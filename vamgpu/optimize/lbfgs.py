@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 from typing import ClassVar
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.operators.reductions import dot
-from vamgpu.optimize.band import Band
+from vamgpu.optimize.band import GREATEST_POWER, MOST, Band
 from vamgpu.optimize.fbp import filtered_light
-from vamgpu.optimize.method import Steps
+from vamgpu.optimize.method import Criterion, Steps
 from vamgpu.optimize.pairs import Pairs
 from vamgpu.optimize.papers import LIMITED_MEMORY, THRESHOLDS
 from vamgpu.optimize.work import Work
@@ -39,12 +38,16 @@ class LBFGS:
     history_bytes: int | None = None
     papers: ClassVar[tuple[str, ...]] = (LIMITED_MEMORY, THRESHOLDS)
     iterations: ClassVar[int] = 40
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "loss"
 
     def __post_init__(self) -> None:
         self._band()
         counted = isinstance(self.history, int) and self.history >= 1
-        if not (counted and 0 <= self.efficiency < inf and 1 <= self.power < inf):
-            raise BadInput(f"{self!r}: wanted efficiency ≥ 0, power ≥ 1 and a whole history ≥ 1")
+        if not (counted and 0 <= self.efficiency < MOST and 1 <= self.power <= GREATEST_POWER):
+            raise BadInput(
+                f"{self!r}: wanted efficiency ≥ 0, a power from 1 to {GREATEST_POWER:g} and a whole history ≥ 1"
+            )
 
     def _band(self) -> Band:
         return Band.thresholds(self.outside, self.inside, self.most)
@@ -55,7 +58,7 @@ class LBFGS:
             filtered_light(work, dose)
         if "gradient" not in work.memory:
             work.memory["price"] = self._price(work)
-            loss, _ = self._loss(work, dose)
+            loss, work.memory["window"] = self._loss(work, dose)
             work.memory["gradient"] = work.sinogram()
             work.memory["loss"] = self._gradient(work, dose, loss)
         pairs = Pairs(work, self.history, self.history_bytes)
@@ -63,8 +66,8 @@ class LBFGS:
         while True:
             pairs.direct(direction)
             pairs.open()
-            window = self._search(work, pairs, direction, dose)
-            yield work.number("loss"), window
+            self._search(work, pairs, direction, dose)
+            yield work.number("loss"), work.number("window")
             if work.number("stuck"):
                 return
 
@@ -87,26 +90,27 @@ class LBFGS:
         work.project(slopes, gradient)
         return loss + work.free(work.held("light"), gradient, work.number("price"), self.power, hold=False)
 
-    def _search(self, work: Work, pairs: Pairs, direction: DeviceArray, dose: DeviceArray) -> float:
+    def _search(self, work: Work, pairs: Pairs, direction: DeviceArray, dose: DeviceArray) -> None:
         """Move light along the direction, shorter until the loss falls; update gradient and history."""
         light, gradient = work.held("light"), work.held("gradient")
-        before, window = work.number("loss"), 0.0
+        before = work.number("loss")
         share = 1.0 if pairs.used else 0.05 * (dot(light, light) / max(dot(direction, direction), 1e-60)) ** 0.5
         work.scale(1.0, light, pairs.step)
         work.scale(1.0, gradient, pairs.change)
         for _ in range(TRIES):
+            if not work.affords(1.0):
+                break
             work.combine(1.0, pairs.step, share, direction, light, floor=0.0)
             loss, window = self._loss(work, dose)
             if loss + self._bright(work) < before:
-                work.memory["loss"] = self._gradient(work, dose, loss)
+                work.memory.update({"loss": self._gradient(work, dose, loss), "window": window})
                 pairs.close(light, gradient)
-                return window
+                return
             share *= 0.4
         work.scale(1.0, pairs.step, light)
         work.scale(1.0, pairs.change, gradient)
-        work.memory["stuck"] = float(not pairs.used)
+        work.memory["stuck"] = float(not pairs.used and work.affords(1.0))
         pairs.forget()
-        return window
 
     def _bright(self, work: Work) -> float:
         price = work.number("price")

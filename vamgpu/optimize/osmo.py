@@ -8,8 +8,8 @@ from typing import ClassVar
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.kernels.update import correct_by_difference
-from vamgpu.optimize.band import Band
-from vamgpu.optimize.method import Steps
+from vamgpu.optimize.band import MOST, Band
+from vamgpu.optimize.method import Criterion, Steps
 from vamgpu.optimize.papers import OBJECT_SPACE
 from vamgpu.optimize.ramp import Taps, ramp
 from vamgpu.optimize.work import Work
@@ -19,11 +19,23 @@ from vamgpu.optimize.work import Work
 class OSMO:
     """Lower a model of the part where voids get too much and raise it where the part gets too little, in turn.
 
-    Light is the filtered, clipped projection of the model; doses are over their maximum. One iteration corrects voids,
-    projects, corrects the part, projects: two projector pairs.
+    As published, with the model m, at first the target, and the dose d of its light over the greatest dose:
 
-    outside, inside: thresholds over the greatest dose.  gain: share of a difference that is corrected.
-    Raises `BadInput`.
+        m ← m − max(0, d − outside) in voids, then d anew, then m ← m + max(0, inside − d) in the part, then d anew
+
+    What is made of the model is never negative light: max(0, filter(A m)). One iteration takes two projector pairs, and
+    the first one a third for the dose of the target itself.
+
+    What differs here: the ramp filters every projection of the model, so that corrections are sharpened as the target
+    is (the authors' toolbox filters the target alone); ``gain`` scales a correction (published: 1).
+
+    Args:
+        outside: Threshold of voids over the greatest dose.
+        inside: Threshold of the part over the greatest dose.
+        gain: Share of a difference that is corrected, > 0.
+
+    Raises:
+        BadInput: For a gain that is not positive, or unless 0 ≤ outside < inside ≤ 1.
     """
 
     outside: float = 0.6
@@ -31,11 +43,13 @@ class OSMO:
     gain: float = 1.0
     papers: ClassVar[tuple[str, ...]] = (OBJECT_SPACE,)
     iterations: ClassVar[int] = 20
+    cost: ClassVar[float] = 2.0
+    criterion: ClassVar[Criterion] = "window"
 
     def __post_init__(self) -> None:
         Band.thresholds(self.outside, self.inside)
-        if not self.gain > 0:
-            raise BadInput(f"{self!r}: wanted gain > 0")
+        if not 0 < self.gain < MOST:
+            raise BadInput(f"{self!r}: wanted 0 < gain < {MOST:g}")
 
     def steps(self, work: Work) -> Steps:
         dose, shadow, taps = work.volume(), work.sinogram(), ramp(work.operator)
@@ -54,7 +68,9 @@ class OSMO:
             self._correct(work, dose, model, void=True)
             work.scale(1.0 / work.number("peak"), light, light)
             work.scale(1.0 / work.number("peak"), dose, dose)
-            yield work.loss(dose, band), window
+            loss = work.loss(dose, band)
+            work.offer(loss, window, 1)
+            yield loss, window
 
     def _illuminate(self, work: Work, model: DeviceArray, shadow: DeviceArray, taps: Taps, dose: DeviceArray) -> float:
         """Light for a model, and its dose; returns the window."""

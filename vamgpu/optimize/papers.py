@@ -13,6 +13,10 @@ RAMP = (
     "micrographs, PNAS 68 (1971) 2236"
 )
 CAL = "B. E. Kelly et al., Volumetric additive manufacturing via tomographic reconstruction, Science 363 (2019) 1075"
+CAL_FIRST = (
+    "B. Kelly, I. Bhattacharya, M. Shusteff, R. M. Panas, H. K. Taylor, C. M. Spadaccini, Computed axial lithography "
+    "(CAL): toward single step 3D printing of arbitrary geometries, arXiv:1705.05893 (2017)"
+)
 OBJECT_SPACE = (
     "C. M. Rackson et al., Object-space optimization of tomographic reconstructions for additive manufacturing, "
     "Additive Manufacturing 48 (2021) 102367"

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import warnings
+from math import isfinite
 from typing import Any
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, EmptyMesh, OpticsWarning, TargetTooLarge
-from vamgpu.operators.reductions import extent
+from vamgpu.geometry import Grid
+from vamgpu.kernels.update import paint
+from vamgpu.operators.reductions import EVERYWHERE, extent, total
 from vamgpu.operators.space import require
 from vamgpu.optimize.projector import Projector
 from vamgpu.web import WebGrid
@@ -19,7 +23,7 @@ def fractions_of(operator: Projector, target: Any) -> DeviceArray:
     """The target's fractions [x, y, z] on the operator's device, after checking that light can reach it all.
 
     target: a `Target`, or fractions (NumPy or on the device).  Raises `BadInput` for another pitch and for values
-    beyond 0..1, `EmptyMesh` where nothing is to be printed, `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
+    beyond 0..1, `EmptyMesh` where nothing is to be printed or judged, `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
     """
     if not hasattr(operator, "grid") or not hasattr(operator, "beam"):
         raise BadInput(f"got {operator!r} as operator; wanted a projector, or something made of one")
@@ -31,7 +35,14 @@ def fractions_of(operator: Projector, target: Any) -> DeviceArray:
         _check_beam(operator, radius, getattr(target, "height", None))
     fractions = on_device(operator, target)
     _check_values(fractions)
+    if isinstance(operator.grid, Grid):
+        _check_cylinder(fractions, operator.grid)
     return fractions
+
+
+def reach_of(grid: Grid | WebGrid) -> float:
+    """Radius [voxels] of the cylinder that every angle lights and that is judged; all of a web is."""
+    return grid.inscribed_radius / grid.pitch * (1.0 + 1e-6) if isinstance(grid, Grid) else EVERYWHERE
 
 
 def on_device(operator: Projector, target: Any) -> DeviceArray:
@@ -46,9 +57,22 @@ def on_device(operator: Projector, target: Any) -> DeviceArray:
     fractions = target.on(operator.device) if hasattr(target, "on") else target
     require(operator.domain, fractions, "the target")
     if not isinstance(fractions, DeviceArray):
-        return operator.device.upload(fractions)
+        return uploaded(operator.device, fractions, "the target")
     operator.device.check_mine(fractions)
     return fractions
+
+
+def uploaded(device: Device, values: Any, name: str) -> DeviceArray:
+    """An array on a device, after checking that every value is a number that float32 can hold.
+
+    Raises:
+        BadInput: For NaN, infinity and values beyond float32.
+    """
+    array = np.asarray(values)
+    least, most = (float(end(array)) if array.size else 0.0 for end in (np.min, np.max))  # NaN wherever one is
+    if not max(abs(least), abs(most)) <= float(np.finfo(np.float32).max):
+        raise BadInput(f"{name} reaches from {least:g} to {most:g}; expected finite numbers that float32 can hold")
+    return device.upload(array)
 
 
 def _edge(pitch: Any) -> str:
@@ -59,8 +83,34 @@ def _check_values(fractions: DeviceArray) -> None:
     low, high = extent(fractions)
     if not (low >= 0.0 and high <= 1.0):
         raise BadInput(f"the target reaches from {low:g} to {high:g}; wanted fractions in 0..1: scale it")
+    if not isfinite(total(fractions)):  # minimum and maximum pass over what is no number
+        raise BadInput("some voxels of the target are not a number; expected fractions in 0..1")
     if high == 0.0:
         raise EmptyMesh("every voxel of the target is 0; wanted some that are filled")
+
+
+def _check_cylinder(fractions: DeviceArray, grid: Grid) -> None:
+    """Refuse a target without any voxel that could be judged as part; tell of a part that reaches out of the cylinder.
+
+    A voxel counts as part from a fraction of one half.
+    """
+    reach = reach_of(grid)
+    _, most = extent(fractions, reach=reach)
+    if not most >= 0.5:
+        raise EmptyMesh(
+            f"no voxel of the target within {grid.inscribed_radius:.4g} mm of the axis is at least half filled (the "
+            f"fullest one: {max(most, 0.0):g}); center the target on the axis, scale it, or choose a finer pitch"
+        )
+    inside = fractions.device.empty(fractions.shape)
+    fractions.device.launch(paint, target=fractions, low=0.0, high=1.0, reach=reach, model=inside)
+    out = 1.0 - total(inside) / total(fractions)
+    if out > 1e-6:
+        warnings.warn(
+            f"{100 * out:.2g} % of the target lies farther than {grid.inscribed_radius:.4g} mm from the axis, out of "
+            "the cylinder that every angle lights: it is neither asked for nor judged; take a wider grid",
+            OpticsWarning,
+            stacklevel=4,
+        )
 
 
 def _check_beam(operator: Projector, radius: float | None, height: float | None) -> None:

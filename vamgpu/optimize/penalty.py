@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import ClassVar
 
 from vamgpu.errors import BadInput
-from vamgpu.optimize.band import Band
+from vamgpu.optimize.band import MOST, Band
 from vamgpu.optimize.descent import Descent
 from vamgpu.optimize.fbp import filtered_light
-from vamgpu.optimize.method import Steps
+from vamgpu.optimize.method import Criterion, Steps
 from vamgpu.optimize.papers import PENALTY
 from vamgpu.optimize.ramp import identity
 from vamgpu.optimize.work import Work
@@ -17,10 +18,28 @@ from vamgpu.optimize.work import Work
 
 @dataclass(frozen=True)
 class PenaltyMinimization:
-    """Projected subgradient descent on Σ max(0, dose − outside) out of the part + Σ max(0, inside − dose) in it.
+    """Pays for every voxel on the wrong side of its threshold, and for nothing else.
 
-    outside, inside: thresholds in units of the part's dose.  price: of a void voxel, of a part voxel.  share, growth,
-    momentum: as in `GradientDescent`.  Raises `BadInput`.
+    As published, with light g, dose d = Aᵀg and the penalties ρ₁ of a void voxel and ρ₂ of a part voxel:
+
+        minimize ρ₁·Σ_void max(0, d − outside) + ρ₂·Σ_part max(0, inside − d) over g ≥ 0
+
+    The slope by dose is ρ₁ or −ρ₂ where a voxel is wrong, else 0; it is projected and light that would be negative is
+    dark. There is no upper threshold in the part. Light that violates nothing ends the run.
+
+    What differs here: subgradient steps whose length is found as in `BCLP` (share, growth, and steps that raise the
+    loss taken back and halved), from filtered back projection on; no buffer zone around the part.
+
+    Args:
+        outside: Threshold of the void in units of the part's dose.
+        inside: Threshold of the part.
+        price: (ρ₁, ρ₂).
+        share: Change of the light in the first step over the light, > 0.
+        growth: Of the step from one to the next, ≥ 1.
+        momentum: Share of the last step that is added to the next, in [0, 1).
+
+    Raises:
+        BadInput: For values out of these ranges, or unless 0 ≤ outside < inside ≤ 1.
     """
 
     outside: float = 0.75
@@ -30,12 +49,17 @@ class PenaltyMinimization:
     growth: float = 1.1
     momentum: float = 0.0
     papers: ClassVar[tuple[str, ...]] = (PENALTY,)
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "loss"
     iterations: ClassVar[int] = 20
 
     def __post_init__(self) -> None:
         Band.thresholds(self.outside, self.inside)
-        if not (min(self.price) >= 0 and self.share > 0 and self.growth >= 1 and 0 <= self.momentum < 1):
-            raise BadInput(f"{self!r}: wanted prices ≥ 0, share > 0, growth ≥ 1 and 0 ≤ momentum < 1")
+        priced = len(self.price) == 2 and all(0 <= price < MOST for price in self.price)
+        if not (priced and 0 < self.share < inf and 1 <= self.growth < inf and 0 <= self.momentum < 1):
+            raise BadInput(
+                f"{self!r}: wanted two prices ≥ 0 and below {MOST:g}, share > 0, growth ≥ 1 and 0 ≤ momentum < 1"
+            )
 
     def steps(self, work: Work) -> Steps:
         if "light" not in work.memory:
@@ -43,5 +67,11 @@ class PenaltyMinimization:
         far = 10.0  # a ceiling no dose reaches, low enough for float32
         center, slack = (0.5 * self.outside, 0.5 * (self.inside + far)), (0.5 * self.outside, 0.5 * (far - self.inside))
         band = Band(center, slack, self.price, 1.0, binary=True)
-        taps = identity(work.operator)
-        yield from Descent(band, taps, share=self.share, growth=self.growth, momentum=self.momentum).steps(work)
+        yield from Descent(
+            band,
+            identity(work.operator),
+            share=self.share,
+            growth=self.growth,
+            momentum=self.momentum,
+            guarded=True,
+        ).steps(work)

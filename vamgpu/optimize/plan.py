@@ -16,9 +16,13 @@ if TYPE_CHECKING:
 class Step:
     """One record of a run's history.
 
-    iteration: counted from 1.  pairs: projector pairs (one forward and one back projection) spent so far, warm start
-    included.  loss: the method's own.  window: strict process window of the dose the step looked at, (least dose in the
-    part − greatest out of it) / greatest; accelerated methods look ahead of the light they hold.
+    Attributes:
+        iteration: Counted from 1.
+        pairs: Projector pairs (one forward and one back projection) spent so far, warm start included.
+        loss: The method's own: of the light it holds where light is chosen by the loss; otherwise of the point the step
+            looked at, which accelerated methods take ahead of the light they hold.
+        window: Strict process window of the light held, (least dose in the part − greatest out of it) / greatest; −1
+            for light that gives no dose at all.
     """
 
     iteration: int
@@ -29,11 +33,22 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Light that prints a target.
+    """Light that prints a target: the best that a run evaluated, not its last.
 
-    sinogram: [angle, r, z] ≥ 0 on the operator's device, in units of the dose the part should get.  operator, method:
-    what made it.  history: one `Step` an iteration.  window: strict process window of this very light.  pairs:
-    projector pairs spent.  papers: what the method relies on.  seconds: of the run.  state: what resuming needs.
+    Best is the light of the greatest strict window, or of the least loss, as the method's ``criterion`` says.
+
+    Attributes:
+        sinogram: [angle, r, z] ≥ 0 on the operator's device, in units of the dose the part should get.
+        operator: What made it.
+        method: What made it.
+        history: One `Step` an iteration.
+        window: Strict process window of this very light.
+        pairs: Projector pairs spent.
+        papers: What the method relies on.
+        seconds: Of the run.
+        target_name: Of what it prints.
+        state: What resuming needs; a resumed run goes on from its last light, not from the best.
+        best_iteration: Number of iterations after which this light was reached; 0 is the first guess.
     """
 
     sinogram: DeviceArray
@@ -46,6 +61,7 @@ class Plan:
     seconds: float
     target_name: str
     state: dict[str, Any] = field(default_factory=dict, repr=False)
+    best_iteration: int = 0
 
     def dose(self) -> DeviceArray:
         """Dose [x, y, z] of the light on the operator's device: Aᵀ sinogram."""

@@ -11,7 +11,7 @@ from vamgpu.chemistry.precompensate import contrast
 from vamgpu.errors import BadInput
 from vamgpu.kernels.update import correct_by_ratio, paint
 from vamgpu.optimize.band import Band
-from vamgpu.optimize.method import Steps
+from vamgpu.optimize.method import Criterion, Steps
 from vamgpu.optimize.papers import AUTOMATIC_EXPOSURE, RAMP
 from vamgpu.optimize.ramp import ramp
 from vamgpu.optimize.work import Work
@@ -36,6 +36,8 @@ class Recipe:
     diffusion: Diffusion | None = None
     papers: ClassVar[tuple[str, ...]] = (AUTOMATIC_EXPOSURE, RAMP)
     iterations: ClassVar[int] = 2
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "window"
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.background < 1.0 or not self.most > 1.0:
@@ -61,7 +63,9 @@ class Recipe:
             window, _ = work.window(felt)
             self._correct(work, felt, model)
             work.memory["gain"] = gain
-            yield work.loss(felt, band), window
+            loss = work.loss(felt, band)
+            work.offer(loss, window, 1)
+            yield loss, window
 
     def _model(self, work: Work, spread: Spread | None) -> DeviceArray:
         """The target over its background, deconvolved where it will diffuse."""

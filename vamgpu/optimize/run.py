@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import ceil, inf
 from typing import Any
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import BadInput, Cancelled
+from vamgpu.errors import BadInput, Cancelled, Diverged, DivergenceWarning
 from vamgpu.geometry import positive
 from vamgpu.optimize.bclp import BCLP
 from vamgpu.optimize.calgd import GradientDescent
+from vamgpu.optimize.course import Course
 from vamgpu.optimize.fbp import FilteredBackProjection
 from vamgpu.optimize.lbfgs import LBFGS
 from vamgpu.optimize.method import Method
@@ -51,25 +54,43 @@ def optimize(
     progress: bool | Progress | None = None,
     cancel: Callable[[], bool] | None = None,
     resume: Plan | None = None,
+    pairs: float | None = None,
 ) -> Plan:
     """Find light [angle, r, z] ≥ 0 whose dose prints a target, on the operator's device.
 
-    target: a `Target`, or fractions [x, y, z] (NumPy or on the device).  method: a name of `METHODS` or an instance.
-    iterations: in all, those of ``resume`` included; None takes the method's own.  tolerance: stop once the loss has
-    fallen below this share of the first one (0: only when nothing is left to gain).  progress: True shows a bar, a
-    function gets every `Step`.  cancel: asked before each iteration.  resume: a plan of the same operator and method
-    to go on from; it stays as it is.
+    The plan holds the best light that the run evaluated, not its last; see `Plan`.
 
-    Raises `BadInput`, `ShapeMismatch`, `TargetTooLarge`, `OutOfMemory`; `Cancelled`, which carries the plan reached so
-    far, when ``cancel`` says so or on Ctrl-C.
+    Args:
+        operator: The projector.
+        target: A `Target`, or fractions [x, y, z] (NumPy or on the device).
+        method: A name of `METHODS` or an instance.
+        iterations: In all, those of ``resume`` included; None takes the method's own, or what ``pairs`` allows.
+        tolerance: Stop once the loss has fallen below this share of the first one (0: only when nothing is left to
+            gain).
+        progress: True shows a bar, a function gets every `Step`.
+        cancel: Asked before each iteration.
+        resume: A plan of the same operator and method to go on from; it stays as it is.
+        pairs: Projector pairs that may be spent in all, those of ``resume`` included: stop before the iteration that
+            would exceed them. Compares methods at equal cost. The first iteration is always made.
+
+    Raises:
+        BadInput: For a target, a method or a number that cannot be used (also as `ShapeMismatch`, `EmptyMesh`,
+            `TargetTooLarge`).
+        OutOfMemory: Where the device is too small.
+        Cancelled: When ``cancel`` says so or on Ctrl-C; carries the plan reached so far.
+        Diverged: When the loss is no finite number any more; carries the plan of the best light before.
+
+    Warns:
+        DivergenceWarning: When more than half of what the loss had fallen is lost again, with the iteration from which
+            it rose. A loss that exceeds a thousand times its first value ends the run.
     """
     chosen = _method(method if resume is None or method != "default" else resume.method)
-    limit = chosen.iterations if iterations is None else _count(iterations)
+    limit = _limit(chosen, iterations, pairs)
     tolerance = positive("tolerance", tolerance, zero=True)
     field_ = fractions_of(operator, target)
-    run = _Run(operator, chosen, Work(operator, field_, _memory(operator, chosen, resume)), _name(target))
-    if resume is not None:
-        run.history, run.before = list(resume.history), resume.seconds
+    work = Work(operator, field_, _memory(operator, chosen, resume), chosen.criterion)
+    work.most_pairs = inf if pairs is None else positive("pairs", pairs)
+    run = _Run(operator, chosen, work, _name(target), resume)
     with _reporting(progress, limit) as report:
         run.go(limit, tolerance, report, cancel or (lambda: False))
     return run.plan()
@@ -83,27 +104,48 @@ class _Run:
     method: Method
     work: Work
     name: str
+    resumed: Plan | None
     history: list[Step] = field(default_factory=list)
-    before: float = 0.0
     started: float = field(default_factory=time.perf_counter)
 
+    def __post_init__(self) -> None:
+        if self.resumed is not None:
+            self.history = list(self.resumed.history)
+
     def go(self, limit: int, tolerance: float, report: Progress, cancel: Callable[[], bool]) -> None:
-        steps = self.method.steps(self.work)
+        steps, work = self.method.steps(self.work), self.work
         try:
-            while len(self.history) < limit:
+            while len(self.history) < limit and (not self.history or work.affords(self.method.cost)):
                 if cancel():
                     raise self._cancelled("cancelled by the caller")
+                work.iteration = len(self.history)
                 record = next(steps, None)
                 if record is None:
-                    return
-                self.history.append(Step(len(self.history) + 1, self.work.pairs, *record))
+                    break
+                self.history.append(Step(len(self.history) + 1, work.pairs, *record))
+                work.iteration = len(self.history)
                 report(self.history[-1])
-                if record[0] <= tolerance * self.history[0].loss:
-                    return
+                course = self._course()
+                if course.lost:
+                    raise Diverged(course.message(), self._plan_of_best(), course.began)
+                if course.blown or record[0] <= tolerance * course.losses[0]:
+                    break
         except KeyboardInterrupt:
             raise self._cancelled("interrupted") from None
         finally:
             steps.close()
+        if self.history and self._course().risen:
+            warnings.warn(self._course().message(), DivergenceWarning, stacklevel=3)
+
+    def _course(self) -> Course:
+        """Losses since they mean the same."""
+        start = min(int(self.work.number("stage")), len(self.history) - 1)
+        return Course([step.loss for step in self.history[start:]], start)
+
+    def _plan_of_best(self) -> Plan | None:
+        """The plan of a run whose last light is of no use; None without any other."""
+        self.work.best.unseen = None
+        return self.plan() if "best" in self.work.memory else None
 
     def _cancelled(self, why: str) -> Cancelled:
         plan = self.plan() if self.history else None
@@ -112,22 +154,23 @@ class _Run:
         )
 
     def plan(self) -> Plan:
-        work = self.work
-        pairs = work.pairs
-        light = work.held("light")
-        window, _ = work.window(self.operator.T(light))
-        seconds = self.before + time.perf_counter() - self.started
+        work, before = self.work, self.resumed
+        if before is not None and len(self.history) == len(before.history):
+            return before
+        light, window, iteration = work.best.choose(work)
+        seconds = (before.seconds if before else 0.0) + time.perf_counter() - self.started
         return Plan(
             light,
             self.operator,
             self.method,
             tuple(self.history),
             window,
-            pairs,
+            work.pairs,
             self.method.papers,
             seconds,
             self.name,
             dict(work.memory),
+            iteration,
         )
 
 
@@ -139,6 +182,13 @@ def _method(method: str | Method) -> Method:
     if isinstance(method, type) or not hasattr(method, "steps"):
         raise BadInput(f"got {method!r} as method; wanted a name ({', '.join(METHODS)}) or an instance such as OSMO()")
     return method
+
+
+def _limit(method: Method, iterations: int | None, pairs: float | None) -> int:
+    """Iterations at most."""
+    if iterations is not None:
+        return _count(iterations)
+    return method.iterations if pairs is None else ceil(positive("pairs", pairs))  # none takes less than one pair
 
 
 def _count(iterations: int) -> int:

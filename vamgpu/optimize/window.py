@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from vamgpu.errors import BadInput
-from vamgpu.optimize.band import Band
+from vamgpu.optimize.band import MOST, Band
 from vamgpu.optimize.descent import Descent
-from vamgpu.optimize.method import Steps
+from vamgpu.optimize.method import Criterion, Steps
 from vamgpu.optimize.papers import AUTOMATIC_EXPOSURE, NESTEROV, RAMP, RESTART, THRESHOLDS, TWO_METRIC
 from vamgpu.optimize.ramp import capped_ramp
 from vamgpu.optimize.recipe import Recipe
@@ -40,11 +40,13 @@ class ProcessWindow:
     step: float = 1.0
     papers: ClassVar[tuple[str, ...]] = (THRESHOLDS, AUTOMATIC_EXPOSURE, RAMP, NESTEROV, RESTART, TWO_METRIC)
     iterations: ClassVar[int] = 40
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "window"
 
     def __post_init__(self) -> None:
         self._band()
         Recipe(self.background)
-        if self.passes < 1 or not 0.0 < self.cap <= 0.5 or not self.step > 0.0:
+        if self.passes < 1 or not 0.0 < self.cap <= 0.5 or not 0.0 < self.step < MOST:
             raise BadInput(f"{self!r}: wanted passes ≥ 1, 0 < cap ≤ 0.5 and step > 0")
 
     def _band(self) -> Band:
@@ -52,6 +54,7 @@ class ProcessWindow:
 
     def steps(self, work: Work) -> Steps:
         yield from self._warm(work)
+        work.memory.setdefault("stage", work.iteration)  # from here on the loss is another one
         step = self.step / work.number("gain", 1.0)
         descent = Descent(self._band(), capped_ramp(work.operator, self.cap, SPAN), step=step)
         yield from descent.steps(work)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from functools import cached_property
-from math import isfinite, prod
+from math import inf, isfinite, prod
 from typing import Any
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid
 from vamgpu.kernels.filter import filter_rows, filtered_step
 from vamgpu.kernels.loss import band_loss
 from vamgpu.kernels.update import free_gradient, linear, paint
-from vamgpu.operators.reductions import EVERYWHERE, dot, folded, parts_for, window
+from vamgpu.operators.reductions import dot, extent, folded, parts_for, window
 from vamgpu.operators.space import require
-from vamgpu.optimize.band import Band
+from vamgpu.optimize.band import MOST, Band
+from vamgpu.optimize.best import Best
+from vamgpu.optimize.method import Criterion
+from vamgpu.optimize.part import reach_of, uploaded
 from vamgpu.optimize.projector import Projector
 from vamgpu.optimize.ramp import Taps
 from vamgpu.web import WebGrid
@@ -24,10 +28,15 @@ NO_FLOOR = -3e38
 class Work:
     """One run: everything a method may use. ``memory`` outlives the run and is enough to resume it."""
 
-    def __init__(self, operator: Projector, target: DeviceArray, memory: dict[str, Any]) -> None:
+    def __init__(
+        self, operator: Projector, target: DeviceArray, memory: dict[str, Any], criterion: Criterion = "window"
+    ) -> None:
         self.operator, self.target, self.memory = operator, target, memory
+        self.best = Best(memory, criterion)
+        self.iteration = 0  # iterations done so far, of this run and those it resumes
+        self.most_pairs = inf
         self.device = operator.device
-        self.reach = _reach(operator.grid)
+        self.reach = reach_of(operator.grid)
         self.pairs = float(memory.get("pairs", 0.0))
         self.voxels = _judged(operator.grid)
 
@@ -44,7 +53,13 @@ class Work:
         if values is None:
             return None
         require(self.operator.domain, values, "the weight")
-        return values if isinstance(values, DeviceArray) else self.device.upload(values)
+        field = values if isinstance(values, DeviceArray) else uploaded(self.device, values, "the weight")
+        low, high = extent(field)
+        if not (low >= 0.0 and 0.0 < high < MOST):
+            raise BadInput(
+                f"the weight reaches from {low:g} to {high:g}; expected values ≥ 0, some above 0, all below {MOST:g}"
+            )
+        return field
 
     def held(self, name: str) -> DeviceArray:
         """A sinogram of the run's memory."""
@@ -69,13 +84,31 @@ class Work:
         self.pairs += 0.5
         self.memory["pairs"] = self.pairs
 
+    def affords(self, pairs: float) -> bool:
+        """Whether so many more projector pairs stay within what the run may spend."""
+        return self.pairs + pairs <= self.most_pairs
+
+    def offer(self, loss: float, window: float, made: int) -> bool:
+        """Keep ``light`` in memory if it is the best so far.
+
+        Args:
+            loss: The method's own.
+            window: Strict window of the light's dose.
+            made: 1 where the iteration in progress made this light, 0 where an earlier one did.
+        """
+        return self.best.offer(self.held("light"), loss, window, self.iteration + made)
+
     # ---- numbers ---------------------------------------------------------------------------------------------
     def window(self, dose: DeviceArray) -> tuple[float, float]:
-        """Strict process window of a dose, and the greatest dose."""
+        """Strict process window of a dose, and the greatest dose.
+
+        Where the part leaves no void nothing can leak, and the window is the least dose over the greatest. A dose that
+        is dark everywhere, or not finite, prints nothing: its window is −1, the least there is.
+        """
         least, leak, greatest = window(dose, self.target, self.reach)
-        if not (isfinite(least) and isfinite(leak) and greatest > 0):
-            return (0.0, max(greatest, 1e-30) if isfinite(greatest) else 1.0)
-        return (least - leak) / greatest, greatest
+        if not (isfinite(least) and leak < inf and 0.0 < greatest < inf):
+            return -1.0, max(greatest, 1e-30) if isfinite(greatest) else 1.0
+        return (least - max(leak, 0.0)) / greatest, greatest
 
     @cached_property
     def _target_square(self) -> float:
@@ -153,11 +186,6 @@ class Work:
             light=self.held("light"),
             ahead=self.held("ahead"),
         )
-
-
-def _reach(grid: Grid | WebGrid) -> float:
-    """Radius [voxels] of the cylinder that counts; all of a web does."""
-    return grid.inscribed_radius / grid.pitch * (1.0 + 1e-6) if isinstance(grid, Grid) else EVERYWHERE
 
 
 def _judged(grid: Grid | WebGrid) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,32 +11,45 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, Diverged, DivergenceWarning
 from vamgpu.geometry import Beam
 from vamgpu.kernels.update import linear
 from vamgpu.operators.rows import Rows
 from vamgpu.operators.web import WebProjection
 from vamgpu.optimize.band import Band
 from vamgpu.optimize.bclp import BCLP
+from vamgpu.optimize.course import Course
 from vamgpu.optimize.ramp import Taps, bar, identity, ramp
 from vamgpu.optimize.work import Work
 from vamgpu.web import Propagation, WebGrid
 from vamgpu.webs.layout import Layout
 
+LAST = "the light of the segment is its last"
+"""What a message of divergence says of it."""
 PACE = 5 / 6
 """Length of a step over the longest at which accelerated steps are stable where the loss is most curved."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Loss of a segment's first and last iteration; overlaps included."""
+    """Losses of a segment, its overlaps included.
+
+    Attributes:
+        first: Of the first iteration.
+        last: Of the last one.
+        course: Of all of them; None for a segment of nothing.
+    """
 
     first: float
     last: float
+    course: Course | None = None
 
 
 class Solver:
     """Band-constrained descent on segments of one shape.
+
+    The light of a segment is its last: choosing the best of all iterations would make a place depend on the rest of the
+    segment. The step is short enough that the loss of p ≥ 2 falls; where it rises all the same, this is told.
 
     The loss is a sum over voxels (q = p), the step is fixed by the light of one pose and the response alone, and the
     first light is filtered and scaled likewise: what happens at a place depends on what is near it, never on where a
@@ -119,7 +133,14 @@ class Solver:
         return light
 
     def solve(self, fractions: np.ndarray, iterations: int) -> tuple[DeviceArray, Outcome]:
-        """Light [pose, r, z] for fractions [l, rho, z] of the segment's columns; overwritten by the next call."""
+        """Light [pose, r, z] for fractions [l, rho, z] of the segment's columns; overwritten by the next call.
+
+        Raises:
+            Diverged: When the loss is no finite number any more.
+
+        Warns:
+            DivergenceWarning: When more than half of what the loss had fallen is lost again.
+        """
         work = Work(self.operator, self.device.upload(fractions), {})
         if not fractions.any():
             return self._dark(), Outcome(0.0, 0.0)
@@ -136,7 +157,12 @@ class Solver:
             losses.append(work.loss(dose, self.band))
             work.project(dose, gradient)
             work.step(gradient, plain, self.step, self.method.momentum)
-        return work.held("light"), Outcome(losses[0], losses[-1])
+            if Course(losses).lost:
+                raise Diverged(Course(losses).message(LAST), None, Course(losses).began)
+        course = Course(losses)
+        if course.risen:
+            warnings.warn(course.message(LAST), DivergenceWarning, stacklevel=2)
+        return work.held("light"), Outcome(losses[0], losses[-1], course)
 
     def held(self) -> DeviceArray:
         """Light [pose, r, z] of the segment solved last, its overlaps included."""

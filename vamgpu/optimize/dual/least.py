@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from math import sqrt
+from math import inf, sqrt
 from typing import Any, ClassVar
 
 import numpy as np
@@ -54,10 +54,11 @@ class LeastSquares:
             raise BadInput(f"{self!r}: wanted iterations ≥ 1, below ≥ 0, cost ≥ 0 and 0 < cap ≤ 0.5")
 
     def steps(self, bench: Bench) -> Iterator[Pass]:
-        """One iteration after another; the records are of the point the step looked at, ahead of the light."""
+        """One iteration after another; the records are of the light each looked at, the bench holds the best of it."""
         visible, uv = _Color(bench, bench.colors.visible, self.cap, 1.0), _Color(
             bench, bench.colors.uv, self.cap, -bench.colors.strength)  # fmt: skip
-        bench.light, bench.uv = visible.light, uv.light
+        bench.light, bench.uv = visible.best, uv.best
+        least = inf
         # half of what the gains allow: gradients held at dark light have gaps, which the ramp turns into coarse light
         pace = _Pace(0.5 / (visible.gain() + uv.gain()))
         band = Band((-0.5 * self.below, 1.0), (0.5 * self.below, 0.0), (0.5, 0.5))
@@ -70,9 +71,13 @@ class LeastSquares:
             loss = visible.work.loss(dose, band)
             for color in (visible, uv):
                 loss += color.pull(dose, self.cost)
+            if loss < least:
+                least = loss
+                for color in (visible, uv):
+                    color.keep()
             pace.look(loss)
             for color in (visible, uv):
-                color.work.step(color.gradient, color.taps, pace.step, pace.momentum)
+                color.move(pace.step, pace.momentum)
             pace.run += 1
             yield record
 
@@ -82,10 +87,10 @@ class _Color:
 
     def __init__(self, bench: Bench, operator: LinearOperator, cap: float, sign: float) -> None:
         self.bench, self.operator, self.sign = bench, operator, sign
-        self.light, ahead = (constant(0.0, operator.range.shape, bench.design) for _ in range(2))
+        light, ahead, self.best = (constant(0.0, operator.range.shape, bench.design) for _ in range(3))
         self.gradient = bench.sinogram()
         projector: Any = operator
-        self.work = Work(projector, bench.design, {"light": self.light, "ahead": ahead})
+        self.work = Work(projector, bench.design, {"light": light, "ahead": ahead})
         if bench.colors.whole:
             self.work.reach = EVERYWHERE
         plain = not isinstance(operator, Projection)
@@ -100,6 +105,16 @@ class _Color:
         self.bench.pairs += 0.5
         combine(self.sign, self.gradient, 0.0, self.gradient, self.gradient)
         return self.work.free(self.work.held("ahead"), self.gradient, cost)
+
+    def keep(self) -> None:
+        """Best light = the one looked at."""
+        combine(1.0, self.work.held("ahead"), 0.0, self.best, self.best)
+
+    def move(self, step: float, momentum: float) -> None:
+        """Move the light; what momentum carries ahead of it is never negative either, so that it can be kept."""
+        self.work.step(self.gradient, self.taps, step, momentum)
+        ahead = self.work.held("ahead")
+        combine(1.0, ahead, 0.0, ahead, ahead, 0.0)
 
     def gain(self) -> float:
         """Greatest eigenvalue of exposing what is filtered and projected, by power iteration."""

@@ -61,7 +61,8 @@ class Color:
 class Descent:
     """Steps through capped ramps that keep light ≥ 0; where the loss rises momentum restarts and steps are shorter.
 
-    The first step is as long as the linear model stands, and later ones grow.
+    The first step is as long as the linear model stands, and later ones grow. The point that momentum carries ahead is
+    cut off at darkness too, so that every dose looked at is that of possible light, and the best of it can be returned.
     """
 
     def __init__(self, model: Model, target: DeviceArray, band: Band, light: Pair, share: float) -> None:
@@ -75,11 +76,12 @@ class Descent:
         ]
         self.best = Pair(*(color.work.sinogram() for color in self.colors))
         self.run, self.length, self.growth = 0, 1.0, GROWTH
+        self.looked = self.best_iteration = 0
 
     @property
     def light(self) -> Pair:
-        """The light found so far."""
-        return Pair(*(color.light for color in self.colors))
+        """The light of least loss among those looked at; the first one before any was."""
+        return self.best if self.best_iteration else Pair(*(color.light for color in self.colors))
 
     def steps(self) -> Iterator[tuple[float, float]]:
         """Loss and strict window of the effective dose that each step looked at."""
@@ -90,8 +92,9 @@ class Descent:
             window, _ = work.window(dose)
             loss = work.loss(dose, self.band)
             self._pace(loss > before)
+            self.looked += 1
             if loss <= least:
-                least = loss
+                least, self.best_iteration = loss, self.looked
                 self._copy([(color.ahead, best) for color, best in zip(self.colors, self.best, strict=True)])
             before = loss
             if loss > BLOWN * least:
@@ -120,4 +123,5 @@ class Descent:
         for color, slope, length in zip(self.colors, gradient, self.lengths, strict=True):
             color.work.free(color.ahead, slope)
             color.work.step(slope, color.taps, self.length * length, momentum)
+            color.work.combine(1.0, color.ahead, 0.0, color.ahead, color.ahead, floor=0.0)
         self.run += 1

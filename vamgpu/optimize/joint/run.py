@@ -56,10 +56,11 @@ class Aims:
 
 @dataclass(frozen=True, eq=False)
 class ColorPlan:
-    """Light of both colors for one turn, repeated ``model.turns`` times.
+    """Light of both colors for one turn, repeated ``model.turns`` times: that of least loss, not the last.
 
     visible, ultraviolet: [angle, r, z] ≥ 0 on the device.  model, aims: what made it.  history: one `Step` an
-    iteration; a pair is one forward and one back projection of both colors.  seconds: of the run.
+    iteration; a pair is one forward and one back projection of both colors.  seconds: of the run.  best_iteration: that
+    which looked at this light, counted from 1; 0 where none looked at any.
     """
 
     visible: DeviceArray
@@ -70,6 +71,7 @@ class ColorPlan:
     history: tuple[Step, ...]
     papers: tuple[str, ...]
     seconds: float
+    best_iteration: int = 0
 
     @property
     def light(self) -> Pair:
@@ -109,7 +111,9 @@ def optimize_colors(
     def plan() -> ColorPlan:
         papers = (PAPER, NESTEROV, RESTART, RAMP, TWO_METRIC)
         seconds = time.perf_counter() - begun
-        return ColorPlan(*descent.light, model, aims, fractions, tuple(history), papers, seconds)
+        found = descent.light
+        return ColorPlan(
+            *found, model, aims, fractions, tuple(history), papers, seconds, descent.best_iteration)  # fmt: skip
 
     try:
         for number, record in zip(range(1, count + 1), descent.steps()):  # noqa: B905 - whichever ends first
