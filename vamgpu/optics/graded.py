@@ -13,7 +13,7 @@ from vamgpu.errors import BadInput, RayError
 from vamgpu.geometry import Chords, positive
 from vamgpu.optics.index_field import FormulaField, FunctionField, GridField, Region
 from vamgpu.optics.inputs import Floats, absorbed_share, as_offsets, index
-from vamgpu.optics.interface import impact_after, transmittance
+from vamgpu.optics.interface import Crossing, impact_after, polarized, transmittance
 from vamgpu.optics.march import march
 from vamgpu.optics.ray_sheet import RaySheet, through
 from vamgpu.optics.vial import LARGEST_DENSITY
@@ -36,6 +36,7 @@ class GradedVial:
         resin: n² over the whole resin; its own region does not matter.
         wall_index, bath_index: refractive indices of the wall and around the vial.
         absorption: of the resin, natural logarithm [1/mm].
+        polarization: of the light, as for `Vial`.
         rays: that are traced; everything between them is by cubic splines.
         rows: places kept of each ray.
 
@@ -50,6 +51,7 @@ class GradedVial:
     wall_index: float
     bath_index: float = 1.0
     absorption: float = 0.0
+    polarization: str = "none"
     rays: int = 513
     rows: int = 257
 
@@ -58,6 +60,7 @@ class GradedVial:
             object.__setattr__(self, name, positive(f"GradedVial {name}", getattr(self, name), zero=zero))
         for name in ("wall_index", "bath_index"):
             object.__setattr__(self, name, index(f"GradedVial {name}", getattr(self, name)))
+        object.__setattr__(self, "polarization", polarized("GradedVial polarization", self.polarization))
         if self.wall >= self.radius:
             raise BadInput(f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; wanted less")
         if not isinstance(self.resin, (FormulaField, GridField, FunctionField)):
@@ -121,12 +124,12 @@ class GradedVial:
     def _share(self, u: Floats) -> Floats:
         """Power that crosses both faces."""
         _, _, behind, sine = self._entry(u)
-        share, front = np.ones_like(u), self._outer_index
+        front = self._outer_index
+        crossings: list[Crossing] = [(_cosine(sine), _cosine(sine * front / behind), front, behind)]
         if self.wall > 0:
             cos_in, cos_out = _cosine(u / self.radius), _cosine(impact_after(u, self.bath_index, front) / self.radius)
-            share = transmittance(cos_in, cos_out, self.bath_index, front)
-        any_index: Any = behind
-        return share * transmittance(_cosine(sine), _cosine(sine * front / behind), front, any_index)
+            crossings.append((cos_in, cos_out, self.bath_index, front))
+        return transmittance(crossings, self.polarization)
 
     # ---- the rays --------------------------------------------------------------------------------------------------
     def _node(self, u: Floats) -> Floats:
