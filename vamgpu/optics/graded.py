@@ -36,9 +36,9 @@ class GradedVial:
         resin: n² over the whole resin; its own region does not matter.
         wall_index, bath_index: refractive indices of the wall and around the vial.
         absorption: of the resin, natural logarithm [1/mm].
-        polarization: of the light, as for `Vial`.
         rays: that are traced; everything between them is by cubic splines.
         rows: places kept of each ray.
+        polarization: of the light, as for `Vial`.
 
     Raises:
         BadInput: a value that cannot be used.
@@ -51,9 +51,9 @@ class GradedVial:
     wall_index: float
     bath_index: float = 1.0
     absorption: float = 0.0
-    polarization: str = "none"
     rays: int = 513
     rows: int = 257
+    polarization: str = "none"
 
     def __post_init__(self) -> None:
         for name, zero in (("radius", False), ("wall", True), ("absorption", True)):
