@@ -70,6 +70,7 @@ def test_a_wrong_value_is_named_with_its_line(old: str, new: str, said: str) -> 
         ("spread = 0.025", "beam.spread: got 0.025; wanted a length with its unit in quotes"),
         ('spread = "25"', "beam.spread: got '25'; no unit; wanted a length in mm"),
         ('spread = "-1 um"', 'wanted a length ≥ 0: write it like "12.4 mm"; or the path of a calibration: spread = "'),
+        ('footprint = "area"', "beam.footprint: got 'area'; wanted 'exact' or 'joseph'"),
     ],
 )
 def test_a_wrong_optic_of_the_beam_is_named_with_its_line(line: str, said: str) -> None:

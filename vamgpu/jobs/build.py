@@ -22,7 +22,7 @@ SPARE = 2
 """Pixels a beam reaches beyond the part on every side where the job does not say how many it has."""
 
 VESSELS = {"vial": Vial, "vat": Vat}
-OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0}
+OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0, "footprint": "joseph"}
 """What beams were taken for by folders that do not say it."""
 
 
@@ -69,7 +69,7 @@ def projection_of(wanted: JobFile, target: Target, device: Device, folder: Path 
     pixels = wanted.beam.pixels or _covering(target, vessel, wanted.beam.pitch)
     beam, motion = beam_of(wanted.beam, pixels, folder), Turntable(wanted.turntable.angles)
     try:
-        A = Projection(target.grid, beam, motion, vessel, device)
+        A = Projection(target.grid, beam, motion, vessel, device, footprint=wanted.beam.footprint)
     except MemoryError as error:
         raise OutOfMemory(
             f"a beam of {pixels[0]} × {pixels[1]} pixels of {beam.pitch:g} mm needs more memory than this machine has "
@@ -109,7 +109,7 @@ def describe(A: Projection) -> dict[str, Any]:
     kind = next((name for name, cls in VESSELS.items() if isinstance(A.vessel, cls)), None)
     return {
         "grid": {"shape": list(A.grid.shape), "pitch": A.grid.pitch},
-        "beam": {**asdict(A.beam), "pixels": list(A.beam.pixels)},
+        "beam": {**asdict(A.beam), "pixels": list(A.beam.pixels), "footprint": A.footprint},
         "turntable": {"angles": A.motion.angles},
         "vessel": None if kind is None else {"kind": kind, **asdict(A.vessel)},  # type: ignore[call-overload]
     }
@@ -123,23 +123,24 @@ def projection_from(description: dict[str, Any], device: Device) -> Projection:
     """
     try:
         grid, beam = description["grid"], _with_optics(description["beam"])
-        pixels = tuple(beam.pop("pixels"))
+        footprint, pixels = beam.pop("footprint"), tuple(beam.pop("pixels"))
         fields = dict(description["vessel"] or {})
         vessel = VESSELS[fields.pop("kind")](**fields) if fields else None
         motion = Turntable(description["turntable"]["angles"])
         nouns = (Grid(tuple(grid["shape"]), grid["pitch"]), Beam(pixels, **beam), motion)
     except (KeyError, TypeError, ValueError) as error:
         raise StorageError(f"the manifest garbles its geometry: {error}; write the job again") from error
-    return Projection(*nouns, vessel, device)
+    return Projection(*nouns, vessel, device, footprint=footprint)
 
 
 def _with_optics(beam: dict[str, Any]) -> dict[str, Any]:
-    """A described beam with all its fields. Folders without optics were solved for a perfect lens."""
+    """A described beam with all its fields. Folders without optics were solved for a perfect lens and single rays."""
     if set(OPTICS) <= set(beam):
         return dict(beam)
     warnings.warn(
-        "the folder says nothing of the beam's fill and point spread: it was solved for pixels lit all over and a "
-        "perfect lens, and is read so (fill 1, spread 0); solve it again for the light that a lens makes",
+        "the folder says nothing of the beam's fill and point spread: it was solved for pixels lit all over, a perfect "
+        "lens and one ray a pixel, and is read so (fill 1, spread 0, footprint joseph); solve it again for the light "
+        "that a lens makes",
         OpticsWarning, stacklevel=3,
     )  # fmt: skip
     return OPTICS | beam

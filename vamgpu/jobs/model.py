@@ -58,13 +58,15 @@ class BeamSection(Section):
     """The projector's light: pixel edge in air, and how many; by default as many as the part needs.
 
     fill: share of a pixel's area that is lit.  spread: standard deviation of the point spread in the resin, "0 um" for
-    a perfect lens, or the result of `vam calibrate mtf`; half a pixel where nothing is said.
+    a perfect lens, or the result of `vam calibrate mtf`; half a pixel where nothing is said.  footprint: how a pixel
+    meets a voxel: "exact", by its area, or "joseph", by one ray.
     """
 
     pitch: Length
     pixels: Annotated[tuple[Count, Count] | None, Listed] = None
     fill: Annotated[float, Field(gt=0, le=1)] = 1.0
     spread: Spread | None = None
+    footprint: Literal["exact", "joseph"] = "exact"
 
 
 class TurntableSection(Section):
