@@ -57,13 +57,14 @@ class Tiling:
     """How much one work item computes: ``major`` × ``minor`` samples (0 = all of them) of ``slabs`` slabs.
 
     Of a table it is ``minor`` samples along the last axis; Warp's threads take one each.
-    group counts the work items of a GPU's work-group along (minor × lanes, major).
+    group counts the work items of a GPU's work-group along (minor × lanes, major, slabs): a sample's lanes are never
+    parted, and there are no more along slabs (1 if left out) than a field has.
     """
 
     major: int = 1
     minor: int = 1
     slabs: int = 1
-    group: tuple[int, int] = (256, 1)
+    group: tuple[int, ...] = (256, 1)
 
 
 @dataclass(frozen=True, eq=False)

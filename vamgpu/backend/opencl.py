@@ -124,6 +124,11 @@ class OpenclDevice(Device):
         major = -(-shape[0] // tiling.major) if tiling.major else 1
         return (minor * threads, major, -(-shape[2] // (lanes * tiling.slabs)))
 
+    def _group(self, kernel: Kernel, counts: tuple[int, ...], lanes: int) -> tuple[int, int, int]:
+        """The work-group as declared, cut to whole samples and to the slabs there are."""
+        threads, (minor, major, slabs) = lanes // 4, (*self._tiling(kernel).group, 1)[:3]
+        return (max(minor // threads, 1) * threads, major, min(slabs, counts[2]))
+
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
         return int(np.prod(self._counts(kernel, shape)))
 
@@ -132,7 +137,7 @@ class OpenclDevice(Device):
         over = tuple(sizes[axis] if not axis.isdigit() else int(axis) for axis in getattr(spec, "axes", ()))
         if isinstance(spec, Field):
             counts: tuple[int, ...] = self._counts(kernel, over)  # type: ignore[arg-type]
-            group = (*self._tiling(kernel).group, 1) if self.is_gpu else (1, 1, 1)
+            group = self._group(kernel, counts, lanes) if self.is_gpu else (1, 1, 1)
         elif isinstance(spec, Table):
             if 0 in over:
                 return

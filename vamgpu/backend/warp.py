@@ -6,6 +6,7 @@ import importlib
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -104,7 +105,17 @@ class WarpDevice(Device):
         lanes, tiling = self.lanes_for(shape[2]), kernel.gpu
         minor = -(-shape[1] // tiling.minor) if tiling.minor else 1
         major = -(-shape[0] // tiling.major) if tiling.major else 1
-        return (-(-shape[2] // (lanes * tiling.slabs)), major, minor, lanes // 4)
+        counts = (-(-shape[2] // (lanes * tiling.slabs)), major, minor)
+        if len(tiling.group) == 3:
+            counts = tuple(-(-n // g) * g for n, g in zip(counts, self._block(kernel, counts[0], lanes), strict=True))
+        return (*counts, lanes // 4)  # type: ignore[return-value]
+
+    def _block(self, kernel: Kernel, slabs: int, lanes: int) -> tuple[int, int, int]:
+        """Tiles of a block along (slab, major, minor), cut to whole samples and to the slabs there are."""
+        if not self.is_gpu:
+            return (1, 1, 1)
+        minor, major, blocks = kernel.gpu.group
+        return (min(blocks, slabs), major, max(minor // (lanes // 4), 1))
 
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
         return int(np.prod(self._grid(kernel, shape)))
@@ -116,7 +127,9 @@ class WarpDevice(Device):
         function = sibling(kernel)
         handles = [_seen(value, argument.type) for value, argument in zip(bound.values(), function.adj.args)]  # noqa: B905
         inputs = [*handles, *(sizes[axis] for axis in kernel.axes)]
-        block = kernel.gpu.group[0] * kernel.gpu.group[1]
+        block = prod(kernel.gpu.group)
+        if len(kernel.gpu.group) == 3:
+            block = prod(self._block(kernel, grid[0], lanes)) * grid[3]
         wp.launch(function, dim=grid, inputs=inputs, device=self._device, block_dim=block)
 
     def synchronize(self) -> None:

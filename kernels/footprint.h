@@ -1,0 +1,65 @@
+// What one pixel's light means to a voxel: three boxes convolved with a Gaussian, in closed form (see footprint.py).
+#ifdef __NV_CL_C_VERSION           // right to two units in the last place there, and not everywhere
+#define DIVIDE native_divide
+#else
+#define DIVIDE(a, b) ((a) / (b))
+#endif
+#define TAIL 2.75f
+#define THINNEST 0.05f
+
+// Third integral of a Gaussian about 0; with sigma 0, of a point.
+static inline Real third_integral(Real x, float sigma, float inverse_sigma) {
+    const Real above = fmax(x, 0.0f);
+    if (sigma == 0.0f) return 0.5f * above * above;
+    const Real t = fabs(x) * inverse_sigma;
+    Real series = fma(t, (Real)(7.122526186e-05f), (Real)(2.423642034e-04f));
+    series = fma(t, series, (Real)(3.491863407e-03f));
+    series = fma(t, series, (Real)(2.202380776e-02f));
+    series = fma(t, series, (Real)(9.973836443e-02f));
+    series = fma(t, series, (Real)(1.0f));
+    series *= series;
+    series *= series;
+    series *= series;
+    series *= series;
+    const float square = sigma * sigma;
+    const Real tail = DIVIDE(0.25f * square, series);
+    return x > 0.0f ? 0.5f * fma(x, x, (Real)(square)) - tail : tail;
+}
+
+// A voxel seen by the columns: half sum and half difference of its two boxes, what entries are divided by, its reach.
+typedef struct {
+    Real outer, inner, gain, reach;
+} Foot;
+
+static inline Foot foot_of(Real a, Real b, Real strength, float fill, float sigma) {
+    const Real thin = fmax(fmin(a, b), THINNEST);
+    const Real wide = sqrt(fmax(a * a + b * b - thin * thin, THINNEST * THINNEST));
+    Foot foot;
+    foot.outer = 0.5f * (wide + thin);
+    foot.inner = 0.5f * (wide - thin);
+    foot.gain = strength / (wide * thin * fill);
+    foot.reach = foot.outer + (0.5f * fill + TAIL * sigma);
+    return foot;
+}
+
+// Integral of the voxel's blurred trapezoid from -infinity to x, times the areas of its boxes.
+static inline Real edge(const Foot *foot, Real x, float sigma, float inverse_sigma) {
+    return (third_integral(x + foot->outer, sigma, inverse_sigma) + third_integral(x - foot->outer, sigma, inverse_sigma))
+         - (third_integral(x + foot->inner, sigma, inverse_sigma) + third_integral(x - foot->inner, sigma, inverse_sigma));
+}
+
+// Column of the light, its strength, and the gradient of the column across and along the light, at a voxel of one pose.
+static inline float4 look_up(__global const float2 *restrict light, int n_across, int n_along, float2 direction,
+                             float x, float y) {
+    const float across = fma(y, direction.x, -x * direction.y) + 0.5f * (n_across - 1);
+    const float along = fma(-x, direction.x, -y * direction.y) + 0.5f * (n_along - 1);
+    const int i = clamp((int)across, 0, n_across - 2), j = clamp((int)along, 0, n_along - 2);
+    const float p = across - i, q = along - j;
+    __global const float2 *here = light + i * n_along + j;
+    const float2 low = here[1] - here[0], high = here[n_along + 1] - here[n_along];
+    const float2 near = here[0] + q * low, by_across = here[n_along] + q * high - near;
+    return (float4)(near + p * by_across, by_across.x, low.x + p * (high.x - low.x));
+}
+
+// Half-integers below 2048 square exactly in float32, so both directions agree on every voxel.
+static inline bool within(float x, float y, float radius) { return x * x + y * y <= radius * radius; }
