@@ -12,31 +12,43 @@ QUANTITY = re.compile(r"\s*([-+]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\
 SPELLINGS = {
     "a length": ("mm", "um", "µm", "cm", "m"),
     "an absorption": ("1/mm", "/mm", "1/cm", "/cm"),
-    "an irradiance": ("mW/cm2", "mW/cm²", "mW/mm2", "mW/mm²"),
-    "a dose": ("mJ/cm3", "mJ/cm³", "mJ/mm3", "mJ/mm³"),
+    "an irradiance": ("mW/cm2", "W/cm2", "mW/mm2"),
+    "a dose": ("mJ/cm3", "J/cm3", "mJ/mm3"),
     "a speed": ("mm/min", "mm/s", "mm/h", "m/min"),
     "an angle": ("deg", "°", "rad"),
     "a time": ("ms", "s", "us", "µs", "min"),
     "a rate": ("Hz", "kHz"),
-    "a density": ("kg/m3", "kg/m³", "g/cm3", "g/cm³"),
+    "a density": ("kg/m3", "g/cm3"),
     "a viscosity": ("Pa s", "mPa s"),
     "a lens power": ("dpt",),
     "a data rate": ("MB/s", "GB/s"),
-    "a diffusivity": ("mm2/s", "mm²/s", "cm2/s", "cm²/s", "m2/s", "m²/s"),
+    "a diffusivity": ("mm2/s", "cm2/s", "m2/s"),
     "a molar mass": ("g/mol",),
-    "a concentration": ("mol/m3", "mol/m³", "mM", "mol/L"),
+    "a concentration": ("mol/m3", "mM", "mol/L"),
     "a temperature": ("K",),
     "a share of mass": ("wt%", "ppm"),
     "a wavelength": ("nm", "um", "µm"),
 }
-"""What is measured → the units it may be written in, the most usual first."""
+"""What is measured → the units it may be written in, the most usual first; `spelled` says how else."""
 EXAMPLES = {
-    "a length": "12.4 mm", "an absorption": "0.05 1/mm", "an irradiance": "5 mW/cm2", "a dose": "40 mJ/cm3",
+    "a length": "12.4 mm", "an absorption": "0.05 1/mm", "an irradiance": "65 mW/cm2", "a dose": "100 mJ/cm3",
     "a speed": "48 mm/min", "an angle": "0.5 deg", "a time": "5 ms", "a rate": "266 Hz", "a density": "1100 kg/m3",
     "a viscosity": "40 Pa s", "a lens power": "5 dpt", "a data rate": "400 MB/s", "a diffusivity": "3.27e-7 mm2/s",
     "a molar mass": "32 g/mol", "a concentration": "1 mol/m3", "a temperature": "293.15 K",
     "a share of mass": "0.4 wt%", "a wavelength": "405 nm",
 }  # fmt: skip
+
+
+RAISED = str.maketrans("⁻¹²³μ", "-123µ", "^")
+"""Raised digits as plain ones, Greek mu as the micro sign, no caret."""
+PER = re.compile(r"(.*?)[ ·]*(?<![a-z])([a-z]+)-([123])")
+
+
+def spelled(unit: str) -> str:
+    """A unit as `SPELLINGS` has it: ``mJ/cm³``, ``mJ/cm^3``, ``mJ cm-3`` and ``mJ cm⁻³`` are all ``mJ/cm3``."""
+    plain = unit.translate(RAISED)
+    per = PER.fullmatch(plain)
+    return plain if per is None else f"{per[1]}/{per[2]}{per[3] if per[3] != '1' else ''}"
 
 
 def parse(text: Any, kind: str, *, zero: bool = False) -> float:
@@ -47,9 +59,9 @@ def parse(text: Any, kind: str, *, zero: bool = False) -> float:
     match = QUANTITY.fullmatch(text)
     if match is None:
         raise ValueError(f"wanted {kind}, a number and a unit: {example}")
-    number, unit = float(match[1].replace("_", "")), match[2]
+    number, unit = float(match[1].replace("_", "")), spelled(match[2] or "")
     if unit not in SPELLINGS[kind]:
-        got = f"unit {unit!r}" if unit else "no unit"
+        got = f"unit {match[2]!r}" if unit else "no unit"
         raise ValueError(f"{got}; wanted {kind} in {', '.join(SPELLINGS[kind])}: {example}")
     value = number * NAMES[unit]
     if not isfinite(value) or value < 0 or (value == 0 and not zero):

@@ -1,6 +1,7 @@
 """Units as plain factors: the library computes in mm, s and mJ (so mW, mW/mm², mJ/mm³), numbers near one in float32.
 
-``67 * um`` is a length in mm; ``x / um`` reads one back in micrometres.
+``67 * um`` is a length in mm; ``x / um`` reads one back in micrometres. Irradiance and dose are written as
+laboratories do, ``65 * mW_cm2`` and ``100 * mJ_cm3``; 1 mW/mm² is 100 mW/cm² and 1 mJ/mm³ is 1000 mJ/cm³.
 """
 
 from __future__ import annotations
@@ -25,7 +26,11 @@ W = 1e3
 rad = 1.0
 deg = pi / 180.0
 mW_cm2 = mW / cm**2
+mW_mm2 = mW / mm**2
+W_cm2 = W / cm**2
 mJ_cm3 = mJ / cm**3
+mJ_mm3 = mJ / mm**3
+J_cm3 = J / cm**3
 mJ_cm2 = mJ / cm**2
 rpm = 2.0 * pi / minute
 dpt = 1.0 / m
@@ -43,7 +48,8 @@ NAMES = {
     "mJ": mJ, "J": J, "mW": mW, "W": W,
     "rad": rad, "deg": deg, "°": deg,
     "mW/cm2": mW_cm2, "mW/cm²": mW_cm2, "mJ/cm3": mJ_cm3, "mJ/cm³": mJ_cm3, "mJ/cm2": mJ_cm2, "mJ/cm²": mJ_cm2,
-    "mW/mm2": mW / mm**2, "mW/mm²": mW / mm**2, "mJ/mm3": mJ / mm**3, "mJ/mm³": mJ / mm**3,
+    "mW/mm2": mW_mm2, "mW/mm²": mW_mm2, "mJ/mm3": mJ_mm3, "mJ/mm³": mJ_mm3,
+    "W/cm2": W_cm2, "W/cm²": W_cm2, "J/cm3": J_cm3, "J/cm³": J_cm3,
     "1/mm": 1.0 / mm, "/mm": 1.0 / mm, "1/cm": 1.0 / cm, "/cm": 1.0 / cm,
     "rpm": rpm, "deg/s": deg / s, "mm/s": mm / s, "mm/min": mm / minute, "mm/h": mm / hour, "m/min": m / minute,
     "dpt": dpt, "MB/s": 1e6 / s, "GB/s": 1e9 / s,
@@ -52,4 +58,4 @@ NAMES = {
     "mol/m3": mol_m3, "mol/m³": mol_m3, "mM": mol_m3, "mol/L": 1e3 * mol_m3, "g/mol": g_mol, "K": K,
     "wt%": 1e-2, "ppm": 1e-6,
 }  # fmt: skip
-"""Spelling used in job files → factor."""
+"""Spelling used in job files → factor; `vamgpu.quantity.parse` reads further spellings of the same units."""

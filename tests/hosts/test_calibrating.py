@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vamgpu.calibration.pointspread import PointSpread
 from vamgpu.errors import BadInput, DeviceNotFound, JobError, StorageError
+from vamgpu.geometry import Beam
 from vamgpu.hosts.calibrating import axis as axis_run
 from vamgpu.hosts.calibrating import focus as focus_run
 from vamgpu.hosts.calibrating import gray as gray_run
@@ -110,6 +112,15 @@ def test_mtf_is_that_of_blur_mirrors_and_pixels() -> None:
         half = fine[np.argmax(truth.modulation(fine, place, 0.0, 0.0078) < 0.5)]
         assert found.numbers["mtf50_per_mm"][number] == pytest.approx(half, rel=0.02)
         assert np.abs(found.readings["modulation"][number] - wanted).max() < 0.04
+
+
+def test_a_saved_mtf_is_the_point_spread_of_a_beam(tmp_path: Path) -> None:
+    truth = Optics(seed=5)
+    place = save(mtf_run.mtf(rehearsed(truth=truth)[0], (-6.0, 0.0, 6.0)), tmp_path / "mtf", EMULATED)
+    for position in (-6.0, 0.0, 6.0):
+        found = PointSpread.load(place, truth.pitch, at=position)
+        assert found.width == pytest.approx(truth.blur(position, 0.0), rel=0.015)
+    assert Beam((4, 4), truth.pitch, spread=found).spread == found.width
 
 
 def test_mtf_follows_a_focus_that_was_calibrated(tmp_path: Path) -> None:

@@ -21,7 +21,23 @@ from vamgpu.units import NAMES
         ("0.5 1/cm", "an absorption", 0.05),
         ("0.05 /mm", "an absorption", 0.05),
         ("5 mW/cm2", "an irradiance", 0.05),
+        ("0.05 mW/mm²", "an irradiance", 0.05),
+        ("0.065 W/cm^2", "an irradiance", 0.65),
+        ("65 mW cm⁻²", "an irradiance", 0.65),
         ("40 mJ/cm³", "a dose", 0.04),
+        ("40 mJ/cm3", "a dose", 0.04),
+        ("40mJ/cm^3", "a dose", 0.04),
+        ("40 mJ cm-3", "a dose", 0.04),
+        ("40 mJ·cm⁻³", "a dose", 0.04),
+        ("0.1 J/cm^3", "a dose", 0.1),
+        ("0.1 J/cm3", "a dose", 0.1),
+        ("0.04 mJ/mm³", "a dose", 0.04),
+        ("0.05 mm⁻¹", "an absorption", 0.05),
+        ("0.5 cm^-1", "an absorption", 0.05),
+        ("25 μm", "a length", 0.025),
+        ("3.27e-7 mm²/s", "a diffusivity", 3.27e-7),
+        ("1100 kg/m³", "a density", 1.1e-9),
+        ("8 mol/m³", "a concentration", 8.0),
         ("48 mm/min", "a speed", 0.8),
         ("180 deg", "an angle", 3.141592653589793),
         ("266 Hz", "a rate", 266.0),
@@ -40,6 +56,21 @@ def test_units_become_mm_s_and_mj(text: str, kind: str, value: float) -> None:
 def test_what_is_no_length_is_refused_with_an_example(text: object) -> None:
     with pytest.raises(ValueError, match=r"wanted a length.*12\.4 mm"):
         parse(text, "a length")
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "said"),
+    [
+        ("65 mW", "an irradiance", r"unit 'mW'; wanted an irradiance in mW/cm2, W/cm2, mW/mm2.*65 mW/cm2"),
+        ("65 mJ/cm2", "an irradiance", "unit 'mJ/cm2'"),
+        ("100 mJ/cm²", "a dose", r"unit 'mJ/cm²'; wanted a dose in mJ/cm3, J/cm3, mJ/mm3.*100 mJ/cm3"),
+        ("100", "a dose", "no unit"),
+        ("100 mJ cm-2", "a dose", "unit 'mJ cm-2'"),
+    ],
+)
+def test_a_dose_is_no_exposure_and_an_irradiance_no_power(text: str, kind: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        parse(text, kind)
 
 
 def test_nothing_is_allowed_where_it_makes_sense() -> None:

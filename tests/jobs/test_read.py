@@ -18,8 +18,8 @@ def test_the_demo_reads_in_mm_and_mj() -> None:
     wanted = parse_job(JOB).wanted
     assert wanted.target.pitch == pytest.approx(0.09)
     assert wanted.vial is not None and wanted.vial.radius == 12.4
-    assert wanted.print is not None and wanted.print.irradiance == pytest.approx(0.05)
-    assert wanted.print.critical_dose == pytest.approx(0.04)
+    assert wanted.print is not None and wanted.print.irradiance == pytest.approx(0.65)
+    assert wanted.print.critical_dose == pytest.approx(0.05)
 
 
 def test_lines_are_found_through_comments_tables_and_long_values() -> None:
@@ -51,6 +51,7 @@ def line_with(text: str, words: str) -> int:
         ("iterations = 40", "iterations = 4.5", "solve.iterations: got 4.5; wanted a valid integer"),
         ("angles = 360", 'angles = "many"', "turntable.angles: got 'many'; wanted a valid integer"),
         ("resin_index = 1.49962", "resin_index = nan", "vial.resin_index: got nan"),
+        ("bath_index = 1.0", 'polarization = "x"', "vial.polarization: got 'x'; wanted 'none', 's' or 'p'"),
         ("resin_index = 1.49962", "resin_index = 0.9", "vial.resin_index: got 0.9"),
     ],
 )
@@ -59,6 +60,24 @@ def test_a_wrong_value_is_named_with_its_line(old: str, new: str, said: str) -> 
     with pytest.raises(JobError) as caught:
         parse_job(text, source="boat.toml")
     assert f"boat.toml, line {line_with(text, new)}: {said}" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("fill = 1.2", "beam.fill: got 1.2; wanted less than or equal to 1"),
+        ("fill = 0", "beam.fill: got 0; wanted greater than 0"),
+        ("spread = 0.025", "beam.spread: got 0.025; wanted a length with its unit in quotes"),
+        ('spread = "25"', "beam.spread: got '25'; no unit; wanted a length in mm"),
+        ('spread = "-1 um"', 'wanted a length ≥ 0: write it like "12.4 mm"; or the path of a calibration: spread = "'),
+        ('footprint = "area"', "beam.footprint: got 'area'; wanted 'exact' or 'joseph'"),
+    ],
+)
+def test_a_wrong_optic_of_the_beam_is_named_with_its_line(line: str, said: str) -> None:
+    text = JOB.replace("[beam]", "[beam]\n" + line)
+    with pytest.raises(JobError) as caught:
+        parse_job(text, source="boat.toml")
+    assert f"boat.toml, line {line_with(text, line)}: beam." in str(caught.value) and said in str(caught.value)
 
 
 def test_every_wrong_value_is_named_at_once() -> None:

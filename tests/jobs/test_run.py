@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from vamgpu.backend import devices, open_device
-from vamgpu.errors import BadInput, Cancelled, JobError, StorageError, TargetTooLarge
+from vamgpu.errors import BadInput, Cancelled, JobError, OpticsWarning, StorageError, TargetTooLarge
+from vamgpu.geometry import Beam
 from vamgpu.jobs.build import describe, projection_from, projection_of, target_of
 from vamgpu.jobs.demo import JOB, demo
 from vamgpu.jobs.read import parse_job
@@ -58,6 +60,44 @@ def test_a_geometry_reads_back_from_its_description() -> None:
         A = projection_of(job.wanted, target_of(job, device), device)
         B = projection_from(describe(A), device)
         assert (A.grid, A.beam, A.motion, A.vessel) == (B.grid, B.beam, B.motion, B.vessel)
+
+
+def test_a_beam_s_optics_go_into_the_job_folder_and_come_back(tmp_path: Path) -> None:
+    (tmp_path / "result.toml").write_text(
+        'calibration = "mtf"\n[measured]\npositions_mm = [0.0]\nblur_mm = [0.5]\npixel_mm = 0.01\n', encoding="utf-8")
+    optics = ["beam.fill=0.92", "beam.spread=25 um", "beam.footprint=joseph"]
+    cases = (
+        ([], Beam((4, 4), 0.6), "exact"),
+        (optics, Beam((4, 4), 0.6, 0.92, 0.025), "joseph"),
+        (["beam.spread=0 mm"], Beam((4, 4), 0.6, 1.0, 0.0), "exact"),
+        (["beam.spread=result.toml"], Beam((4, 4), 0.6, 1.0, (0.25 - (0.36 + 1e-4) / 12) ** 0.5), "exact"),
+    )
+    device = open_device("numpy")
+    for settings, beam, footprint in cases:
+        job = parse_job(JOB, [*SMALL[:3], "beam.pitch=0.6 mm", "beam.pixels=[4, 4]", *settings], folder=tmp_path)
+        A = projection_of(job.wanted, target_of(job, device), device, job.folder)
+        assert A.beam.fill == beam.fill and A.footprint == footprint
+        assert A.beam.spread == (None if beam.spread is None else pytest.approx(beam.spread, rel=1e-12))
+        described = json.loads(json.dumps(describe(A)))
+        B = projection_from(described, device)
+        assert (B.beam, B.footprint) == (A.beam, footprint)
+        for name, value in (("fill", beam.fill), ("footprint", footprint)):
+            assert described["beam"][name] == value
+
+
+def test_a_folder_from_before_the_optics_is_read_as_it_was_meant(tmp_path: Path) -> None:
+    done = demo(tmp_path, SMALL)
+    file = done.folder / "manifest.json"
+    data = json.loads(file.read_text(encoding="utf-8"))
+    for name in ("fill", "spread", "footprint"):
+        del data["inputs"]["geometry"]["beam"][name]
+    del data["inputs"]["geometry"]["vessel"]["polarization"]
+    file.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.warns(OpticsWarning, match="fill 1, spread 0, footprint joseph.*solve it again"):
+        proof = prove(done.folder, "numpy").proof
+    A = proof.operator
+    assert (A.beam.fill, A.beam.spread, A.footprint) == (1.0, 0.0, "joseph")
+    assert A.vessel == done.proven.proof.operator.vessel
 
 
 def test_an_interrupted_job_leaves_nothing(tmp_path: Path) -> None:

@@ -67,19 +67,19 @@ def test_columns_beyond_the_aperture_bring_nothing() -> None:
 # ---- bent rays -----------------------------------------------------------------------------------------------------
 def enter(vial: GradedVial, u: float) -> tuple[np.ndarray, np.ndarray, float]:
     """Place and direction behind the inner face and transmitted share, by Snell's law in vectors, face by face."""
-    place, along, share, before = np.array([u, -9.0 * vial.radius]), np.array([0.0, 1.0]), 1.0, vial.bath_index
+    place, along, faces, before = np.array([u, -9.0 * vial.radius]), np.array([0.0, 1.0]), [], vial.bath_index
     for radius, after in ((vial.radius, vial.wall_index), (vial.inner_radius, None)):
         b = place @ along
         place = place + (-b - np.sqrt(b**2 - place @ place + radius**2)) * along
         after = after or float(np.sqrt(vial.resin.look(np.array([[*place, 0.0]]))[1][0]))
         out = refract(along, place / radius, before, after)
         cos_in, cos_out = (np.abs(np.array([d @ place / radius])) for d in (along, out))
-        share *= float(transmittance(cos_in, cos_out, before, after)[0])
+        faces.append((cos_in, cos_out, before, after))
         along, before = out, after
-    return place, along, share
+    return place, along, float(transmittance(faces, vial.polarization)[0])
 
 
-@pytest.mark.parametrize("vial", [GRADED, GRIDDED, ROUND])
+@pytest.mark.parametrize("vial", [GRADED, GRIDDED, replace(GRIDDED, polarization="s"), ROUND])
 def test_every_point_of_a_ray_finds_its_column_and_its_density(vial: GradedVial) -> None:
     step, columns = 2e-4, np.array([-4.1, -2.0, 0.3, 1.7, 3.9])
     entered = [enter(vial, u + k * step) for u in columns for k in (-1, 0, 1)]

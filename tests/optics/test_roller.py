@@ -226,6 +226,27 @@ def test_substrate_keeps_snells_invariant() -> None:
     assert head_on == pytest.approx((1 - (0.32 / 2.98) ** 2) * (1 - (0.16 / 3.14) ** 2))
 
 
+@pytest.mark.parametrize("polarization", ["none", "s", "p"])
+def test_a_substrate_takes_from_s_and_p_light_on_its_own(polarization: str) -> None:
+    """Both faces' amplitudes r_s and r_p from Snell's invariant alone; unpolarized light keeps the mean product."""
+    u = np.linspace(-10.0, 10.0, 41)
+    machine = roller(Film(3.0, 1.49, 1.33, 0.22, substrate=(0.075, 1.65)), polarization=polarization)
+    kept = np.ones((2, u.size))
+    for radius, before, after in ((10.575, 1.33, 1.65), (10.5, 1.65, 1.49)):
+        one, two = (np.cos(np.arcsin(1.33 * u / (radius * index))) for index in (before, after))
+        kept[0] *= 1 - ((before * one - after * two) / (before * one + after * two)) ** 2
+        kept[1] *= 1 - ((after * one - before * two) / (after * one + before * two)) ** 2
+    wanted = {"none": kept.mean(axis=0), "s": kept[0], "p": kept[1]}[polarization]
+    traced = machine.trace(u)
+    np.testing.assert_allclose(machine.transmittance(u), wanted, rtol=1e-12)
+    np.testing.assert_allclose(traced.transmittance, wanted, rtol=1e-12)
+    first = traced.segments.before == 0
+    np.testing.assert_allclose(traced.segments.power[first], wanted[traced.segments.ray[first]], rtol=1e-12)
+    np.testing.assert_allclose(machine.gain(u, 1.05), np.minimum(1 / wanted, 1.05), rtol=1e-12)
+    limit = machine.coverage(1.05)
+    assert machine.transmittance(10.5 * math.sin(limit.clipped)) == pytest.approx(1 / 1.05, rel=1e-9)
+
+
 def test_compensation_is_clipped_and_says_what_it_costs() -> None:
     machine, plain = roller(compensation=2.0), roller()
     beam = machine.beam(0.05, 4)

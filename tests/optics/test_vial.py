@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,12 +18,13 @@ WATER = Vial(radius=8.0, wall=0.7, resin_index=1.48, wall_index=1.52, bath_index
 DENSE_BATH = Vial(radius=10.0, wall=1.5, resin_index=1.45, wall_index=1.47, bath_index=1.5, absorption=0.1)
 BARE = Vial(radius=10.0, wall=0.0, resin_index=1.5, wall_index=1.47, bath_index=1.0, absorption=0.1)
 MATCHED = Vial(radius=10.0, wall=1.0, resin_index=1.5, wall_index=1.5, bath_index=1.5, absorption=0.1)
-VIALS = [PAPER, WATER, DENSE_BATH, BARE, MATCHED]
+POLARIZED = [replace(PAPER, polarization="s"), replace(PAPER, polarization="p"), replace(BARE, polarization="p")]
+VIALS = [PAPER, WATER, DENSE_BATH, BARE, MATCHED, *POLARIZED]
 
 
 def _cross(point: tuple[float, float], heading: float, radius: float, before: float, after: float
-           ) -> tuple[tuple[float, float], float, float]:
-    """March to the circle, then refract: new point, new heading [rad from +X], power transmittance."""
+           ) -> tuple[tuple[float, float], float, np.ndarray]:
+    """March to the circle, then refract: new point, new heading [rad from +X], power shares of s and p light."""
     dx, dy = math.cos(heading), math.sin(heading)
     along = point[0] * dx + point[1] * dy
     distance = -along - math.sqrt(along**2 - point[0] ** 2 - point[1] ** 2 + radius**2)
@@ -33,17 +35,19 @@ def _cross(point: tuple[float, float], heading: float, radius: float, before: fl
     c1, c2 = math.cos(incidence), math.cos(refraction)
     across = (before * c1 - after * c2) / (before * c1 + after * c2)
     along_plane = (after * c1 - before * c2) / (after * c1 + before * c2)
-    return hit, inward + refraction, 1.0 - 0.5 * (across**2 + along_plane**2)
+    return hit, inward + refraction, 1.0 - np.array([across, along_plane]) ** 2
 
 
 def _trace(vial: Vial, u: float) -> tuple[tuple[float, float], float, float]:
     """Place where column u enters the resin, its heading there, and the share of its power that gets there."""
     inner = vial.radius - vial.wall
+    kept = np.array({"none": [0.5, 0.5], "s": [1.0, 0.0], "p": [0.0, 1.0]}[vial.polarization])
     if vial.wall == 0:
-        return _cross((u, -3 * vial.radius), 0.5 * math.pi, inner, vial.bath_index, vial.resin_index)
+        hit, heading, only = _cross((u, -3 * vial.radius), 0.5 * math.pi, inner, vial.bath_index, vial.resin_index)
+        return hit, heading, float(kept @ only)
     hit, heading, first = _cross((u, -3 * vial.radius), 0.5 * math.pi, vial.radius, vial.bath_index, vial.wall_index)
     hit, heading, second = _cross(hit, heading, inner, vial.wall_index, vial.resin_index)
-    return hit, heading, first * second
+    return hit, heading, float(kept @ (first * second))
 
 
 def _miss(vial: Vial, u: float, point: tuple[float, float]) -> float:
@@ -141,6 +145,28 @@ def test_matched_vial_leaves_rays_straight() -> None:
     u, weight = MATCHED.illuminate(x, y)
     np.testing.assert_allclose(u, x, atol=1e-12)
     np.testing.assert_allclose(weight, 0.1 * np.exp(-0.1 * (y + np.sqrt(81.0 - x**2))), rtol=1e-12)
+
+
+def test_p_light_crosses_a_bare_face_whole_at_brewster_s_angle() -> None:
+    """tan φ = n: the ray at u = R·sin φ. What s light loses there is r_s², ((n² − 1)/(n² + 1))²."""
+    n, u = 1.5, 10.0 * math.sin(math.atan(1.5))
+    kept = 1.0 - ((n**2 - 1.0) / (n**2 + 1.0)) ** 2
+    for polarization, share in (("p", 1.0), ("s", kept), ("none", 0.5 * (1.0 + kept))):
+        vial = replace(BARE, polarization=polarization)
+        assert vial.chords(u).transmittance == pytest.approx(share, abs=1e-14)
+        assert vial.illuminate(0.0, 0.0)[1] == pytest.approx(0.96 * n * 0.1 * math.exp(-1.0), rel=1e-12)
+
+
+def test_light_without_polarization_is_half_s_and_half_p() -> None:
+    u = np.linspace(-1.0, 1.0, 301) * PAPER.aperture
+    plain, s, p = (replace(PAPER, polarization=name).chords(u).transmittance for name in ("none", "s", "p"))
+    np.testing.assert_allclose(plain, 0.5 * (s + p), rtol=1e-14)
+    # At 8 mm in the resin, where two faces of a vial in air reflect a quarter of the light.
+    at = PAPER.resin_index * 8.0
+    shares = [float(replace(PAPER, polarization=name).chords(at).transmittance) for name in ("none", "s", "p")]
+    assert shares == pytest.approx([0.744668, 0.604047, 0.885289], abs=5e-7)
+    with pytest.raises(BadInput, match="'circular'.*'none'.*'s'.*'p'"):
+        replace(PAPER, polarization="circular")
 
 
 def test_columns_that_miss_carry_nothing() -> None:

@@ -40,19 +40,19 @@ def enter(start: np.ndarray, heading: np.ndarray, radius: float) -> np.ndarray:
 
 
 def refract(heading: np.ndarray, normal: np.ndarray, before: float, after: float) -> tuple[np.ndarray, np.ndarray]:
-    """Snell's law for vectors, normal against the light: new heading and Fresnel's share of unpolarized power."""
+    """Snell's law for vectors, normal against the light: new heading, Fresnel's shares of s and p light [..., 2]."""
     cos_in = -np.sum(heading * normal, axis=-1)
     sin_out = (before / after) * (heading + cos_in[..., None] * normal)
     with np.errstate(invalid="ignore"):
         cos_out = np.sqrt(1.0 - np.sum(sin_out**2, axis=-1))
     s = ((before * cos_in - after * cos_out) / (before * cos_in + after * cos_out)) ** 2
     p = ((after * cos_in - before * cos_out) / (after * cos_in + before * cos_out)) ** 2
-    return sin_out - cos_out[..., None] * normal, 1.0 - 0.5 * (s + p)
+    return sin_out - cos_out[..., None] * normal, 1.0 - np.stack([s, p], axis=-1)
 
 
 def through_vial(vial: vam.Vial, start: np.ndarray, heading: np.ndarray) -> Rays:
     """Rays behind both faces of the wall; power 0 where they miss the resin."""
-    power = np.ones(start.shape[:-1])
+    shares = np.ones((*start.shape[:-1], 2))
     inner = vial.radius - vial.wall
     for radius, before, after in (
         (vial.radius, vial.bath_index, vial.wall_index),
@@ -60,7 +60,8 @@ def through_vial(vial: vam.Vial, start: np.ndarray, heading: np.ndarray) -> Rays
     ):
         start = enter(start, heading, radius)
         heading, share = refract(heading, start / radius, before, after)
-        power = power * share
+        shares = shares * share
+    power = shares @ {"none": [0.5, 0.5], "s": [1.0, 0.0], "p": [0.0, 1.0]}[vial.polarization]
     length = -2.0 * np.sum(start * heading, axis=-1)
     missed = np.isnan(power)
     return Rays(np.where(missed[..., None], 0.0, start), np.where(missed[..., None], 0.0, heading),

@@ -15,6 +15,7 @@ from vamgpu.printing.dose import absorbed_dose
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.simulate import simulate
+from vamgpu.units import mJ_cm3, mW_cm2
 
 GRID = Grid((20, 20, 10), 0.2)
 BEAM = Beam((26, 10), 0.25)
@@ -84,6 +85,20 @@ def test_the_predicted_exposure_brings_the_threshold_to_the_critical_dose(device
     assert proof.exposure.energy == pytest.approx(sent, rel=1e-5)
     assert proof.part_share == pytest.approx(dose[inside].sum() * GRID.voxel_volume / sent, rel=1e-5)
     assert proof.light_efficiency == pytest.approx(frames.light.mean() / frames.scale, rel=1e-5)
+
+
+def test_irradiance_and_dose_are_told_as_laboratories_write_them() -> None:
+    A = Projection(GRID, BEAM, TURN, VIAL, "numpy")
+    frames, target = shown(A), ball(GRID.shape)
+    proof = simulate(A, frames, target, irradiance=65 * mW_cm2, critical_dose=100 * mJ_cm3)
+    assert proof.exposure is not None
+    assert (proof.exposure.irradiance, proof.exposure.critical_dose) == pytest.approx((0.65, 0.1))
+    meaning = next(line.meaning for line in proof.lines() if line.name == "exposure")
+    assert meaning == "until the threshold is solid, at 65 mW/cm² full-on and 100 mJ/cm³"
+    with pytest.raises(BadInput, match=r"irradiance is -65 \* mW_cm2; expected .* > 0 times vamgpu\.units\.mW_cm2"):
+        simulate(A, frames, target, irradiance=-65 * mW_cm2, critical_dose=100 * mJ_cm3)
+    with pytest.raises(BadInput, match=r"critical_dose is '100'; expected .*mJ_cm3"):
+        simulate(A, frames, target, irradiance=65 * mW_cm2, critical_dose="100")  # type: ignore[arg-type]
 
 
 def test_scores_do_not_change_with_the_scale_of_the_light(device: Device) -> None:

@@ -104,7 +104,7 @@ def mtf(
 
     Args:
         rig: the TOML file of the rig, or emulated
-        out: folder of the result
+        out: folder of the result; a job's beam.spread may name it
         at: positions of the camera from its stage's middle [mm]; 0, ±6 and ±15 by default
         focused: result of vam calibrate focus, by which the lens focuses on each position; else it stays as it is
         angle: of the edge against columns [deg]

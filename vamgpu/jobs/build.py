@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict
 from math import ceil
 from pathlib import Path
 from typing import Any
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import JobError, OutOfMemory, StorageError
+from vamgpu.errors import JobError, OpticsWarning, OutOfMemory, StorageError
 from vamgpu.geometry import Beam, Grid, Turntable
-from vamgpu.jobs.model import FramesSection, JobFile
+from vamgpu.jobs.model import BeamSection, FramesSection, JobFile
 from vamgpu.jobs.read import Job
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat
@@ -21,6 +22,8 @@ SPARE = 2
 """Pixels a beam reaches beyond the part on every side where the job does not say how many it has."""
 
 VESSELS = {"vial": Vial, "vat": Vat}
+OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0, "footprint": "joseph"}
+"""What beams were taken for by folders that do not say it."""
 
 
 def target_of(job: Job, device: Device) -> Target:
@@ -54,21 +57,35 @@ def vessel_of(wanted: JobFile) -> Vial | Vat | None:
     return Vat(**wanted.vat.model_dump()) if wanted.vat is not None else None
 
 
-def projection_of(wanted: JobFile, target: Target, device: Device) -> Projection:
-    """The projector of a job. Raises `TargetTooLarge` where light does not reach the whole part."""
+def projection_of(wanted: JobFile, target: Target, device: Device, folder: Path = Path()) -> Projection:
+    """The projector of a job whose paths are relative to ``folder``.
+
+    Raises `TargetTooLarge` where light does not reach the whole part, `StorageError`, `BadInput` for a calibration that
+    cannot be read.
+    """
     vessel = vessel_of(wanted)
     if vessel is not None:
         vessel.check_fits(target.radius)
     pixels = wanted.beam.pixels or _covering(target, vessel, wanted.beam.pitch)
-    beam, motion = Beam(pixels, wanted.beam.pitch), Turntable(wanted.turntable.angles)
+    beam, motion = beam_of(wanted.beam, pixels, folder), Turntable(wanted.turntable.angles)
     try:
-        A = Projection(target.grid, beam, motion, vessel, device)
+        A = Projection(target.grid, beam, motion, vessel, device, footprint=wanted.beam.footprint)
     except MemoryError as error:
         raise OutOfMemory(
             f"a beam of {pixels[0]} × {pixels[1]} pixels of {beam.pitch:g} mm needs more memory than this machine has "
             f"({error}); use a larger beam.pitch"
         ) from error
     return A
+
+
+def beam_of(section: BeamSection, pixels: tuple[int, int], folder: Path) -> Beam:
+    """The light of a job. Raises `StorageError`, `BadInput` for a calibration that cannot be read."""
+    spread: Any = section.spread
+    if isinstance(spread, str):
+        from vamgpu.calibration.pointspread import PointSpread
+
+        spread = PointSpread.load(folder / spread, section.pitch, section.fill)
+    return Beam(pixels, section.pitch, section.fill, spread)
 
 
 def _covering(target: Target, vessel: Vial | Vat | None, pitch: float) -> tuple[int, int]:
@@ -92,20 +109,38 @@ def describe(A: Projection) -> dict[str, Any]:
     kind = next((name for name, cls in VESSELS.items() if isinstance(A.vessel, cls)), None)
     return {
         "grid": {"shape": list(A.grid.shape), "pitch": A.grid.pitch},
-        "beam": {"pixels": list(A.beam.pixels), "pitch": A.beam.pitch},
+        "beam": {**asdict(A.beam), "pixels": list(A.beam.pixels), "footprint": A.footprint},
         "turntable": {"angles": A.motion.angles},
         "vessel": None if kind is None else {"kind": kind, **asdict(A.vessel)},  # type: ignore[call-overload]
     }
 
 
 def projection_from(description: dict[str, Any], device: Device) -> Projection:
-    """The projector that `describe` described. Raises `StorageError` for a description that is not one."""
+    """The projector that `describe` described. Raises `StorageError` for a description that is not one.
+
+    Warns:
+        OpticsWarning: the description is older than the beam's optics, and means light without any.
+    """
     try:
-        grid, beam = description["grid"], description["beam"]
+        grid, beam = description["grid"], _with_optics(description["beam"])
+        footprint, pixels = beam.pop("footprint"), tuple(beam.pop("pixels"))
         fields = dict(description["vessel"] or {})
         vessel = VESSELS[fields.pop("kind")](**fields) if fields else None
         motion = Turntable(description["turntable"]["angles"])
-        nouns = (Grid(tuple(grid["shape"]), grid["pitch"]), Beam(tuple(beam["pixels"]), beam["pitch"]), motion)
+        nouns = (Grid(tuple(grid["shape"]), grid["pitch"]), Beam(pixels, **beam), motion)
     except (KeyError, TypeError, ValueError) as error:
         raise StorageError(f"the manifest garbles its geometry: {error}; write the job again") from error
-    return Projection(*nouns, vessel, device)
+    return Projection(*nouns, vessel, device, footprint=footprint)
+
+
+def _with_optics(beam: dict[str, Any]) -> dict[str, Any]:
+    """A described beam with all its fields. Folders without optics were solved for a perfect lens and single rays."""
+    if set(OPTICS) <= set(beam):
+        return dict(beam)
+    warnings.warn(
+        "the folder says nothing of the beam's fill and point spread: it was solved for pixels lit all over, a perfect "
+        "lens and one ray a pixel, and is read so (fill 1, spread 0, footprint joseph); solve it again for the light "
+        "that a lens makes",
+        OpticsWarning, stacklevel=3,
+    )  # fmt: skip
+    return OPTICS | beam

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, model_validator
 
-from vamgpu.jobs.model import Count, Index, Listed, Section
+from vamgpu.jobs.model import Count, Index, Listed, Polarization, Section
 from vamgpu.jobs.quantity import Absorption, Angle, DataRate, Density, Length, LensPower, Rate, Speed, Thickness, Time
 from vamgpu.jobs.quantity import Viscosity as ViscosityValue
 from vamgpu.jobs.read import checked, read_text
@@ -74,6 +74,7 @@ class RollerSection(Section):
     radius: Length
     step: Angle
     legs: Thickness | None = None
+    polarization: Polarization = "none"
 
 
 class LensSection(Section):
@@ -145,7 +146,7 @@ def parse_limits(text: str, settings: Iterable[str] = (), *, source: str = "mach
     """The limits of a machine from TOML text. Raises `JobError` naming every wrong value, and `BadInput`."""
     file, _ = checked(MachineFile, text, settings, source=source)
     film = Film(**file.film.model_dump())
-    roller = Roller(file.roller.radius, film, file.roller.step, file.roller.legs)
+    roller = Roller(film=film, **file.roller.model_dump())
     display = Display(**{**file.display.model_dump(), "link": file.display.link or inf})
     return Limits(
         roller, lens_of(file.lens, file.film), display, file.web.speed, file.web.length, file.lens.depth_of_focus,

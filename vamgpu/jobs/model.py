@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from vamgpu.jobs.quantity import Absorption, DoseValue, Irradiance, Length, Thickness
+from vamgpu.jobs.quantity import Absorption, DoseValue, Irradiance, Length, Spread, Thickness
 
 
 def _tupled(value: Any) -> Any:
@@ -17,6 +17,7 @@ Listed = BeforeValidator(_tupled)
 Index = Annotated[float, Field(ge=1.0, le=5.0)]
 Count = Annotated[int, Field(ge=1)]
 Row = tuple[float, float, float]
+Polarization = Literal["none", "s", "p"]
 
 
 class Misplaced(ValueError):
@@ -54,10 +55,18 @@ class TargetSection(Section):
 
 
 class BeamSection(Section):
-    """The projector's light: pixel edge in air, and how many; by default as many as the part needs."""
+    """The projector's light: pixel edge in air, and how many; by default as many as the part needs.
+
+    fill: share of a pixel's area that is lit.  spread: standard deviation of the point spread in the resin, "0 um" for
+    a perfect lens, or the result of `vam calibrate mtf`; half a pixel where nothing is said.  footprint: how a pixel
+    meets a voxel: "exact", by its area, or "joseph", by one ray.
+    """
 
     pitch: Length
     pixels: Annotated[tuple[Count, Count] | None, Listed] = None
+    fill: Annotated[float, Field(gt=0, le=1)] = 1.0
+    spread: Spread | None = None
+    footprint: Literal["exact", "joseph"] = "exact"
 
 
 class TurntableSection(Section):
@@ -75,6 +84,7 @@ class VialSection(Section):
     wall_index: Index
     bath_index: Index = 1.0
     absorption: Absorption = 0.0
+    polarization: Polarization = "none"
 
 
 class VatSection(Section):
@@ -87,6 +97,7 @@ class VatSection(Section):
     resin_index: Index = 1.0
     wall_index: Index = 1.0
     bath_index: Index = 1.0
+    polarization: Polarization = "none"
 
 
 class SolveSection(Section):

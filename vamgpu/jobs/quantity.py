@@ -19,6 +19,20 @@ def _as(kind: str, *, zero: bool = False) -> BeforeValidator:
 
 Length = Annotated[float, _as("a length")]
 Thickness = Annotated[float, _as("a length", zero=True)]
+
+
+def _spread(text: Any) -> float | str:
+    """A length, or the path of a calibration: what begins like a number and is no file is a length."""
+    if isinstance(text, str) and (text.endswith(".toml") or "/" in text or "\\" in text or text[:1].isalpha()):
+        return text
+    try:
+        return parse(text, "a length", zero=True)
+    except ValueError as error:
+        raise ValueError(f"{error}; or the path of a calibration: spread = \"mtf/result.toml\"") from error
+
+
+Spread = Annotated[float | str, BeforeValidator(_spread)]
+"""Of a point spread: 0 and above, or the path of what `vam calibrate mtf` wrote."""
 Absorption = Annotated[float, _as("an absorption", zero=True)]
 Irradiance = Annotated[float, _as("an irradiance")]
 Background = Annotated[float, _as("an irradiance", zero=True)]

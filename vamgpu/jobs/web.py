@@ -158,7 +158,7 @@ def stream_of(job: WebJob) -> Stream:
 
 def roller_of(wanted: WebFile) -> Roller:
     """The machine of a job."""
-    return Roller(wanted.roller.radius, Film(**wanted.film.model_dump()), wanted.roller.step, wanted.roller.legs)
+    return Roller(film=Film(**wanted.film.model_dump()), **wanted.roller.model_dump())
 
 
 def target_of(job: WebJob) -> Any:

@@ -61,10 +61,9 @@ def turn(faces: Sequence[Face], u: Floats) -> tuple[Floats, Floats, Floats]:
     return cos_all, sin_all, slope
 
 
-def transmit(faces: Sequence[Face], u: Floats) -> Floats:
-    """Share of unpolarized power that crosses all the faces, for the columns u [mm]."""
-    share = np.ones_like(u)
-    for face in faces:
-        sin_in, sin_out = face.sines(u)
-        share = share * transmittance(_cosine(sin_in), _cosine(sin_out), face.outer_index, face.inner_index)
-    return share
+def transmit(faces: Sequence[Face], u: Floats, polarization: str = "none") -> Floats:
+    """Share of the power that crosses all the faces, for the columns u [mm]; ``polarization`` as in `transmittance`."""
+    sines = (face.sines(u) for face in faces)
+    return transmittance(
+        [(_cosine(sin_in), _cosine(sin_out), face.outer_index, face.inner_index)
+         for face, (sin_in, sin_out) in zip(faces, sines, strict=True)], polarization)  # fmt: skip

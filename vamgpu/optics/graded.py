@@ -13,7 +13,7 @@ from vamgpu.errors import BadInput, RayError
 from vamgpu.geometry import Chords, positive
 from vamgpu.optics.index_field import FormulaField, FunctionField, GridField, Region
 from vamgpu.optics.inputs import Floats, absorbed_share, as_offsets, index
-from vamgpu.optics.interface import impact_after, transmittance
+from vamgpu.optics.interface import Crossing, impact_after, polarized, transmittance
 from vamgpu.optics.march import march
 from vamgpu.optics.ray_sheet import RaySheet, through
 from vamgpu.optics.vial import LARGEST_DENSITY
@@ -38,6 +38,7 @@ class GradedVial:
         absorption: of the resin, natural logarithm [1/mm].
         rays: that are traced; everything between them is by cubic splines.
         rows: places kept of each ray.
+        polarization: of the light, as for `Vial`.
 
     Raises:
         BadInput: a value that cannot be used.
@@ -52,12 +53,14 @@ class GradedVial:
     absorption: float = 0.0
     rays: int = 513
     rows: int = 257
+    polarization: str = "none"
 
     def __post_init__(self) -> None:
         for name, zero in (("radius", False), ("wall", True), ("absorption", True)):
             object.__setattr__(self, name, positive(f"GradedVial {name}", getattr(self, name), zero=zero))
         for name in ("wall_index", "bath_index"):
             object.__setattr__(self, name, index(f"GradedVial {name}", getattr(self, name)))
+        object.__setattr__(self, "polarization", polarized("GradedVial polarization", self.polarization))
         if self.wall >= self.radius:
             raise BadInput(f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; wanted less")
         if not isinstance(self.resin, (FormulaField, GridField, FunctionField)):
@@ -121,12 +124,12 @@ class GradedVial:
     def _share(self, u: Floats) -> Floats:
         """Power that crosses both faces."""
         _, _, behind, sine = self._entry(u)
-        share, front = np.ones_like(u), self._outer_index
+        front = self._outer_index
+        crossings: list[Crossing] = [(_cosine(sine), _cosine(sine * front / behind), front, behind)]
         if self.wall > 0:
             cos_in, cos_out = _cosine(u / self.radius), _cosine(impact_after(u, self.bath_index, front) / self.radius)
-            share = transmittance(cos_in, cos_out, self.bath_index, front)
-        any_index: Any = behind
-        return share * transmittance(_cosine(sine), _cosine(sine * front / behind), front, any_index)
+            crossings.append((cos_in, cos_out, self.bath_index, front))
+        return transmittance(crossings, self.polarization)
 
     # ---- the rays --------------------------------------------------------------------------------------------------
     def _node(self, u: Floats) -> Floats:

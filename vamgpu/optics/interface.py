@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.optics.inputs import Floats
+
+Index = float | Floats
+Crossing = tuple[Floats, Floats, Index, Index]
+"""Cosines of incidence and refraction at a face, refractive indices before and behind it."""
+
+POLARIZATIONS = ("none", "s", "p")
+"""What light may be: unpolarized; its field along the axis of the vial, parallel to every face; or across the axis, in
+the plane of incidence."""
 
 
 def impact_after(impact: Floats, index_before: float, index_after: float) -> Floats:
@@ -41,20 +51,54 @@ def refract(direction: Floats, normal: Floats, index_before: float, index_after:
     return ratio * direction + (np.sqrt(square) - ratio * cos_before) * facing
 
 
-def transmittance(cos_before: Floats, cos_after: Floats, index_before: float, index_after: float) -> Floats:
-    """Share of unpolarized power that crosses the face (Fresnel), the mean of both polarizations.
+def fresnel(cos_before: Floats, cos_after: Floats, index_before: Index, index_after: Index) -> Floats:
+    """Shares of the power of s and of p light that cross the face (Fresnel's equations for power).
 
     Args:
-        cos_before: cosine of the angle of incidence, at least 0.
-        cos_after: cosine of the angle of refraction, at least 0.
-        index_before: refractive index on the side the light comes from.
+        cos_before: cosine of the angle of incidence, at least 0, any shape.
+        cos_after: cosine of the angle of refraction, at least 0, same shape.
+        index_before: refractive index on the side the light comes from, a number or the same shape.
         index_after: refractive index on the other side.
+
+    Returns:
+        Shape (..., 2): the share of s, whose field is parallel to the face, then that of p, whose field lies in the
+        plane of incidence.
     """
-    across_in, across_out = index_before * cos_before, index_after * cos_after
-    along_in, along_out = index_after * cos_before, index_before * cos_after
-    both = 4.0 * across_in * across_out
+    s_in, s_out = index_before * cos_before, index_after * cos_after
+    p_in, p_out = index_after * cos_before, index_before * cos_after
+    both = 4.0 * s_in * s_out
     # Grazing rays make both sums vanish together; they transmit nothing.
     tiny = np.finfo(np.float64).tiny
-    across = both / np.maximum((across_in + across_out) ** 2, tiny)
-    along = both / np.maximum((along_in + along_out) ** 2, tiny)
-    return 0.5 * (across + along)
+    return np.stack([both / np.maximum((s_in + s_out) ** 2, tiny), both / np.maximum((p_in + p_out) ** 2, tiny)], -1)
+
+
+def left(shares: Floats, polarization: str) -> Floats:
+    """Share of the light's power that is left of it.
+
+    Args:
+        shares: what is left of s and of p light, shape (..., 2).
+        polarization: of the light, one of `POLARIZATIONS`; light without one is half s, half p.
+    """
+    return shares.mean(axis=-1) if polarization == "none" else shares[..., POLARIZATIONS.index(polarization) - 1]
+
+
+def transmittance(crossings: Iterable[Crossing], polarization: str = "none") -> Floats:
+    """Share of the power that crosses all the faces one after the other.
+
+    At every face s light stays s and p light stays p, so that each has its own product over the faces. Unpolarized
+    light leaves the mean of the two products. The product of the means is another number: what the first face let
+    pass is richer in p, which the next face lets pass better.
+
+    Args:
+        crossings: of each face the four arguments of `fresnel`.
+        polarization: of the light, one of `POLARIZATIONS`.
+    """
+    return left(np.prod([fresnel(*crossing) for crossing in crossings], axis=0), polarization)
+
+
+def polarized(name: str, value: object) -> str:
+    """``value`` if it is one of `POLARIZATIONS`, else `BadInput`."""
+    if not isinstance(value, str) or value not in POLARIZATIONS:
+        raise BadInput(f"{name} is {value!r}; expected 'none' for unpolarized light, 's' for light whose field lies "
+                       "along the axis of rotation, or 'p' for light whose field lies across it")
+    return value

@@ -13,6 +13,7 @@ from vamgpu.geometry import Beam, centers, counts, positive
 from vamgpu.optics.faces import Face, transmit
 from vamgpu.optics.film import Film
 from vamgpu.optics.inputs import Floats, as_offsets
+from vamgpu.optics.interface import polarized
 from vamgpu.optics.roller_cells import cells
 from vamgpu.optics.roller_coverage import Coverage, coverage
 from vamgpu.optics.roller_index import FilmIndex
@@ -43,6 +44,7 @@ class Roller:
     thicknesses from the roller.  rays, fan: rays across the width and across the fan of a column; where the walls of
     voxels run along the light, a voxel's share of a column is known to one ray.  index: of the resin where it changes
     from place to place: rays are then marched through the film; coverage, gain and aperture keep to the film's own.
+    polarization: of the light: "none", "s" (its field along the roller's axis) or "p" (across it).
 
     Raises `BadInput`: a value out of range; `RayError`: legs left open for a film that absorbs nothing.
     """
@@ -58,6 +60,7 @@ class Roller:
     rays: int = 32
     fan: int = 9
     index: FilmIndex | None = None
+    polarization: str = "none"
 
     def __post_init__(self) -> None:
         if not isinstance(self.film, Film):
@@ -72,6 +75,7 @@ class Roller:
             _bounded(f"Roller {name}", getattr(self, name), most, f"at most {most:.4g}")
         if self.compensation is not None and not positive("Roller compensation", self.compensation) >= 1.0:
             raise BadInput(f"Roller compensation is {self.compensation:g}; wanted a gain of at least 1, or None")
+        object.__setattr__(self, "polarization", polarized("Roller polarization", self.polarization))
         rays, fan = counts("Roller rays and fan", (self.rays, self.fan), 2)
         object.__setattr__(self, "rays", rays)
         object.__setattr__(self, "fan", fan)
@@ -123,12 +127,12 @@ class Roller:
 
     def coverage(self, limit: float | None = None) -> Coverage:
         """Angles from which light reaches the film, and what clipping the compensation at ``limit`` costs of them."""
-        return coverage(self.film, self.radius, limit or self.compensation or LARGEST_GAIN)
+        return coverage(self.film, self.radius, limit or self.compensation or LARGEST_GAIN, self.polarization)
 
     def transmittance(self, u: ArrayLike) -> Floats:
         """Power that enters the curved film from columns at offsets u [mm], parallel light; 0 where it misses."""
         offsets = as_offsets("u", u)
-        return np.where(np.abs(offsets) < self.aperture, transmit(self.faces, offsets), 0.0)
+        return np.where(np.abs(offsets) < self.aperture, transmit(self.faces, offsets, self.polarization), 0.0)
 
     def gain(self, u: ArrayLike, limit: float | None = None) -> Floats:
         """What columns at offsets u [mm] are multiplied by against Fresnel's loss: 1/T, at most ``limit``."""
@@ -208,7 +212,7 @@ class Roller:
         film = self.film
         thick, sheet = film.substrate or (0.0, film.resin_index)
         return Layers(self.radius, self.outer, self.outer + thick, leg, film.resin_index, film.bath_index, sheet,
-                      self.reflectivity, self.index)
+                      self.reflectivity, self.index, self.polarization)
 
 
 def _bounded(name: str, value: float, most: float, wanted: str) -> None:

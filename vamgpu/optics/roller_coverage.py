@@ -30,8 +30,11 @@ class Coverage:
     lost_incidence: float
 
 
-def coverage(film: Film, radius: float, limit: float) -> Coverage:
-    """Coverage of a film on a roller of this radius [mm]. Raises `BadInput` for a limit below 1."""
+def coverage(film: Film, radius: float, limit: float, polarization: str = "none") -> Coverage:
+    """Coverage of a film on a roller of this radius [mm] by light of a polarization.
+
+    Raises `BadInput` for a limit below 1.
+    """
     if not limit >= 1.0:
         raise BadInput(f"the largest gain is {limit!r}; wanted at least 1")
     outer, faces = radius + film.thickness, film.faces(radius)
@@ -39,7 +42,8 @@ def coverage(film: Film, radius: float, limit: float) -> Coverage:
     low, high = 0.0, reach
     for _ in range(80):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if float(transmit(faces, np.array(middle))) >= 1.0 / limit else (low, middle)
+        through = float(transmit(faces, np.array(middle), polarization))
+        low, high = (middle, high) if through >= 1.0 / limit else (low, middle)
     enters = asin(min(1.0, film.ratio * reach / outer))
     clipped = asin(low / outer)
     kept = asin(min(1.0, film.ratio * sin(clipped)))

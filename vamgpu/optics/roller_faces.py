@@ -1,6 +1,7 @@
 """What a face about a roller does to rays that have come to it: a circle about the axis, or the plane of a leg.
 
-Rays are arrays by name: x, y [mm], dx, dy, power, and side, which is 0 on the roller and ±1 in a leg.
+Rays are arrays by name: x, y [mm], dx, dy, shares (rays, 2) of the power that s and p light have left, and side, which
+is 0 on the roller and ±1 in a leg.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.optics.inputs import Floats
-from vamgpu.optics.interface import transmittance
+from vamgpu.optics.interface import fresnel
 
 
 def _normals(rays: dict[str, Any]) -> tuple[Floats, Floats]:
@@ -35,9 +36,9 @@ def refract(rays: dict[str, Any], before: Floats, after: Floats, where: np.ndarr
     beyond = np.sqrt(np.maximum(square, 0.0))
     bend = np.where(facing < 0, -1.0, 1.0) * (beyond - ratio * cosine)
     same = before == after
-    share = np.where(same, 1.0, transmittance(cosine, beyond, before, after))  # type: ignore[arg-type] - per ray
+    crossing = np.where(same[:, None], 1.0, fresnel(cosine, beyond, before, after))
     change = crossed & ~same
     rays["dx"] = np.where(change, ratio * rays["dx"] + bend * nx, rays["dx"])
     rays["dy"] = np.where(change, ratio * rays["dy"] + bend * ny, rays["dy"])
-    rays["power"] = np.where(crossed, rays["power"] * share, rays["power"])
+    rays["shares"] = np.where(crossed[:, None], rays["shares"] * crossing, rays["shares"])
     return crossed

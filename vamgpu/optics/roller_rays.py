@@ -14,6 +14,7 @@ import numpy as np
 
 from vamgpu.errors import RayError
 from vamgpu.optics.inputs import Floats
+from vamgpu.optics.interface import left
 from vamgpu.optics.roller_faces import reflect, refract
 from vamgpu.optics.roller_index import FilmIndex
 
@@ -34,7 +35,7 @@ class End(IntEnum):
 class Layers:
     """What a ray can meet. inner, outer: radii of the film [mm].  shell: outer radius of the substrate, or outer.
     leg: length of the legs [mm].  resin, bath, sheet: refractive indices.  reflectivity: of the roller.  field: index
-    of the resin where it changes from place to place, instead of ``resin``.
+    of the resin where it changes from place to place, instead of ``resin``.  polarization: of the light.
     """
 
     inner: float
@@ -46,6 +47,7 @@ class Layers:
     sheet: float
     reflectivity: float
     field: FilmIndex | None = None
+    polarization: str = "none"
 
     def resin_at(self, x: Floats, y: Floats) -> Floats:
         """Index of the resin at wrapped places."""
@@ -93,13 +95,14 @@ class Traced:
 def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Traced:
     """Follow rays that come through (x, y) [mm] along the unit directions (dx, dy), dy > 0, from the bath.
 
-    Snell's law and the unpolarized Fresnel transmittance at every face; a face that reflects totally does so, what a
-    face reflects in part is dropped. A ray that meets the roller ends there, or goes on with the roller's reflectivity.
+    Snell's law and Fresnel's transmittance of s and of p light at every face; a face that reflects totally does so,
+    what a face reflects in part is dropped. A ray that meets the roller ends there, or goes on with the roller's
+    reflectivity.
 
     Raises `RayError`: a ray meets more than `MOST_FACES` faces and still runs.
     """
     rays = _entered(layers, x, y, dx, dy)
-    first = np.where(rays["film"], rays["power"], 0.0)
+    first = np.where(rays["film"], left(rays["shares"], layers.polarization), 0.0)
     share, length = np.zeros(x.size), np.zeros(x.size)
     end = np.full(x.size, int(End.MISSED), dtype=np.int8)
     share[rays["ray"]] = first
@@ -110,7 +113,7 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Trace
         face = _advance(layers, rays, pieces)
         fate = _meet(layers, rays, face)
         entering = rays["film"] & (share[rays["ray"]] == 0)
-        share[rays["ray"][entering]] = rays["power"][entering]
+        share[rays["ray"][entering]] = left(rays["shares"][entering], layers.polarization)
         length[rays["ray"]] = rays["path"]
         done = fate != _GOES_ON
         end[rays["ray"][done]] = np.where(share[rays["ray"][done]] > 0, fate[done], int(End.MISSED))
@@ -142,7 +145,7 @@ def _advance(layers: Layers, rays: dict[str, Any], pieces: list[dict[str, Any]])
         # A way that ends a hair before a face ends at it.
         face = np.where(rays["film"] & (way > far * (1.0 + 1e-9) + 1e-12), _NONE, face)
         far = np.where(face == _NONE, far, way)
-    pieces.append(_piece(rays, far))
+    pieces.append(_piece(rays, far, layers.polarization))
     rays["x"], rays["y"] = rays["x"] + far * rays["dx"], rays["y"] + far * rays["dy"]
     rays["path"] = rays["path"] + np.where(rays["film"], far, 0.0)
     if field is not None:
@@ -164,7 +167,7 @@ def _entered(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> di
     keep = np.flatnonzero(front | back)
     rays: dict[str, Any] = {
         "ray": keep, "x": (x + far * dx)[keep], "y": (y + far * dy)[keep], "dx": dx[keep], "dy": dy[keep],
-        "power": np.ones(keep.size), "path": np.zeros(keep.size),
+        "shares": np.ones((keep.size, 2)), "path": np.zeros(keep.size),
         "side": np.where(front, 0, side)[keep].astype(np.int8),
         "film": np.full(keep.size, layers.shell == layers.outer),
     }  # fmt: skip
@@ -216,18 +219,20 @@ def _meet(layers: Layers, rays: dict[str, Any], face: np.ndarray) -> np.ndarray:
     reflect(rays, roller | ((within | bath) & ~crossed))
     if layers.reflectivity == 0:
         fate[roller] = End.ROLLER
-    rays["power"] = np.where(roller, rays["power"] * (layers.reflectivity or 1.0), rays["power"])
+    rays["shares"] = np.where(roller[:, None], rays["shares"] * (layers.reflectivity or 1.0), rays["shares"])
     return fate
 
 
-_KEPT = ("ray", "x", "y", "dx", "dy", "power", "side")
+_KEPT = ("ray", "x", "y", "dx", "dy", "side")
 
 
-def _piece(rays: dict[str, Any], far: Floats) -> dict[str, Any]:
-    keep = rays["film"] & (far > 0) & (rays["power"] > 0)
-    return {**{name: rays[name][keep] for name in _KEPT}, "length": far[keep], "before": rays["path"][keep]}
+def _piece(rays: dict[str, Any], far: Floats, polarization: str) -> dict[str, Any]:
+    power = left(rays["shares"], polarization)
+    keep = rays["film"] & (far > 0) & (power > 0)
+    kept = {name: rays[name][keep] for name in _KEPT}
+    return {**kept, "length": far[keep], "before": rays["path"][keep], "power": power[keep]}
 
 
 def _joined(pieces: list[dict[str, Any]]) -> Segments:
-    names = (*_KEPT, "length", "before")
+    names = (*_KEPT, "length", "before", "power")
     return Segments(**{name: np.concatenate([piece[name] for piece in pieces] or [np.zeros(0)]) for name in names})

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
 from vamgpu.geometry import Chords, positive
 from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets, index
-from vamgpu.optics.interface import transmittance
+from vamgpu.optics.interface import polarized, transmittance
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,12 @@ class Vat:
         wall_index: refractive index of the window.
         bath_index: refractive index in front of the window. The indices set the loss at the two faces of the window
             and nothing else; all equal, the default, means no loss.
+        polarization: of the light, as for `Vial`. Light meets the window at right angles, where s and p light lose the
+            same: it changes nothing here, so that a vial can be swapped for a vat.
 
     Raises:
-        BadInput: a value is not finite, negative, an index is below 1, or the round volume exceeds the vat.
+        BadInput: a value is not finite, negative, an index is below 1, the round volume exceeds the vat, or the
+            polarization is another.
     """
 
     width: float
@@ -42,12 +45,14 @@ class Vat:
     resin_index: float = 1.0
     wall_index: float = 1.0
     bath_index: float = 1.0
+    polarization: str = "none"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "width", positive("Vat width [mm]", self.width))
         object.__setattr__(self, "absorption", positive("Vat absorption [1/mm]", self.absorption, zero=True))
         for name in ("resin_index", "wall_index", "bath_index"):
             object.__setattr__(self, name, index(f"Vat {name}", getattr(self, name)))
+        object.__setattr__(self, "polarization", polarized("Vat polarization", self.polarization))
         if self.depth is not None:
             object.__setattr__(self, "depth", positive("Vat depth [mm]", self.depth))
         if self.radius is not None:
@@ -83,8 +88,8 @@ class Vat:
     def window_transmittance(self) -> float:
         """Share of the power that crosses both faces of the window."""
         one = np.ones(())
-        return float(transmittance(one, one, self.bath_index, self.wall_index)
-                     * transmittance(one, one, self.wall_index, self.resin_index))
+        faces = ((self.bath_index, self.wall_index), (self.wall_index, self.resin_index))
+        return float(transmittance([(one, one, *indices) for indices in faces], self.polarization))
 
     def _half_path(self, x: Floats) -> Floats:
         if self.radius is None:

@@ -12,7 +12,7 @@ from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
 from vamgpu.geometry import Chords, positive
 from vamgpu.optics.faces import Face, transmit, turn
 from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets, index
-from vamgpu.optics.interface import impact_after
+from vamgpu.optics.interface import impact_after, polarized
 from vamgpu.optics.raymap import first_columns
 
 # On the caustics outside the printable radius the density has no bound; a point there is at most this much denser.
@@ -29,7 +29,7 @@ class Vial:
     d(u) has the sign of u, rays converge, where the resin is denser than the bath: the chord's direction
     (-sin(d), cos(d)) leans towards the axis.
 
-    Layers by Snell's invariant index * distance from the axis, unpolarized Fresnel loss at each face, Beer-Lambert
+    Layers by Snell's invariant index * distance from the axis, Fresnel loss at both faces of the wall, Beer-Lambert
     absorption in the resin from the inner face on.
 
     Args:
@@ -39,9 +39,12 @@ class Vial:
         wall_index: refractive index of the wall.
         bath_index: refractive index around the vial, in which the columns of the beam are counted.
         absorption: of the resin, natural logarithm [1/mm].
+        polarization: of the light: "none", unpolarized; "s", its field along the axis of the vial; "p", across it.
+            Unpolarized light loses the mean of what s and p light lose, each at all faces (`transmittance`).
 
     Raises:
-        BadInput: a value is not finite, negative, an index is below 1, or the wall leaves no room for resin.
+        BadInput: a value is not finite, negative, an index is below 1, the wall leaves no room for resin, or the
+            polarization is another.
     """
 
     radius: float
@@ -50,6 +53,7 @@ class Vial:
     wall_index: float
     bath_index: float = 1.0
     absorption: float = 0.0
+    polarization: str = "none"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "radius", positive("Vial radius [mm]", self.radius))
@@ -57,6 +61,7 @@ class Vial:
         object.__setattr__(self, "absorption", positive("Vial absorption [1/mm]", self.absorption, zero=True))
         for name in ("resin_index", "wall_index", "bath_index"):
             object.__setattr__(self, name, index(f"Vial {name}", getattr(self, name)))
+        object.__setattr__(self, "polarization", polarized("Vial polarization", self.polarization))
         if self.wall >= self.radius:
             raise BadInput(f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; wanted a wall "
                            "thinner than the radius; radius and wall are both in mm, and radius is half the diameter")
@@ -102,7 +107,7 @@ class Vial:
         p = impact_after(kept, self.bath_index, self.resin_index)
         half = np.sqrt(np.maximum((self.inner_radius - p) * (self.inner_radius + p), 0.0))
         return Chords(p=p, angle=np.arctan2(sin_d, cos_d), spread=spread,
-                      transmittance=np.where(reaches, transmit(self.faces, kept), 0.0),
+                      transmittance=np.where(reaches, transmit(self.faces, kept, self.polarization), 0.0),
                       length=np.where(reaches, 2.0 * half, 0.0))
 
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
@@ -127,7 +132,7 @@ class Vial:
         """
         points_x, points_y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
         inside = points_x**2 + points_y**2 < self.inner_radius**2
-        u = np.copysign(np.full(inside.shape, self.aperture), points_x)
+        u = np.asarray(np.copysign(self.aperture, points_x))  # a single point too can be written to
         weight = np.zeros(inside.shape)
         u[inside], weight[inside] = self._illuminate_inside(points_x[inside], points_y[inside])
         return u, weight
@@ -140,7 +145,7 @@ class Vial:
         cos_d, sin_d, _ = turn(self.faces, u)
         path = half + y * cos_d - x * sin_d
         density = 1.0 / np.maximum(np.abs(spacing), ratio / LARGEST_DENSITY)
-        share = transmit(self.faces, u) * density * absorbed_share(self.absorption, path)
+        share = transmit(self.faces, u, self.polarization) * density * absorbed_share(self.absorption, path)
         return u, np.where(spacing != 0.0, share, 0.0)
 
     def check_fits(self, radius: float) -> None:

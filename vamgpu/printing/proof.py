@@ -102,9 +102,8 @@ def _share(proof: Proof) -> str:
 
 
 def _times(exposure: Exposure) -> tuple[Line, ...]:
-    given = f"at {exposure.irradiance:g} mW/mm² full-on and {exposure.critical_dose:g} mJ/mm³"
     return (
-        Line("exposure", f"{exposure.seconds:.3g} s", f"until the threshold is solid, {given}"),
+        Line("exposure", f"{exposure.seconds:.3g} s", f"until the threshold is solid, at {exposure.given}"),
         Line("part complete", f"{exposure.complete:.3g} s", "until the last voxel of the part is solid"),
         Line("first excess", f"{exposure.spill:.3g} s", "until the first voxel outside is solid"),
         Line("light sent", f"{exposure.energy / 1e3:.3g} J", "until the end of the exposure"),

@@ -1,0 +1,98 @@
+"""The point spread of a projector, from its picture of an edge."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.geometry import positive
+
+
+@dataclass(frozen=True)
+class PointSpread:
+    """Blur of the optics alone, as `Beam` takes it: ``Beam(pixels, pitch, spread=PointSpread.load("mtf", pitch))``.
+
+    Args:
+        width: standard deviation of the blur [mm].
+
+    Raises:
+        BadInput: the width is not finite or below 0.
+    """
+
+    width: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "width", positive("PointSpread width [mm]", self.width, zero=True))
+
+    @classmethod
+    def behind(cls, blur: float, pitch: float, fill: float = 1.0, pixel: float = 0.0) -> PointSpread:
+        """What the optics add to the pixels themselves.
+
+        An edge of mirrors is a staircase: along the edge it averages to a step blurred by the lit box of one mirror, of
+        variance fill · pitch² / 12, and a camera's pixel adds pixel² / 12. A `Beam` has that box already.
+
+        Args:
+            blur: standard deviation of the measured edge [mm], `EdgeResponse.width`.
+            pitch: edge of the projector's pixel where the edge was seen [mm].
+            fill: share of a pixel's area that is lit.
+            pixel: of the camera, in the plane that it looks at [mm].
+
+        Raises:
+            BadInput: a value out of its range, or a blur finer than the pixels alone make it.
+        """
+        seen, edge = positive("blur [mm]", blur), positive("pitch [mm]", pitch)
+        boxes = (positive("fill", fill) * edge**2 + positive("pixel [mm]", pixel, zero=True) ** 2) / 12.0
+        if seen**2 < boxes:
+            raise BadInput(
+                f"the edge is blurred by {1e3 * seen:.3g} µm, but pixels of {1e3 * edge:.3g} µm and a camera's of "
+                f"{1e3 * pixel:.3g} µm alone blur it by {1e3 * boxes**0.5:.3g} µm; expected a calibration made with "
+                "this beam's pixels in this plane: correct the beam's pitch or measure again"
+            )
+        return cls(float((seen**2 - boxes) ** 0.5))
+
+    @classmethod
+    def load(cls, path: str | Path, pitch: float, fill: float = 1.0, at: float = 0.0) -> PointSpread:
+        """Read the result of ``vam calibrate mtf``, at the place nearest to ``at`` [mm] along the light.
+
+        Args:
+            path: the folder of the result, or its ``result.toml``.
+            pitch: edge of the projector's pixel where the camera stood [mm].
+            fill: share of a pixel's area that is lit.
+            at: position of the camera from the middle of its stage [mm]; 0 is where the axis of rotation will be.
+
+        Raises:
+            StorageError: the file cannot be read.
+            BadInput: it holds no calibration of this kind, or a blur finer than the pixels.
+        """
+        place = Path(path)
+        file = place / "result.toml" if place.is_dir() else place
+        try:
+            data = tomllib.loads(file.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError) as error:
+            raise StorageError(f"cannot read the calibration {str(path)!r}: {error}; check the path") from error
+        except tomllib.TOMLDecodeError as error:
+            raise BadInput(f"{str(file)!r} is no valid TOML: {error}") from error
+        positions, blurs, pixel = _measured(data, str(file))
+        return cls.behind(float(blurs[np.argmin(np.abs(positions - at))]), pitch, fill, pixel)
+
+
+def _measured(data: dict[str, Any], file: str) -> tuple[np.ndarray, np.ndarray, float]:
+    """Positions, blurs and the camera's pixel [mm] of a result."""
+    kind = data.get("calibration", "none")
+    if kind != "mtf":
+        raise BadInput(f"{file!r} holds the calibration {kind!r}; expected 'mtf', which vam calibrate mtf writes")
+    try:
+        found = data["measured"]
+        positions, blurs = (np.array(found[name], dtype=np.float64) for name in ("positions_mm", "blur_mm"))
+        pixel = float(found["pixel_mm"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput(f"{file!r} garbles its numbers: {error}; run vam calibrate mtf again") from error
+    if positions.ndim != 1 or positions.shape != blurs.shape or not positions.size:
+        raise BadInput(f"{file!r} has {positions.size} positions and {blurs.size} blurs; expected as many of each, "
+                       "one at least: run vam calibrate mtf again")
+    return positions, blurs, pixel
