@@ -9,12 +9,14 @@ from typing import Any
 
 from vamgpu.backend.device import Device
 from vamgpu.errors import JobError, OutOfMemory, StorageError
-from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.geometry import Beam, Grid
+from vamgpu.jobs.angles import motion_of
 from vamgpu.jobs.model import FramesSection, JobFile
 from vamgpu.jobs.read import Job
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat
 from vamgpu.optics.vial import Vial
+from vamgpu.storage.turntable import described, turntable_from
 from vamgpu.targets.target import Target
 
 SPARE = 2
@@ -54,13 +56,16 @@ def vessel_of(wanted: JobFile) -> Vial | Vat | None:
     return Vat(**wanted.vat.model_dump()) if wanted.vat is not None else None
 
 
-def projection_of(wanted: JobFile, target: Target, device: Device) -> Projection:
-    """The projector of a job. Raises `TargetTooLarge` where light does not reach the whole part."""
+def projection_of(wanted: JobFile, target: Target, device: Device, folder: Path = Path()) -> Projection:
+    """The projector of a job; a file of angles lies in ``folder``.
+
+    Raises `TargetTooLarge` where light does not reach the whole part, `JobError` for a file of angles that is none.
+    """
     vessel = vessel_of(wanted)
     if vessel is not None:
         vessel.check_fits(target.radius)
     pixels = wanted.beam.pixels or _covering(target, vessel, wanted.beam.pitch)
-    beam, motion = Beam(pixels, wanted.beam.pitch), Turntable(wanted.turntable.angles)
+    beam, motion = Beam(pixels, wanted.beam.pitch), motion_of(wanted.turntable, folder)
     try:
         A = Projection(target.grid, beam, motion, vessel, device)
     except MemoryError as error:
@@ -93,7 +98,7 @@ def describe(A: Projection) -> dict[str, Any]:
     return {
         "grid": {"shape": list(A.grid.shape), "pitch": A.grid.pitch},
         "beam": {"pixels": list(A.beam.pixels), "pitch": A.beam.pitch},
-        "turntable": {"angles": A.motion.angles},
+        "turntable": described(A.motion),
         "vessel": None if kind is None else {"kind": kind, **asdict(A.vessel)},  # type: ignore[call-overload]
     }
 
@@ -104,7 +109,7 @@ def projection_from(description: dict[str, Any], device: Device) -> Projection:
         grid, beam = description["grid"], description["beam"]
         fields = dict(description["vessel"] or {})
         vessel = VESSELS[fields.pop("kind")](**fields) if fields else None
-        motion = Turntable(description["turntable"]["angles"])
+        motion = turntable_from(description["turntable"])
         nouns = (Grid(tuple(grid["shape"]), grid["pitch"]), Beam(tuple(beam["pixels"]), beam["pitch"]), motion)
     except (KeyError, TypeError, ValueError) as error:
         raise StorageError(f"the manifest garbles its geometry: {error}; write the job again") from error

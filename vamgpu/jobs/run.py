@@ -58,7 +58,7 @@ def solve(job: Job, path: str | Path, *, overwrite: bool = False, told: Told = _
     packing = packing_of(wanted.frames, job.folder)
     told("voxels", 0.0)
     target = target_of(job, device)
-    A = projection_of(wanted, target, device)
+    A = projection_of(wanted, target, device, job.folder)
     told("light", 0.0)
     plan = optimize(A, target, method=method, iterations=limit, progress=_share(told, limit))
     told("frames", 0.0)
