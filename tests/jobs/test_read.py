@@ -51,7 +51,7 @@ def line_with(text: str, words: str) -> int:
         ("iterations = 40", "iterations = 4.5", "solve.iterations: got 4.5; wanted a valid integer"),
         ("angles = 360", 'angles = "many"', "turntable.angles: got 'many'; wanted a whole number of angles ≥ 1, or"),
         ("angles = 360", "angles = true", "turntable.angles: got True; wanted a whole number of angles ≥ 1"),
-        ("angles = 360", 'range = "361 deg"', "turntable.range: got 361"),
+        ("angles = 360", 'range = "361 deg"', "turntable.range: got 6.30064 rad; wanted 360 deg at most"),
         ("resin_index = 1.49962", "resin_index = nan", "vial.resin_index: got nan"),
         ("resin_index = 1.49962", "resin_index = 0.9", "vial.resin_index: got 0.9"),
     ],

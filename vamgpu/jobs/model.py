@@ -79,7 +79,7 @@ class TurntableSection(Section):
         if self.range is not None and isinstance(self.angles, str):
             raise ValueError(f"got a range and the file {self.angles!r}, which has its own; remove one of both")
         if self.range is not None and self.range > FULL_TURN * (1.0 + 1e-9):
-            raise Misplaced("wanted a range of 360 deg at most; correct the value", "range")
+            raise Misplaced(f"got {self.range:.6g} rad; wanted 360 deg at most: correct the value", "range")
         return self
 
 
