@@ -41,7 +41,7 @@ def test_pictures_are_lit_from_their_angles(motion: vam.Turntable) -> None:
 
 
 def test_an_even_turntable_is_the_number_of_its_angles() -> None:
-    one, other = turned(vam.Turntable(40), speed=40, engines=TIMING, turns=2), turned(40, speed=40, engines=TIMING, turns=2)
+    one, other = (turned(images, speed=40, engines=TIMING, turns=2) for images in (vam.Turntable(40), 40))
     for name in ("light", "dark", "on", "frame", "pose", "position"):
         assert np.array_equal(getattr(one, name), getattr(other, name))
 
@@ -70,7 +70,7 @@ def test_the_nearest_angles_decide_how_fast_a_vial_may_turn() -> None:
         (vam.Turntable([0.0, 1.0, 0.5]), r"go from 57\.2958° to 28\.6479°; expected them to rise within one turn"),
         (vam.Turntable([0.0, 1.0, 1.0]), r"rise within one turn, as a vial turns forward: sort .* drop"),
         (vam.Turntable(np.linspace(0, 2 * np.pi, 5)), r"go from 0° to 360°"),
-        (vam.Turntable(4, dwell=[1, 2, 1, 1]), r"expected pictures that are lit as long.*solve for a Turntable without"),
+        (vam.Turntable(4, dwell=[1, 2, 1, 1]), r"expected pictures that are lit as long.*Turntable without dwell"),
     ],
 )
 def test_angles_that_a_vial_cannot_meet_are_refused(motion: vam.Turntable, said: str) -> None:
@@ -81,7 +81,7 @@ def test_angles_that_a_vial_cannot_meet_are_refused(motion: vam.Turntable, said:
 def test_video_cables_want_even_angles() -> None:
     display = HdmiTiming()
     for motion in (MEASURED, ARC, vam.Turntable(4, dwell=[1, 2, 1, 1])):
-        with pytest.raises(BadInput, match=r"a video cable got .* expected even ones over a full turn.*triggered mirrors"):
+        with pytest.raises(BadInput, match=r"a video cable got .* expected even ones .*triggered mirrors"):
             vial(motion, speed=40, display=display)
     speed = Fraction(360) * display.slot_rate / 40 / 6
     assert len(vial(vam.Turntable(40), speed=speed, display=display)) == 40

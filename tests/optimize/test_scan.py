@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import vamgpu as vam
+from vamgpu.chemistry.exposure_plan import TurnLight
 from vamgpu.errors import BadInput
 from vamgpu.optimize import METHODS, optimize
+from vamgpu.optimize.dual import Colors, LeastSquares, superpose
+from vamgpu.optimize.joint import KineticModel, PoseRuns, TwoColorResin
 from vamgpu.optimize.quadrature import balance, directions, is_complete
 from vamgpu.optimize.rebin import rebin
 from vamgpu.units import deg
@@ -111,3 +116,36 @@ def test_rebinning_refuses_what_is_not_even() -> None:
     plan = optimize(straight, part(), "recipe", iterations=1)
     with pytest.raises(BadInput, match="rebin got 40 measured.*expected even ones over a full turn.*vessel"):
         rebin(plan, bent)
+
+
+def test_runs_of_poses_add_up_to_the_turn() -> None:
+    motion = vam.Turntable(JITTERED, dwell=np.linspace(1, 3, 40))
+    A = vam.Projection(GRID, BEAM, motion, device="numpy")
+    light = A.device.upload(np.random.default_rng(6).random(A.range.shape))
+    runs, dose, shadow = PoseRuns(A, 7), A.device.empty(A.domain.shape), A.device.empty(A.range.shape)
+    total = np.zeros(A.domain.shape)
+    for run in range(7):
+        runs.expose(run, light, dose)
+        total += dose.numpy()
+        runs.project(run, A.device.upload(part()), shadow)
+    assert np.abs(total - A.T(light).numpy()).max() <= 1e-5 * total.max()
+    assert np.abs(shadow.numpy() - A(part())).max() <= 1e-5 * shadow.numpy().max()
+    assert [run.motion.angles for run in runs.parts] == [6, 6, 6, 6, 6, 5, 5]
+
+
+def test_kinetics_and_exposure_plans_refuse_unequal_times() -> None:
+    long = vam.Projection(GRID, BEAM, SCANS["unequal times"], device="numpy")
+    resin = TwoColorResin(visible=1.0, ultraviolet=0.2, supply=5.0, alpha=0.2, pairing=0.4)
+    with pytest.raises(BadInput, match="pairs up while 60 over a full turn, each lit .* leave dwell out"):
+        KineticModel(long, long, resin, period=10.0)
+    assert KineticModel(long, long, replace(resin, pairing=0.0)).turns == 3, "doses alone do not ask for times"
+    light = long.device.upload(np.ones(long.range.shape))
+    with pytest.raises(BadInput, match="the light of a turn got 60 .* expected poses that share a turn evenly"):
+        TurnLight(long, light)
+
+
+def test_least_squares_of_two_colors_takes_a_scan() -> None:
+    motion = vam.Turntable(JITTERED, dwell=np.linspace(1, 2, 40))
+    visible, uv = (vam.Projection(GRID, BEAM, motion, device="numpy") for _ in range(2))
+    plan = superpose(Colors(visible, uv), part(), LeastSquares(iterations=12))
+    assert plan.history[-1].error < 0.5 * plan.history[0].error
