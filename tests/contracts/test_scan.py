@@ -11,6 +11,7 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
+from vamgpu.operators.dwell import Dwell
 from vamgpu.optimize.dual.points import PointProjection
 from vamgpu.units import deg
 
@@ -119,8 +120,21 @@ def test_points_follow_the_scan(scan: str) -> None:
     motion = SCANS[scan]()
     A = PointProjection(vam.Grid((6, 6, 1), 0.1), motion, absorption=0.4)
     assert A.dense() == pytest.approx(A.T.dense().T, abs=1e-6)  # float32 at the door
-    ones = np.asarray(PointProjection(vam.Grid((6, 6, 1), 0.1), motion)(np.ones((6, 6, 1)))).sum(axis=(1, 2))
-    assert ones == pytest.approx(36 * motion.times)
+    for absorption in (0.0, 0.4):
+        whole, *alone = (
+            np.asarray(PointProjection(vam.Grid((6, 6, 1), 0.1), turn, absorption=absorption)(np.ones((6, 6, 1))))
+            for turn in (motion, *(vam.Turntable([theta]) for theta in motion.poses))
+        )
+        assert whole == pytest.approx(motion.times[:, None, None] * np.concatenate(alone), rel=1e-5)
+
+
+def test_tiles_repeat_the_times_of_a_turn(device: Device) -> None:
+    motion = SCANS["unequal times"]()
+    images = np.ones((24, 3, 5), np.float32)
+    weighted = Dwell(motion, device).weighted(device.upload(images)).numpy()
+    assert weighted == pytest.approx(np.tile(motion.times, 3)[:, None, None] * images, rel=1e-6)
+    same = device.upload(images)
+    assert Dwell(vam.Turntable(8), device).weighted(same) is same
 
 
 def test_webs_refuse_a_turntable() -> None:

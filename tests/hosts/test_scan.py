@@ -102,6 +102,8 @@ def test_a_rehearsed_print_shows_every_picture_at_its_angle(tmp_path: Path, moti
     frames = load_frames(tmp_path / "part.vam", "numpy")
     assert frames.motion == motion
     planned = plan(tmp_path / "part.vam", read_rig("emulated"), speed=20, turns=2)
+    places = planned.schedule.position[: motion.angles]
+    assert places % 360 == pytest.approx(np.degrees(motion.poses) % 360)
     rehearsed = rehearsal(planned)
     state, _ = carry_out(planned, rehearsed.machines, tmp_path / "part.run")
     assert state is State.COMPLETE

@@ -14,7 +14,9 @@ from vamgpu.optimize import METHODS, optimize
 from vamgpu.optimize.dual import Colors, LeastSquares, superpose
 from vamgpu.optimize.joint import KineticModel, PoseRuns, TwoColorResin
 from vamgpu.optimize.quadrature import balance, directions, is_complete
+from vamgpu.optimize.ramp import capped_ramp, ramp
 from vamgpu.optimize.rebin import rebin
+from vamgpu.optimize.work import Work
 from vamgpu.units import deg
 
 GRID, BEAM = vam.Grid((24, 24, 2), 0.1), vam.Beam((36, 2), 0.1)
@@ -77,6 +79,8 @@ def test_poses_count_by_the_directions_they_stand_for() -> None:
     for n in (7, 40):
         theta = 2 * np.pi * (np.arange(n) + 0.4 * np.random.default_rng(n).uniform(-1, 1, n)) / n
         assert directions(vam.Turntable(theta)).sum() == pytest.approx(np.pi)
+    pairs = directions(vam.Turntable(np.repeat(2 * np.pi * np.arange(12) / 12, 2)))
+    assert pairs == pytest.approx(np.full(24, 0.5 * even)), "poses that are shown twice"
     crowded = directions(vam.Turntable(CROWDED))
     assert crowded[5:50] == pytest.approx(np.full(45, 90 / 59 * deg))
     assert crowded.sum() == pytest.approx(np.pi - 0.5 * (90 / 11 - 90 / 59) * deg), "ends as inside"
@@ -97,9 +101,6 @@ def test_filtered_back_projection_of_crowded_poses_is_even(motion: vam.Turntable
     disc = np.exp(-((x[:, None] ** 2 + x[None, :] ** 2) / 0.3) ** 2)[:, :, None].astype(np.float32)
     grid, beam = vam.Grid((48, 48, 1), 0.1), vam.Beam((70, 1), 0.1)
     A = vam.Projection(grid, beam, motion, device="numpy")
-    from vamgpu.optimize.ramp import ramp
-    from vamgpu.optimize.work import Work
-
     work = Work(A, A.device.upload(disc), {})
     shadow, light, dose = work.sinogram(), work.sinogram(), work.volume()
     work.project(work.target, shadow)
@@ -108,6 +109,21 @@ def test_filtered_back_projection_of_crowded_poses_is_even(motion: vam.Turntable
     middle = slice(8, 40)
     assert np.abs(dose.numpy() - disc)[middle, middle].max() < 0.06
     assert balance(vam.Turntable(70)) is None and balance(motion) is not None
+
+
+def test_steps_are_balanced_as_filtered_light_is() -> None:
+    A = vam.Projection(GRID, BEAM, vam.Turntable(JITTERED, dwell=np.linspace(1, 4, 40)), device="numpy")
+    work, rng = Work(A, A.device.upload(part()), {}), np.random.default_rng(7)
+    gradient, taps = rng.standard_normal(A.range.shape), capped_ramp(A, 0.25)
+    work.memory |= {name: A.device.upload(np.full(A.range.shape, 100.0)) for name in ("light", "ahead")}
+    filtered = work.sinogram()
+    work.filter(A.device.upload(gradient), taps, filtered)
+    work.step(A.device.upload(gradient), taps, 1.0, 0.0)
+    assert 100.0 - work.held("light").numpy() == pytest.approx(filtered.numpy(), abs=1e-4)
+    plain = work.sinogram()
+    work.filter(A.device.upload(gradient), replace(taps, balance=None), plain)
+    share = balance(A.motion)
+    assert share is not None and filtered.numpy() == pytest.approx(plain.numpy() * share[:, None, None], abs=1e-5)
 
 
 def test_rebinning_refuses_what_is_not_even() -> None:
@@ -149,3 +165,13 @@ def test_least_squares_of_two_colors_takes_a_scan() -> None:
     visible, uv = (vam.Projection(GRID, BEAM, motion, device="numpy") for _ in range(2))
     plan = superpose(Colors(visible, uv), part(), LeastSquares(iterations=12))
     assert plan.history[-1].error < 0.5 * plan.history[0].error
+
+
+def test_other_angles_are_no_continuation_and_no_other_color() -> None:
+    even, jittered = (vam.Projection(GRID, BEAM, motion, device="numpy") for motion in (
+        vam.Turntable(40), SCANS["jittered"]))  # fmt: skip
+    plan = optimize(even, part(), iterations=2)
+    with pytest.raises(BadInput, match=r"for Turntable\(angles=40\), the operator has .*resume at the same angles"):
+        optimize(jittered, part(), iterations=4, resume=plan)
+    with pytest.raises(BadInput, match="uv has .* wanted the same poses for both colors"):
+        Colors(even, jittered)

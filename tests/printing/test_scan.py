@@ -22,6 +22,9 @@ MOTIONS = {
     "unequal times": vam.Turntable(40, dwell=np.linspace(1, 3, 40)),
 }
 
+ROUNDED = vam.Turntable(37, dwell=np.random.default_rng(0).uniform(0.5, 2, 37))
+"""The mean of its times is not quite one."""
+
 
 def part() -> np.ndarray:
     target = np.zeros(GRID.shape, np.float32)
@@ -42,7 +45,9 @@ def test_frames_come_back_with_their_angles_and_print_what_was_planned(fast_devi
     proof = vam.simulate(A, again, part(), irradiance=10.0, critical_dose=5.0, absorption=0.05)
     assert proof.scores.window == pytest.approx(plan.window, abs=2 / 255)
     page = proof.report(tmp_path / "report.html").read_text(encoding="utf-8")
-    assert str(motion) in page and f"{np.degrees(motion.poses[0]):g}°" in page
+    assert str(motion) in page
+    for pose in (round(k * motion.angles / 4) for k in range(4)):
+        assert f"<figcaption>{np.degrees(motion.poses[pose]):g}°</figcaption>" in page
     light = frames.irradiance(A.device).numpy() * motion.times[:, None, None]
     assert proof.light_efficiency == pytest.approx(light.mean() / frames.scale, rel=1e-4)
     assert proof.exposure is not None
@@ -72,7 +77,9 @@ def test_errors_diffuse_among_poses_that_are_lit_as_long() -> None:
         vam.pack(plans[1], 1, dither="error-diffusion")
 
 
-@pytest.mark.parametrize("motion", [*MOTIONS.values(), vam.Turntable(12), vam.Turntable([0.1, 0.1, 3], [1, 2, 1])])
+@pytest.mark.parametrize(
+    "motion", [*MOTIONS.values(), vam.Turntable(12), ROUNDED, vam.Turntable([0.1, 0.1, 3], [1, 2, 1])]
+)
 def test_a_turntable_comes_back_from_json_to_the_last_bit(motion: vam.Turntable) -> None:
     assert turntable_from(json.loads(json.dumps(plain(described(motion))))) == motion
 
