@@ -98,7 +98,7 @@ def test_a_scan_that_lacks_directions_is_not_complete() -> None:
 def test_filtered_back_projection_of_crowded_poses_is_even(motion: vam.Turntable) -> None:
     """Aᵀ · ramp · A of a disc is the disc: without the balance crowded or long poses would draw streaks along them."""
     x = (np.arange(48) - 23.5) / 24
-    disc = np.exp(-((x[:, None] ** 2 + x[None, :] ** 2) / 0.3) ** 2)[:, :, None].astype(np.float32)
+    disc = np.exp(-(((x[:, None] ** 2 + x[None, :] ** 2) / 0.3) ** 2))[:, :, None].astype(np.float32)
     grid, beam = vam.Grid((48, 48, 1), 0.1), vam.Beam((70, 1), 0.1)
     A = vam.Projection(grid, beam, motion, device="numpy")
     work = Work(A, A.device.upload(disc), {})

@@ -45,7 +45,7 @@ def test_frames_come_back_with_their_angles_and_print_what_was_planned(fast_devi
     proof = vam.simulate(A, again, part(), irradiance=10.0, critical_dose=5.0, absorption=0.05)
     assert proof.scores.window == pytest.approx(plan.window, abs=2 / 255)
     page = proof.report(tmp_path / "report.html").read_text(encoding="utf-8")
-    assert str(motion) in page
+    assert page.count(str(motion)) == 2 and f"angles downwards, {motion}." in page
     for pose in (round(k * motion.angles / 4) for k in range(4)):
         assert f"<figcaption>{np.degrees(motion.poses[pose]):g}°</figcaption>" in page
     light = frames.irradiance(A.device).numpy() * motion.times[:, None, None]

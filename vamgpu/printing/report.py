@@ -74,6 +74,7 @@ def _content(proof: Proof, plan: Any) -> dict[str, Any]:
         "per_slice": charts.slices_chart(proof.slices, z, wide=convergence is None),
         "cuts": pictures.cuts(dose, target, verdict, scores.peak),
         "sinogram": pictures.sinogram(light, full),
+        "scan": str(proof.operator.motion),
         "frames": pictures.frames(light, full, np.degrees(proof.operator.motion.poses)),
         "frames_note": _frames_note(proof),
         "convergence": convergence,
