@@ -6,6 +6,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.geometry import Turntable
 from vamgpu.kernels.dwell import weigh_poses
+from vamgpu.operators.feed import Feed
 
 
 class Dwell:
@@ -16,13 +17,15 @@ class Dwell:
     what `weighted` gives.
 
     Args:
-        motion: the poses. An image for each, or as many for each as there are tiles, tile after tile.
+        motion: the poses. An image for each, or as many for each as there are tiles, tile after tile. What is no
+            turntable, such as a web's `Feed`, lights all poses as long.
         device: of the images.
     """
 
-    def __init__(self, motion: Turntable, device: Device) -> None:
+    def __init__(self, motion: Turntable | Feed, device: Device) -> None:
         self._device = device
-        self._times = None if motion.dwell is None else device.table(motion.times)
+        times = motion.times if isinstance(motion, Turntable) and motion.dwell is not None else None
+        self._times = None if times is None else device.table(times)
 
     def weigh(self, images: DeviceArray) -> None:
         """images *= times, in place."""
