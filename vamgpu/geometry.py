@@ -151,9 +151,7 @@ class Turntable:
             all as long. Light stays an irradiance: operators weight each pose by its time.
 
     Attributes ``theta`` [rad] and ``dwell`` are None where poses are even over a full turn from 0, and lit as long.
-
-    Raises:
-        BadInput: numbers that are not finite, angles over more than a turn, not one time for each angle.
+    Raises `BadInput` for numbers that are not finite, angles over more than a turn, not one time for each angle.
     """
 
     angles: int
@@ -212,8 +210,8 @@ class Turntable:
         return self.theta is None and self.dwell is None
 
     def __repr__(self) -> str:
-        angles = self.angles if self.theta is None else _shortened(self.theta)
-        return f"Turntable(angles={angles}{'' if self.dwell is None else f', dwell={_shortened(self.dwell)}'})"
+        times = "" if self.dwell is None else f", dwell={_shortened(self.dwell)}"
+        return f"Turntable(angles={self.angles if self.theta is None else _shortened(self.theta)}{times})"
 
     def __str__(self) -> str:
         low, high = (np.degrees(end) for end in (self.poses.min(), self.poses.max()))

@@ -14,7 +14,6 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.kernels.project import back_joseph, forward_joseph
 from vamgpu.kernels.refract import back_refracted, forward_refracted
-from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.light import OpenAir, tabulate
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.rows import Rows
@@ -58,7 +57,6 @@ class Projection(LinearOperator):
         self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch)
         self._joseph = vessel is None and self._rows.same_pitch
         self._light = None if self._joseph else self._tables(vessel or OpenAir())
-        self._dwell = Dwell(motion, self.device)
         self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
@@ -88,10 +86,9 @@ class Projection(LinearOperator):
             self.device.launch(forward_refracted, **common, **self._light)
         if rows is not out:
             self._rows.from_slices(rows, out)
-        self._dwell.weigh(out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        rows = y = self._dwell.weighted(y)
+        rows = y
         if not self._rows.same:
             rows = self.device.empty(self._slices)
             self._rows.to_slices(y, rows)
