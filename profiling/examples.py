@@ -505,6 +505,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "unpack": lambda n: _frames(n, bits=8, scale=1.5),
     "mask_bytes": lambda n: Example({**_light(n), "byte": _light(n)["r"]}),
     "mask_rays": lambda n: Example(_light(n)),
+    "weigh_poses": lambda n: Example({**_light(n), "pose": _light(n)["angle"] // 2}),
     "rebin_rays": _rebinned,
     "count_crossings": lambda n: _solid(n, listed=False),
     "voxelize": _solid,

@@ -8,14 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput
 
 HALF_A_PIXEL = 0.5
 """Standard deviation [pixels] of the point spread of a projector in focus, where nobody measured it."""
+FULL_TURN = 2.0 * np.pi
+SAME_ANGLE = 1e-9
+"""Angles [rad] this close are the same: files write decimals."""
 
 
 def positive(name: str, value: float, *, zero: bool = False) -> float:
@@ -134,19 +138,120 @@ class Beam:
         return self.spread / (self.pitch if column is None else column), self.spread / self.pitch
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False, repr=False)
 class Turntable:
-    """A resin container turning about z: ``angles`` equal poses over a full turn, from θ = 0.  Raises `BadInput`."""
+    """A resin container turning about z. A turn shows every pose once, in order.
+
+    ``Turntable(360)`` has 360 even poses over a full turn, from θ = 0; `arc` has them over a part of a turn, and
+    ``Turntable([0.0, 0.017, …])`` where they were measured.
+
+    Args:
+        angles: how many poses, or the angle θ [rad] of each, in the order they are shown, within one turn.
+        dwell: how long each pose is lit, over the mean of all; shape (angles,), above 0, scaled to a mean of 1. None:
+            all as long. Light stays an irradiance: operators weight each pose by its time.
+
+    Attributes ``theta`` [rad] and ``dwell`` are None where poses are even over a full turn from 0, and lit as long.
+    Raises `BadInput` for numbers that are not finite, angles over more than a turn, not one time for each angle.
+    """
 
     angles: int
+    theta: tuple[float, ...] | None
+    dwell: tuple[float, ...] | None
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "angles", counts("Turntable angles", (self.angles,), 1)[0])
+    def __init__(self, angles: int | ArrayLike, dwell: ArrayLike | None = None) -> None:
+        listed = isinstance(angles, (list, tuple, range)) or np.ndim(angles) > 0  # pyright: ignore[reportArgumentType]
+        theta = _finite("Turntable angles [rad]", angles) if listed else None
+        count = counts("Turntable angles", (angles,), 1)[0] if theta is None else theta.size
+        if theta is not None and np.ptp(theta) > FULL_TURN * (1.0 + 1e-12):
+            raise BadInput(
+                f"Turntable angles go from {theta.min():g} to {theta.max():g} rad; expected one turn (2π) at most: "
+                "convert with units.deg, and give one turn of a scan that repeats"
+            )
+        if theta is not None and np.allclose(theta, _even(count), rtol=0.0, atol=SAME_ANGLE):
+            theta = None
+        object.__setattr__(self, "angles", count)
+        object.__setattr__(self, "theta", None if theta is None else tuple(theta.tolist()))
+        object.__setattr__(self, "dwell", None if dwell is None else _relative(dwell, count))
+
+    @classmethod
+    def arc(cls, angles: int, span: float, start: float = 0.0, dwell: ArrayLike | None = None) -> Turntable:
+        """Even poses over a part of a turn: θ = start + span·k / angles, so that a half turn has no direction twice.
+
+        Args:
+            angles: how many poses.  span: the part of a turn [rad], at most 2π.  start: angle of the first [rad].
+            dwell: as for `Turntable`.
+        """
+        count = counts("Turntable angles", (angles,), 1)[0]
+        part = positive("Turntable span [rad]", span)
+        if part > FULL_TURN * (1.0 + 1e-12):
+            raise BadInput(f"Turntable span is {part:g} rad; expected at most 2π, a full turn: convert with units.deg")
+        return cls(start + part / FULL_TURN * _even(count), dwell)
+
+    def part(self, first: int, stop: int) -> Turntable:
+        """Poses ``first`` to ``stop`` − 1 of the turn, each lit as long as in the whole turn."""
+        piece = Turntable(self.poses[first:stop])
+        if self.dwell is not None:
+            object.__setattr__(piece, "dwell", self.dwell[first:stop])
+        return piece
 
     @property
     def poses(self) -> np.ndarray:
         """Pose angles θ [rad]; shape (angles,)."""
-        return 2.0 * np.pi * np.arange(self.angles) / self.angles
+        return _even(self.angles) if self.theta is None else np.array(self.theta)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Time of each pose over the mean of a turn; shape (angles,)."""
+        return np.ones(self.angles) if self.dwell is None else np.array(self.dwell)
+
+    @property
+    def is_even(self) -> bool:
+        """Whether poses are even over a full turn from θ = 0, each lit as long."""
+        return self.theta is None and self.dwell is None
+
+    def __repr__(self) -> str:
+        times = "" if self.dwell is None else f", dwell={_shortened(self.dwell)}"
+        return f"Turntable(angles={self.angles if self.theta is None else _shortened(self.theta)}{times})"
+
+    def __str__(self) -> str:
+        low, high = (np.degrees(end) for end in (self.poses.min(), self.poses.max()))
+        where = "over a full turn" if self.theta is None else f"measured, from {low:.4g}° to {high:.4g}°"
+        lit = "" if self.dwell is None else f", each lit {min(self.dwell):.3g} to {max(self.dwell):.3g} times the mean"
+        return f"{self.angles} {where}{lit}"
+
+
+def _even(count: int) -> np.ndarray:
+    """Angles [rad] of ``count`` even poses over a full turn."""
+    return FULL_TURN * np.arange(count) / count
+
+
+def _finite(name: str, values: Any) -> np.ndarray:
+    """A list of finite numbers as float64 (n,), else `BadInput`."""
+    try:
+        numbers = np.array(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{name} is {values!r}; expected a list of numbers") from error
+    if numbers.ndim != 1 or not numbers.size or not np.isfinite(numbers).all():
+        raise BadInput(f"{name} has shape {numbers.shape} and {np.count_nonzero(~np.isfinite(numbers))} numbers that "
+                       "are not finite; expected a list of finite numbers, at least one")  # fmt: skip
+    return numbers
+
+
+def _relative(dwell: Any, count: int) -> tuple[float, ...] | None:
+    """Times over their mean; None where all are the same."""
+    times = _finite("Turntable dwell", dwell)
+    if times.size != count or times.min() <= 0.0:
+        raise BadInput(f"Turntable dwell has {times.size} times, the least {times.min():g}; expected {count}, "
+                       "one above 0 for each angle: leave out angles that are never lit")  # fmt: skip
+    mean = times.mean()
+    times = times if abs(mean - 1.0) < 1e-12 else times / mean  # what a file keeps comes back to the last bit
+    return None if np.allclose(times, 1.0, rtol=0.0, atol=1e-12) else tuple(times.tolist())
+
+
+def _shortened(values: tuple[float, ...]) -> str:
+    """A list as messages show it."""
+    shown = [f"{value:.4g}" for value in values]
+    return f"[{', '.join(shown if len(shown) <= 6 else [*shown[:3], '…', shown[-1]])}]"
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from vamgpu.hosts.emulators.array import Shown
+from vamgpu.hosts.schedules.schedule import Schedule
 
 MARGIN = 0.005
 """Share of a pose by which light may come too early, from where the first light fell."""
@@ -24,8 +25,8 @@ class Chamber:
 
     position: of the motion at a time [ns], in poses.  power: of the lens [1/m] at a time.  planes: their powers.
     mirrors: rows and columns of the arrays.  first: where pose 0 begins; None for where the first light falls.
-    ``turn``: poses that come round again are one, where it is set.  ``hears`` are told of light as it falls: mirrors,
-    start and end [ns].
+    ``turn``: poses that come round again are one, where it is set; `scan` sets it.  ``hears`` are told of light as it
+    falls: mirrors, start and end [ns].
     """
 
     def __init__(
@@ -44,7 +45,14 @@ class Chamber:
         self.hears: list[Callable[[np.ndarray, int, int], None]] = []
         self.first = first
         self.turn: int | None = None
+        self._begins: np.ndarray | None = None
         self._times, self._channels = [0], [0]
+
+    def scan(self, schedule: Schedule) -> None:
+        """Poses of a vial come round again. Each reaches to the next, wherever measured angles put it."""
+        self.turn, turn = schedule.frames, schedule.position[: schedule.frames]
+        if schedule.advance * schedule.frames != 360:
+            self._begins = np.append(turn - turn[0], 360.0) / float(schedule.advance)
 
     def lamp(self, channels: int, now: int) -> None:
         """The lamp changes."""
@@ -80,7 +88,12 @@ class Chamber:
         return found
 
     def _pose(self, now: int) -> float:
-        return self._position(now) - (self.first or 0.0) + MARGIN
+        pose = self._position(now) - (self.first or 0.0) + MARGIN
+        if self._begins is None:
+            return pose
+        turns, rest = divmod(pose, self._begins[-1])
+        around = len(self._begins) - 1
+        return turns * around + float(np.interp(rest, self._begins, np.arange(around + 1)))
 
     def _add(self, engine: int, mirrors: np.ndarray, start: int, end: int) -> None:
         low, high = self._pose(start), self._pose(end)

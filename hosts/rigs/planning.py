@@ -17,6 +17,7 @@ from vamgpu.hosts.pictures.stream import Mirrors, Pictures
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.motor import steppable
 from vamgpu.hosts.rigs.works import Kind, Work, work
+from vamgpu.hosts.schedules.angles import closest, rising
 from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming
 from vamgpu.hosts.schedules.moving import sla, turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
@@ -147,6 +148,7 @@ def _alike(works: tuple[Work, ...], rig: RigConfig) -> None:
     for other in works[1:]:
         for what, one, two in (
             ("kind", first.kind, other.kind), ("number of poses", first.poses, other.poses),
+            ("angles", first.motion, other.motion),
             ("bits", first.bits, other.bits), ("way from pose to pose [mm]", first.advance, other.advance),
             ("focus planes [mm]", first.depths, other.depths), ("speed [mm/s]", first.speed, other.speed),
         ):  # fmt: skip
@@ -232,7 +234,7 @@ def _schedule(
     first: Work, rig: RigConfig, speed: float, turns: int, mirrors: tuple[Mirrors, ...], focus: tuple[float, ...]
 ) -> Schedule:
     wanted, planes = rig.wanted, max(len(first.depths), 1)
-    pose = 360.0 / first.poses / speed if first.advance is None else first.advance / speed
+    pose = (_nearest(first) if first.advance is None else first.advance) / speed
     if pose * SECOND > DAY:
         raise BadInput(f"at that speed a picture lasts {pose:.3g} s; wanted a day at most: move faster")
     sections = wanted.projector * len(mirrors) if wanted.emulated else wanted.projector
@@ -245,7 +247,7 @@ def _schedule(
     )  # fmt: skip
     common: dict[str, Any] = {"speed": speed, "engines": engines, "bits": first.bits, "power": wanted.light.power}
     if first.advance is None:
-        return turned(first.poses, turns=turns, **common)
+        return turned(first.turn, turns=turns, **common)
     if turns != 1:
         raise BadInput(f"turns is {turns}; wanted 1, as only vials come round again")
     if first.kind == "slices":
@@ -253,6 +255,12 @@ def _schedule(
     lens = wanted.lens
     timing = None if lens is None or not focus else LensTiming(lens.settle, baud=lens.baud, latency=lens.latency)
     return web(first.poses, advance=first.advance, lens=timing, focus=focus, **common)
+
+
+def _nearest(first: Work) -> float:
+    """Degrees between the nearest two poses of a vial."""
+    motion = first.motion
+    return 360.0 / first.poses if motion is None or motion.is_even else float(closest(rising(motion)))
 
 
 def _on_a_cable(first: Work, rig: RigConfig, speed: float, turns: int, rehearsed: bool) -> Plan:
@@ -264,5 +272,5 @@ def _on_a_cable(first: Work, rig: RigConfig, speed: float, turns: int, rehearsed
     display = HdmiTiming(
         refresh=section.refresh, bits=section.bits, latency=section.latency, pixels=(columns, rows),
     )  # fmt: skip
-    schedule = vial(first.poses, speed=speed, display=display, turns=turns, power=rig.wanted.light.power)
+    schedule = vial(first.turn, speed=speed, display=display, turns=turns, power=rig.wanted.light.power)
     return Plan((first,), schedule, (screen,), rig, display=display, rehearsed=rehearsed)

@@ -41,7 +41,7 @@ class Rehearsal:
         bytes_ = levels if frames.bits == 8 else np.packbits(levels, axis=-1)
         return Frames.from_bytes(
             bytes_, "numpy", bits=frames.bits, gray=frames.gray, scale=frames.scale, columns=columns,
-            settings=frames.settings, flat_field=frames.flat_field,
+            settings=frames.settings, flat_field=frames.flat_field, motion=frames.motion,
         )  # fmt: skip
 
 
@@ -58,7 +58,7 @@ def rehearsal(planned: Plan, paced: bool = False) -> Rehearsal:
     witness = Witness(bench.chamber, planned.schedule, pictures, planned.mirrors[0], planes)
     bench.clock.attach(witness)
     if planned.kind == "vial":
-        bench.chamber.turn = planned.schedule.frames
+        bench.chamber.scan(planned.schedule)
     if planned.stop is not None:
         machines.camera = resin_camera(bench.chamber, bench.clock, planned.stop.exposure, planned.stop.bits)
     return Rehearsal(machines, bench, witness)

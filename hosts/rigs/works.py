@@ -16,6 +16,7 @@ from vamgpu.backend.device import Device
 from vamgpu.curethrough.names import is_slice
 from vamgpu.curethrough.output import RECORD
 from vamgpu.errors import BadInput, SliceError, StorageError
+from vamgpu.geometry import Turntable
 from vamgpu.hosts.pictures.stream import FramePictures, Mirrors, Pictures, WebPictures
 from vamgpu.printing.frames import Frames
 from vamgpu.storage.folder import MANIFEST
@@ -44,6 +45,16 @@ class Work:
     depths: tuple[float, ...] = ()
     bath: float = 1.0
     frames: Frames | None = None
+
+    @property
+    def motion(self) -> Turntable | None:
+        """Where the pictures of a vial are for; None where its folder is of an earlier version, which means evenly."""
+        return None if self.frames is None else self.frames.motion
+
+    @property
+    def turn(self) -> int | Turntable:
+        """What a schedule takes of a vial."""
+        return self.motion or self.poses
 
 
 def work(path: str | Path, device: str | Device | None = None) -> Work:

@@ -10,6 +10,8 @@ from math import nan
 import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible
+from vamgpu.geometry import Turntable
+from vamgpu.hosts.schedules.angles import FULL, closest, rising
 from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
 from vamgpu.hosts.schedules.power import powers
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
@@ -65,18 +67,43 @@ def sla(
 
 
 def turned(
-    images: int, *, speed: Number, engines: Engines, turns: int = 1, bits: int = 8, on: Number | None = None,
-    power: float | Sequence[float] = 1.0,
+    images: int | Turntable, *, speed: Number, engines: Engines, turns: int = 1, bits: int = 8,
+    on: Number | None = None, power: float | Sequence[float] = 1.0,
 ) -> Schedule:  # fmt: skip
-    """Slots of a turning vial before triggered mirrors: ``images`` a turn at ``speed`` [deg/s], turn after turn.
+    """Slots of a turning vial before triggered mirrors, at ``speed`` [deg/s], turn after turn.
 
-    Raises `BadInput`, `TimingInfeasible`.
+    images: so many a turn, evenly, or the poses of a `Turntable`. Measured angles are met at a constant speed, each lit
+    as long as the nearest two leave room for; a vial that is lit over part of a turn turns on in the dark. Raises
+    `BadInput` for angles that do not rise, or that are to be lit for unequal times; `TimingInfeasible`.
     """
-    number, times = whole("images", images), whole("turns", turns)
+    motion = images if isinstance(images, Turntable) else None
+    number = images.angles if isinstance(images, Turntable) else whole("images", images)
+    times = whole("turns", turns)
     shown, order = _Shown.of(engines, bits, power), np.zeros((2, 1), np.int64)
-    pose, way = _Pose.of(order, None, shown, on), Fraction(360, number)
-    period = pose.period(way, exact("speed [deg/s]", speed), "deg")
+    pose, wanted = _Pose.of(order, None, shown, on), exact("speed [deg/s]", speed)
+    if motion is not None and not motion.is_even:
+        return _scanned(motion, times, wanted, pose, shown)
+    way = Fraction(360, number)
+    period = pose.period(way, wanted, "deg")
     return _table(Cadence(period, shown.delay), way, number * times, 0, order, pose, (), shown, None, number)
+
+
+def _scanned(motion: Turntable, turns: int, speed: Fraction, pose: _Pose, shown: _Shown) -> Schedule:
+    """Slots at measured angles of a turn; the nearest two are one ``advance`` apart."""
+    angles = rising(motion)
+    way, count = closest(angles), len(angles) * turns
+    period = pose.period(way, speed, "deg")
+    starts, on = pose.times(period)
+    turn, number = Cadence(period / way * FULL, shown.delay), np.arange(count, dtype=np.int64)
+    after = np.array([int(angle / way * period) for angle in angles], np.int64) + int(starts[0, 0])
+    light = (turn.times(0, turns)[:, None] + after).ravel()
+    return Schedule(
+        command=np.full(count, NONE, np.int64), trigger=light - shown.delay, light=light, dark=light + on,
+        on=np.full(count, on, np.int64), frame=number % len(angles), pose=number, plane=np.zeros(count, np.int64),
+        position=(FULL * np.arange(turns)[:, None] + np.array([float(angle) for angle in angles])).ravel(),
+        focus=np.full(count, nan), power=np.tile(np.array(shown.power), (count, 1)),
+        cadence=Cadence(period, shown.delay), advance=way, unit="deg", delay=shown.delay, frames=len(angles),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

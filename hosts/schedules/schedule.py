@@ -50,7 +50,8 @@ class Schedule:
     turns.  plane: focus plane.  position: that the picture is meant for, in ``unit``.  focus: lens power [dpt], NaN
     without a lens.  power: of the light, 0 to 1, float (slots, engines).
 
-    cadence: of the poses, and so of the motion.  advance: from pose to pose, exact.  unit: "mm" or "deg".  delay: from
+    cadence: of the poses, and so of the motion.  advance: from pose to pose, exact; of measured angles between the
+    nearest two, and the cadence is theirs.  unit: "mm" or "deg".  delay: from
     trigger to light [ns], the same in every engine; one that is quicker is set to wait.  frames: how many there are.
     """
 
@@ -102,16 +103,23 @@ class Schedule:
         if self.unit != "deg" or count % self.frames:
             raise BadInput("only whole turns of a vial can be turned again; a web does not come round")
         beats = turn.pose - turn.pose[0]
-        late = np.array([self.cadence.at(count + k) - self.cadence.at(k) for k in beats.tolist()], np.int64)
+        late = self._later(count, beats)
         wanted = np.isin(turn.frame, list(frames))
         shifted = {name: getattr(turn, name) + late for name in ("trigger", "light", "dark")}
         shifted |= {
             "command": np.where(turn.command == NONE, NONE, turn.command + late), "on": np.where(wanted, turn.on, 0),
             "frame": np.where(wanted, turn.frame, NONE), "pose": turn.pose + count,
-            "position": turn.position + count * float(self.advance),
+            "position": turn.position + 360.0 * (count // self.frames),
         }  # fmt: skip
         both = {name: (getattr(self, name), shifted.get(name, getattr(turn, name))) for name in (*COLUMNS, "power")}
         return replace(self, **{name: np.concatenate(parts) for name, parts in both.items()})
+
+    def _later(self, count: int, beats: np.ndarray) -> np.ndarray:
+        """How much later [ns] the slots of a turn come ``count`` poses on."""
+        if self.advance * self.frames == 360:
+            return np.array([self.cadence.at(count + k) - self.cadence.at(k) for k in beats.tolist()], np.int64)
+        turn = Cadence(self.cadence.period / self.advance * 360)
+        return np.full(beats.shape, turn.at(count // self.frames))
 
     @property
     def engines(self) -> int:
@@ -140,7 +148,7 @@ class Schedule:
 
     @property
     def rate(self) -> float:
-        """Slots a second, on average."""
+        """Slots a second, on average; at measured angles where they are nearest."""
         poses = int(self.pose[-1] - self.pose[0]) + 1 if len(self) else 1
         return float(len(self) * SECOND / (poses * self.cadence.period))
 

@@ -9,6 +9,8 @@ from math import ceil, nan
 import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible
+from vamgpu.geometry import Turntable
+from vamgpu.hosts.schedules.angles import even_images
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.power import powers
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
@@ -19,15 +21,16 @@ SAME = Fraction(1, 10**9)
 
 
 def vial(
-    images: int, *, speed: Number, display: HdmiTiming, turns: int = 1, power: float | Sequence[float] = 1.0
+    images: int | Turntable, *, speed: Number, display: HdmiTiming, turns: int = 1, power: float | Sequence[float] = 1.0
 ) -> Schedule:
     """Slots of a vial: ``images`` a turn at ``speed`` [deg/s], each in a whole number of the cable's slots.
 
-    At 40 images a second and 120 slots a second every image takes exactly three. ``trigger`` is when the video frame
-    with an image's first slot must be on the cable. Several powers are those of engines that share the cable's clock.
+    images: so many a turn, or a `Turntable` whose poses are even over it. At 40 images a second and 120 slots a second
+    every image takes exactly three. ``trigger`` is when the video frame with an image's first slot must be on the
+    cable. Several powers are those of engines that share the cable's clock.
     Raises `BadInput`, and `TimingInfeasible` with the greatest speed, not above the wanted one, that fits exactly.
     """
-    number, times, shares = whole("images", images), whole("turns", turns), powers(power)
+    number, times, shares = whole("images", even_images(images)), whole("turns", turns), powers(power)
     repeats = slots_per_image(number, speed, display)
     slot = SECOND / display.slot_rate
     begin = Cadence(slot * display.patterns).at(display.latency)

@@ -14,7 +14,7 @@ from vamgpu.chemistry.printrun import PrintRun
 from vamgpu.chemistry.reaction import Reaction
 from vamgpu.chemistry.transport import Box, Transport
 from vamgpu.errors import BadInput, ShapeMismatch, StorageError, UnstableStep
-from vamgpu.geometry import centers
+from vamgpu.geometry import Turntable, centers
 
 BOX = Box((33, 33, 5), (0.1, 0.1, 0.15), radius=1.6)
 RESIN = Reaction(0.05, 0.04, 0.08, 0.05, initial=2.0, cross=0.05, optical=1.0, mechanical=2.0)
@@ -50,6 +50,19 @@ def test_light_of_a_pose_is_beer_lambert_through_an_even_resin(device: Device) -
             assert apart[inside].mean() < 0.002 * power
             assert not found.numpy()[~inside].any()
     assert job.frames == 48
+
+
+def test_light_comes_from_where_the_angles_were_measured(device: Device) -> None:
+    light, c = np.random.default_rng(2).random((24, 33, 5)), device.upload(np.full(BOX.shape, 1.7))
+    turned = Turntable(np.roll(Turntable(24).poses, -7))
+    even, measured = (Exposure(BOX, light, None, COLORS, device=device, motion=motion) for motion in (None, turned))
+    rolled = Exposure(BOX, np.roll(light, 7, axis=0), None, COLORS, device=device)
+    shown = measured.irradiance(c, 3)[0].numpy()
+    assert np.array_equal(shown, rolled.irradiance(c, 10)[0].numpy())
+    assert np.abs(shown - even.irradiance(c, 3)[0].numpy()).max() > 0.1
+    for motion in (Turntable(23), Turntable(24, dwell=np.linspace(1, 2, 24))):
+        with pytest.raises(BadInput, match="expected as many, each lit as long"):
+            Exposure(BOX, light, None, COLORS, device=device, motion=motion)
 
 
 def test_light_goes_through_the_c_there_is(device: Device) -> None:

@@ -12,7 +12,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.transport import Box
 from vamgpu.errors import BadInput, ShapeMismatch
-from vamgpu.geometry import positive
+from vamgpu.geometry import Turntable, positive
 from vamgpu.kernels.attenuate import column_density, expose
 
 
@@ -33,10 +33,11 @@ class Extinction:
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """Sinograms of both colors, [angle, r, z] in mW/mm² where they enter the resin, poses evenly over a turn.
+    """Sinograms of both colors, [angle, r, z] in mW/mm² where they enter the resin, each pose for the same time.
 
     box: of the resin, with its radius; its slices are the rows of the light.  pitch: between columns of light [mm], by
-    default the box's along x.  Either color may be None. Raises `BadInput`, `ShapeMismatch`.
+    default the box's along x.  motion: the poses, by default evenly over a turn.  Either color may be None.
+    Raises `BadInput`, `ShapeMismatch`.
     """
 
     box: Box
@@ -45,6 +46,7 @@ class Exposure:
     extinction: tuple[Extinction, Extinction] = (Extinction(), Extinction())
     pitch: float | None = None
     device: Device = field(default=None)  # type: ignore[assignment] - must be the transport's
+    motion: Turntable | None = None
 
     def __post_init__(self) -> None:
         given = [light for light in (self.visible, self.ultraviolet) if light is not None]
@@ -60,6 +62,12 @@ class Exposure:
                 )
             if not np.isfinite(light).all() or np.min(light) < 0:
                 raise BadInput(f"light holds {np.min(light):g} mW/mm²; wanted finite numbers ≥ 0")
+
+        motion = Turntable(given[0].shape[0]) if self.motion is None else self.motion
+        object.__setattr__(self, "motion", motion)
+        if motion.angles != given[0].shape[0] or motion.dwell is not None:
+            raise BadInput(f"light of {given[0].shape[0]} poses got {motion} angles; expected as many, each lit as "
+                           "long: solve with a Turntable without dwell")  # fmt: skip
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -93,7 +101,7 @@ class Exposure:
 
     def _pose(self, angle: int) -> DeviceArray:
         if angle not in self._poses:
-            turn, (dx, dy, _) = 2.0 * np.pi * angle / self.angles, self.box.pitch
+            turn, (dx, dy, _) = self.motion.poses[angle], self.box.pitch  # type: ignore[union-attr]
             values = [cos(turn), sin(turn), dx, dy, self.pitch, self.step, self.box.radius, 0.0]
             self._poses[angle] = self.device.table(values)
         return self._poses[angle]

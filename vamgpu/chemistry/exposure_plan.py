@@ -64,7 +64,8 @@ class TurnLight:
     """The light of one turn, visible and perhaps ultraviolet, with the operators that say where it goes.
 
     light, ultraviolet_light: [angle, r, z] ≥ 0 on the device, fluence in air of every pose [mJ/mm²].  strength: visible
-    dose that a unit of ultraviolet dose undoes, the linear model's k.  Raises `ShapeMismatch`, `DeviceError`.
+    dose that a unit of ultraviolet dose undoes, the linear model's k.  Raises `ShapeMismatch`, `DeviceError`, and
+    `BadInput` for poses that are lit for unequal times, whose fluence is no longer that of the light.
     """
 
     visible: Projection
@@ -75,6 +76,10 @@ class TurnLight:
 
     def __post_init__(self) -> None:
         require(self.visible.range, self.light, "the visible light")
+        for operator in (self.visible, self.ultraviolet or self.visible):
+            if operator.motion.dwell is not None:
+                raise BadInput(f"the light of a turn got {operator.motion} angles; expected poses that share a turn "
+                               "evenly: solve with a Turntable without dwell")  # fmt: skip
         if (self.ultraviolet is None) != (self.ultraviolet_light is None):
             raise BadInput("ultraviolet light needs its operator, and the operator its light; give both or neither")
         if self.ultraviolet is not None:

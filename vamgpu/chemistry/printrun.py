@@ -112,6 +112,8 @@ class PrintRun:
         t, e = self.transport, self.exposure
         settings = (t.box, t.diffusivities, t.reaction, t.boundaries, e.extinction, e.pitch, self.turn, self.steps)
         digest = hashlib.sha256(repr(settings).encode())
+        if e.motion is not None and not e.motion.is_even:
+            digest.update(e.motion.poses.tobytes())
         for light in (e.visible, e.ultraviolet):
             digest.update(b"-" if light is None else np.ascontiguousarray(light, np.float32).tobytes())
         return digest.hexdigest()

@@ -10,19 +10,21 @@ from typing import Any
 
 from vamgpu.backend.device import Device
 from vamgpu.errors import JobError, OpticsWarning, OutOfMemory, StorageError
-from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.geometry import Beam, Grid
+from vamgpu.jobs.angles import motion_of
 from vamgpu.jobs.model import BeamSection, FramesSection, JobFile
 from vamgpu.jobs.read import Job
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat
 from vamgpu.optics.vial import Vial
+from vamgpu.storage.turntable import described, turntable_from
 from vamgpu.targets.target import Target
 
 SPARE = 2
 """Pixels a beam reaches beyond the part on every side where the job does not say how many it has."""
 
 VESSELS = {"vial": Vial, "vat": Vat}
-OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0, "footprint": "joseph"}
+OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0, "footprint": "exact"}
 """What beams were taken for by folders that do not say it."""
 
 
@@ -60,14 +62,14 @@ def vessel_of(wanted: JobFile) -> Vial | Vat | None:
 def projection_of(wanted: JobFile, target: Target, device: Device, folder: Path = Path()) -> Projection:
     """The projector of a job whose paths are relative to ``folder``.
 
-    Raises `TargetTooLarge` where light does not reach the whole part, `StorageError`, `BadInput` for a calibration that
-    cannot be read.
+    Raises `TargetTooLarge` where light does not reach the whole part, `JobError` for a file of angles that is none,
+    `StorageError`, `BadInput` for a calibration that cannot be read.
     """
     vessel = vessel_of(wanted)
     if vessel is not None:
         vessel.check_fits(target.radius)
     pixels = wanted.beam.pixels or _covering(target, vessel, wanted.beam.pitch)
-    beam, motion = beam_of(wanted.beam, pixels, folder), Turntable(wanted.turntable.angles)
+    beam, motion = beam_of(wanted.beam, pixels, folder), motion_of(wanted.turntable, folder)
     try:
         A = Projection(target.grid, beam, motion, vessel, device, footprint=wanted.beam.footprint)
     except MemoryError as error:
@@ -110,7 +112,7 @@ def describe(A: Projection) -> dict[str, Any]:
     return {
         "grid": {"shape": list(A.grid.shape), "pitch": A.grid.pitch},
         "beam": {**asdict(A.beam), "pixels": list(A.beam.pixels), "footprint": A.footprint},
-        "turntable": {"angles": A.motion.angles},
+        "turntable": described(A.motion),
         "vessel": None if kind is None else {"kind": kind, **asdict(A.vessel)},  # type: ignore[call-overload]
     }
 
@@ -126,7 +128,7 @@ def projection_from(description: dict[str, Any], device: Device) -> Projection:
         footprint, pixels = beam.pop("footprint"), tuple(beam.pop("pixels"))
         fields = dict(description["vessel"] or {})
         vessel = VESSELS[fields.pop("kind")](**fields) if fields else None
-        motion = Turntable(description["turntable"]["angles"])
+        motion = turntable_from(description["turntable"])
         nouns = (Grid(tuple(grid["shape"]), grid["pitch"]), Beam(pixels, **beam), motion)
     except (KeyError, TypeError, ValueError) as error:
         raise StorageError(f"the manifest garbles its geometry: {error}; write the job again") from error
@@ -138,9 +140,8 @@ def _with_optics(beam: dict[str, Any]) -> dict[str, Any]:
     if set(OPTICS) <= set(beam):
         return dict(beam)
     warnings.warn(
-        "the folder says nothing of the beam's fill and point spread: it was solved for pixels lit all over, a perfect "
-        "lens and one ray a pixel, and is read so (fill 1, spread 0, footprint joseph); solve it again for the light "
-        "that a lens makes",
+        "the folder says nothing of the beam's fill and point spread: it was solved for pixels lit all over and a perfect "
+        "lens, and is read so (fill 1, spread 0); solve it again for the light that a lens makes",
         OpticsWarning, stacklevel=3,
     )  # fmt: skip
     return OPTICS | beam

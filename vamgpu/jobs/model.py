@@ -6,7 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from vamgpu.jobs.quantity import Absorption, DoseValue, Irradiance, Length, Spread, Thickness
+from vamgpu.geometry import FULL_TURN
+from vamgpu.jobs.quantity import Absorption, Angle, DoseValue, Irradiance, Length, Spread, Thickness
 
 
 def _tupled(value: Any) -> Any:
@@ -69,10 +70,26 @@ class BeamSection(Section):
     footprint: Literal["exact", "joseph"] = "exact"
 
 
-class TurntableSection(Section):
-    """The motion: equal poses over a full turn."""
+def _count_or_file(value: Any) -> Any:
+    named = isinstance(value, str) and value.lower().endswith(".csv")
+    if not named and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+        raise ValueError('wanted a whole number of angles ≥ 1, or a file of measured ones: angles = "measured.csv"')
+    return value
 
-    angles: Count = 360
+
+class TurntableSection(Section):
+    """The motion: even angles over a full turn or a range of it, or measured ones from a file."""
+
+    angles: Annotated[int | str, BeforeValidator(_count_or_file)] = 360
+    range: Angle | None = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> TurntableSection:
+        if self.range is not None and isinstance(self.angles, str):
+            raise ValueError(f"got a range and the file {self.angles!r}, which has its own; remove one of both")
+        if self.range is not None and self.range > FULL_TURN * (1.0 + 1e-9):
+            raise Misplaced(f"got {self.range:.6g} rad; wanted 360 deg at most: correct the value", "range")
+        return self
 
 
 class VialSection(Section):

@@ -13,6 +13,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.kernels.oblique import back_oblique, forward_oblique
+from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.light import EQUAL, OpenAir, column_in_resin, tabulate
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
@@ -38,8 +39,9 @@ class Rising(Protocol):
 class Oblique(LinearOperator):
     """Rays that have a column and a row: ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose.
 
-    Entries are those of `Projection`, lengths [mm] of rays in voxels times what a vessel passes and absorbs. One kernel
-    follows every ray through the slices, so a cone's rows spread with depth exactly as its columns do.
+    Entries are those of `Projection`, lengths [mm] of rays in voxels times what a vessel passes and absorbs, and times
+    the pose's time over the mean. One kernel follows every ray through the slices, so a cone's rows spread with depth
+    exactly as its columns do.
 
     grid, beam, motion: the geometry.  light: a `Cone`, an `Inclined`, or any vessel (None for air), whose rows are
     level.  wobble: where the axis stands at each pose; the light and all vessels stay where they are.  device: a name
@@ -68,6 +70,7 @@ class Oblique(LinearOperator):
         self._places = np.zeros((motion.angles, 2)) if wobble is None else wobble.places(motion.angles) / grid.pitch
         self._check_places()
         self._tables = self._tabulated(plane or OpenAir())
+        self._dwell = Dwell(motion, self.device)
         self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
@@ -116,7 +119,9 @@ class Oblique(LinearOperator):
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         self.device.launch(forward_oblique, volume=x, **self._tables, **self._size, lanes=x.lanes, sinogram=out)
+        self._dwell.weigh(out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         tables = {name: self._tables[name] for name in ("poses", "light")}
-        self.device.launch(back_oblique, sinogram=y, **tables, **self._size, lanes=y.lanes, volume=out)
+        shone = self._dwell.weighted(y)
+        self.device.launch(back_oblique, sinogram=shone, **tables, **self._size, lanes=y.lanes, volume=out)

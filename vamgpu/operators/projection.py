@@ -15,6 +15,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.kernels.footprint import back_footprint, forward_footprint
 from vamgpu.kernels.project import back_joseph, forward_joseph
+from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.light import OpenAir, tabulate
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.rows import Rows
@@ -68,7 +69,7 @@ class Projection(LinearOperator):
         self._check_footprint()
         self.domain, self.range = VolumeSpace(grid), SinogramSpace(beam, motion)
         self.device = open_device(device)
-        poses = motion.poses
+        self._dwell, poses = Dwell(motion, self.device), motion.poses
         self._directions = self.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
         if footprint == "joseph":
             self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device)
@@ -134,12 +135,13 @@ class Projection(LinearOperator):
             self.device.launch(forward_footprint, volume=x, sinogram=rows, **self._light, **self._gather)
         if rows is not out:
             self._rows.from_slices(rows, out)
+        self._dwell.weigh(out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        rows = y
+        rows = weighted = self._dwell.weighted(y)
         if not self._rows.same:
             rows = self.device.empty(self._slices)
-            self._rows.to_slices(y, rows)
+            self._rows.to_slices(weighted, rows)
         if self.footprint == "joseph":
             given = {"directions": self._directions, "pitch": self.grid.pitch}
             self.device.launch(back_joseph, sinogram=rows, volume=out, **given)

@@ -16,6 +16,7 @@ from vamgpu.kernels.gather import gather_rows
 from vamgpu.kernels.trace import ABSORBS, back_traced, clear_volume, forward_traced, survey_rays, trace_entries
 from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.carried import Carried
+from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.rows import Rows
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
@@ -36,9 +37,10 @@ class TracedProjection(LinearOperator):
     """Rays of a beam through a volume that turns together with what it carries.
 
     ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose [x, y, z]; ``A[i, j]`` is the length [mm] of
-    ray i in voxel j, times transmittance and the absorbed fraction per mm where an extinction is carried. No dose is
-    counted in opaque voxels. Where nothing depends on z and light is level, all slices share the rays of one: they are
-    traced once into a sparse matrix and its transpose, both on the device. Otherwise rays are marched in every product.
+    ray i in voxel j, times transmittance and the absorbed fraction per mm where an extinction is carried, and times the
+    pose's time over the mean. No dose is counted in opaque voxels. Where nothing depends on z and light is level, all
+    slices share the rays of one: they are traced once into a sparse matrix and its transpose, both on the device.
+    Otherwise rays are marched in every product.
 
     grid, beam, motion: the geometry.  carried: what turns with the resin.  rays: `RayBundle`, None for parallel light.
     device: a name or a device.  step: of a ray [voxels], at most 0.5 past thin inserts.  most_steps: after which a ray
@@ -73,6 +75,7 @@ class TracedProjection(LinearOperator):
         carried.check(grid)
         level = carried.is_level and rays.is_level  # type: ignore[union-attr]
         self._way: _Matrix | _March = _Matrix(self) if level else _March(self)
+        self._dwell = Dwell(motion, self.device)
         self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
@@ -90,9 +93,10 @@ class TracedProjection(LinearOperator):
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         self._way.forward(x, out)
+        self._dwell.weigh(out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        self._way.transposed(y, out)
+        self._way.transposed(self._dwell.weighted(y), out)
 
     def inputs(self, *, level: bool) -> dict[str, Any]:
         """Medium, rays, step and kind as the kernels of `trace` take them."""

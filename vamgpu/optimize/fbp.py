@@ -9,13 +9,18 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.optimize.band import Band
 from vamgpu.optimize.method import Criterion, Steps
 from vamgpu.optimize.papers import RAMP
+from vamgpu.optimize.quadrature import check_complete
 from vamgpu.optimize.ramp import ramp
 from vamgpu.optimize.work import Work
 
 
 @dataclass(frozen=True)
 class FilteredBackProjection:
-    """Forward projection, ramp, clip: one projector pair and done."""
+    """Forward projection, ramp, clip: one projector pair and done.
+
+    Poses count by the directions that they stand for. `optimize` refuses a scan that lacks a twentieth of all
+    directions, where nothing is inverted: methods that iterate take it.
+    """
 
     papers: ClassVar[tuple[str, ...]] = (RAMP,)
     iterations: ClassVar[int] = 1
@@ -23,6 +28,7 @@ class FilteredBackProjection:
     criterion: ClassVar[Criterion] = "window"
 
     def steps(self, work: Work) -> Steps:
+        check_complete(work.operator.motion)
         dose = work.volume()
         filtered_light(work, dose)
         window, _ = work.window(dose)

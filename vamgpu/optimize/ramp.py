@@ -11,24 +11,30 @@ from vamgpu.kernels.filter import filter_rows
 from vamgpu.operators.feed import Feed
 from vamgpu.operators.reductions import dot
 from vamgpu.optimize.projector import Projector
+from vamgpu.optimize.quadrature import balance
 from vamgpu.web import WebGrid
 
 
 @dataclass(frozen=True, eq=False)
 class Taps:
-    """One side of a symmetric filter; taps between multiples of ``stride`` (counted from the first) are zero."""
+    """One side of a symmetric filter; taps between multiples of ``stride`` (counted from the first) are zero.
+
+    balance: what filtered light of each pose is multiplied by; None where poses are even and lit as long.
+    """
 
     table: DeviceArray
     stride: int
+    balance: DeviceArray | None = None
 
 
 def ramp(operator: Projector) -> Taps:
     """The band-limited ramp, scaled so that Aᵀ·ramp·A is near the identity for straight rays that nothing absorbs.
 
+    Poses count by the directions that they stand for, and by the time that they are lit.
     Source: G. Ramachandran & A. Lakshminarayanan, PNAS 68 (1971) 2236.
     """
     columns = operator.beam.pixels[0]
-    return Taps(operator.device.table(_ramp_taps(columns) * _scale(operator)), 2)
+    return Taps(operator.device.table(_ramp_taps(columns) * _scale(operator)), 2, _balance(operator))
 
 
 def _ramp_taps(columns: int) -> np.ndarray:
@@ -50,7 +56,7 @@ def capped_ramp(operator: Projector, cap: float, span: float = 1.0) -> Taps:
     if span < 1.0:
         count = min(columns, max(8, round(span * columns)))
         taps = taps[:count] * np.cos(0.5 * np.pi * np.arange(count) / count) ** 2
-    return Taps(operator.device.table(taps * _scale(operator)), 1)
+    return Taps(operator.device.table(taps * _scale(operator)), 1, _balance(operator))
 
 
 def identity(operator: Projector) -> Taps:
@@ -66,6 +72,11 @@ def _scale(operator: Projector) -> float:
     # A voxel of Aᵀ gathers pitch² / beam pitch from each angle; π per half turn is what the inversion formula asks
     area = grid.pitch**2 / operator.beam.pitch
     return np.pi / motion.angles / area / operator.beam.pitch
+
+
+def _balance(operator: Projector) -> DeviceArray | None:
+    found = None if isinstance(operator.motion, Feed) else balance(operator.motion)
+    return None if found is None else operator.device.table(found)
 
 
 def bar(grid: WebGrid) -> np.ndarray:

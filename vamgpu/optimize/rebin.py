@@ -22,7 +22,8 @@ def rebin(plan: Plan, operator: Projection) -> DeviceArray:
     column shrinks by p′(u) and by the transmittance, both made up for. Absorption is not.
     Source: A. Orth et al., Opt. Express 29 (2021) 11037.
 
-    Raises `BadInput` for a plan that has a vessel itself, other poses, or other rows along z.
+    Raises `BadInput` for a plan that has a vessel itself, other poses, or other rows along z, and for poses that are
+    not even over a full turn: light moves on by the same number of poses at every angle.
     """
     source, vessel = plan.operator, operator.vessel
     if not isinstance(source, Projection) or source.vessel is not None or vessel is None:
@@ -31,6 +32,11 @@ def rebin(plan: Plan, operator: Projection) -> DeviceArray:
         raise BadInput(
             f"the plan has {source.motion} and {source.beam.pixels[1]} rows; wanted {operator.motion} and "
             f"{operator.beam.pixels[1]}: plan for the same poses and rows"
+        )
+    if not source.motion.is_even:
+        raise BadInput(
+            f"rebin got {source.motion} angles; expected even ones over a full turn, each lit as long, among which a "
+            "ray that a vessel turns finds its pose: give the vessel to the operator that plans instead"
         )
     if source.device is not operator.device:
         raise BadInput(f"the plan is on {source.device}, the operator on {operator.device}; use one device for both")

@@ -210,6 +210,9 @@ def _memory(operator: Projector, method: Method, resume: Plan | None) -> dict[st
             f"the plan to resume has light {resume.sinogram.shape} on {resume.operator.device}; wanted "
             f"{operator.range.shape} on {operator.device}: resume with the operator that made it"
         )
+    motion, poses = (getattr(one, "motion", None) for one in (resume.operator, operator))
+    if motion != poses:
+        raise BadInput(f"the plan to resume is for {motion!r}, the operator has {poses!r}; resume at the same angles")
     if resume.method != method:
         raise BadInput(f"the plan to resume is by {resume.method!r}, not by {method!r}; resume with the same method")
     return _copied(operator, resume.state)

@@ -9,6 +9,7 @@ from typing import Any
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid
+from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.kernels.filter import filter_rows, filtered_step
 from vamgpu.kernels.loss import band_loss
 from vamgpu.kernels.update import free_gradient, linear, paint
@@ -160,10 +161,15 @@ class Work:
         self.device.launch(paint, target=self.target, low=background, high=1.0, reach=self.reach, model=out)
 
     def filter(self, sinogram: DeviceArray, taps: Taps, out: DeviceArray, floor: float = NO_FLOOR) -> None:
-        """out = max(floor, sinogram filtered along r)."""
+        """out = max(floor, sinogram filtered along r), times the balance of its pose."""
         self.device.launch(
             filter_rows, sinogram=sinogram, taps=taps.table, stride=taps.stride, floor=floor, filtered=out
         )
+        self._balance(out, taps)
+
+    def _balance(self, images: DeviceArray, taps: Taps) -> None:
+        if taps.balance is not None:
+            self.device.launch(weigh_poses, light=images, times=taps.balance, weighted=images)
 
     def free(
         self, light: DeviceArray, gradient: DeviceArray, weight: float = 0.0, power: float = 1.0, hold: bool = True
@@ -175,7 +181,8 @@ class Work:
         return folded(parts) if weight else 0.0
 
     def step(self, gradient: DeviceArray, taps: Taps, step: float, momentum: float) -> None:
-        """One filtered, accelerated step of ``light`` and ``ahead`` in memory."""
+        """One filtered, accelerated step of ``light`` and ``ahead`` in memory; may balance the gradient in place."""
+        self._balance(gradient, taps)
         self.device.launch(
             filtered_step,
             gradient=gradient,

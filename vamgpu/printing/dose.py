@@ -27,9 +27,10 @@ class Dose:
 def dose_unit(A: Projection, dwell: float, *, unit: float = 1.0, absorption: float | None = None) -> float:
     """pixel_area · dwell / voxel_volume: what Aᵀ(light) is to be multiplied by to be a dose in mJ/mm³.
 
-    dwell: exposure of each pose [s].  unit: irradiance in air [mW/mm²] of one unit of light.  absorption: of the resin
-    [1/mm], only where ``A`` absorbs no light: there Aᵀ(light) is a fluence, of which thin resin absorbs that share per
-    mm. Raises `BadInput` where nothing, or two things, say how much is absorbed.
+    dwell: exposure of a pose [s], the mean of all where they are lit for unequal times.  unit: irradiance in air
+    [mW/mm²] of one unit of light.  absorption: of the resin [1/mm], only where ``A`` absorbs no light: there Aᵀ(light)
+    is a fluence, of which thin resin absorbs that share per mm. Raises `BadInput` where nothing, or two things, say how
+    much is absorbed.
     """
     factor = unit * A.beam.pixel_area * positive("dwell [s]", dwell) / A.grid.voxel_volume
     if absorbs(A):

@@ -39,10 +39,10 @@ def expose(
     A: Projection, scores: Scores, sent: float, full: float, *, irradiance: float, critical_dose: float,
     absorption: float | None = None,
 ) -> Exposure:
-    """Times of a print whose poses share the exposure evenly, turn after turn.
+    """Times of a print whose poses share the exposure, evenly or by their dwell, turn after turn.
 
-    scores: of Aᵀ(light).  sent: Σ light.  full: light of a full-on pixel.  irradiance: that pixel's [mW/mm²].
-    critical_dose: [mJ/mm³].  absorption: as for `absorbed_dose`. Raises `BadInput`.
+    scores: of Aᵀ(light).  sent: Σ light · time of its pose over the mean.  full: light of a full-on pixel.
+    irradiance: that pixel's [mW/mm²].  critical_dose: [mJ/mm³].  absorption: as for `absorbed_dose`. Raises `BadInput`.
     """
     unit = _given("irradiance", irradiance, "mW_cm2", mW_cm2) / positive("light of a full-on pixel", full)
     wanted = _given("critical_dose", critical_dose, "mJ_cm3", mJ_cm3)

@@ -12,6 +12,7 @@ from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import Placement
 from vamgpu.storage.folder import Entry, Folder, write_folder
+from vamgpu.storage.turntable import described, turntable_from
 
 
 def save_frames(
@@ -52,6 +53,8 @@ def load_frames(path: str | Path, device: str | Device | None = None) -> Frames:
         settings = Placement(**{**details["settings"], "shift": tuple(details["settings"]["shift"])})
         known: dict[str, Any] = {key: details[key] for key in ("bits", "scale", "columns")}
         gray = GrayCurve.parse(details["gray"])
+        poses = details.get("turntable")  # folders of earlier versions do not say
+        known["motion"] = None if poses is None else turntable_from(poses)
     except (KeyError, TypeError, BadInput) as error:
         raise StorageError(f"the manifest of {str(path)!r} garbles its frames: {error}; write the job again") from error
     flat = folder.array("flat_field") if "flat_field" in folder.manifest.arrays else None
@@ -66,7 +69,9 @@ def load_frames(path: str | Path, device: str | Device | None = None) -> Frames:
 def describe(frames: Frames) -> dict[str, Any]:
     """What it takes, beside the bytes, to know the light of frames; plain values."""
     angles, rows, columns = frames.shape
+    poses = {} if frames.motion is None else {"turntable": described(frames.motion)}
     return {
+        **poses,
         "bits": frames.bits,
         "angles": angles,
         "rows": rows,

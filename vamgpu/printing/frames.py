@@ -11,7 +11,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch
-from vamgpu.geometry import positive
+from vamgpu.geometry import Turntable, positive
 from vamgpu.kernels.pack import unpack
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import Placement
@@ -24,7 +24,8 @@ class Frames:
     images: uint8 table on a device, [angle, row, column] where ``bits`` is 8 and [angle, row, ⌈columns / 8⌉] where it
     is 1, the leftmost column in the highest bit.  gray: light of the levels.  scale: irradiance of a full-on pixel, in
     the plan's units.  columns: pixels a row.  flat_field: relative brightness [row, column] of full-on mirrors, the
-    brightest 1; None where all are alike.  Raises `BadInput`, `ShapeMismatch`.
+    brightest 1; None where all are alike.  motion: the poses that pictures are for, once for each tile; None where
+    nobody said, or of a web.  Raises `BadInput`, `ShapeMismatch`.
     """
 
     images: DeviceArray
@@ -34,6 +35,7 @@ class Frames:
     columns: int
     settings: Placement = field(default_factory=Placement)
     flat_field: np.ndarray | None = None
+    motion: Turntable | None = None
 
     def __post_init__(self) -> None:
         if self.bits not in (1, 8):
@@ -44,6 +46,11 @@ class Frames:
             raise ShapeMismatch(
                 f"images is {self.images!r}; wanted uint8 [angle, row, {width}] for {self.columns} columns of "
                 f"{self.bits} bits"
+            )
+        if self.motion is not None and self.shape[0] % self.motion.angles:
+            raise ShapeMismatch(
+                f"{self.shape[0]} pictures are for {self.motion} angles; expected a picture for each, or for each in "
+                "every tile: pack the light of the same turntable"
             )
         if self.flat_field is not None:
             object.__setattr__(self, "flat_field", flattened(self.flat_field, self.shape[1:]))

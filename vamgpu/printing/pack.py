@@ -9,7 +9,7 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
-from vamgpu.geometry import positive
+from vamgpu.geometry import Turntable, positive
 from vamgpu.kernels.pack import BINS, NEVER, count_light, fold_bits, quantize
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.space import require
@@ -49,8 +49,8 @@ def pack(
     [row, column] of its full-on mirrors, made up for up to full-on.  flip_r, flip_z, shift: see `Placement`; what is
     shifted over an edge is lost.  quantile: a full-on pixel shows this quantile of the lit pixels, and brighter ones
     are cut to it, at least one of the plan's, so that a hot pixel does not dim the print; 1 cuts none.  dither: "round"
-    to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle.  scale: irradiance
-    of a full-on pixel, in place of the quantile.
+    to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle in the order of the
+    scan; for poses that are lit as long.  scale: irradiance of a full-on pixel, in place of the quantile.
 
     Everything runs on the plan's device. Raises `BadInput`, `ShapeMismatch`.
     """
@@ -61,6 +61,13 @@ def pack(
     curve = GrayCurve.linear() if gray is None else gray
     if not isinstance(curve, GrayCurve):
         raise BadInput(f"gray is {gray!r}; wanted a GrayCurve, such as GrayCurve.gamma(2.2)")
+    motion = getattr(getattr(plan, "operator", None), "motion", None)
+    motion = motion if isinstance(motion, Turntable) else None
+    if dither == "error-diffusion" and motion is not None and motion.dwell is not None:
+        raise BadInput(
+            f"error-diffusion got {motion} angles; expected poses that are lit as long, for the error of one is made "
+            'up for at the next: take dither="round"'
+        )
     angles, columns, rows = light.shape
     flat = None if flat_field is None else flattened(flat_field, (rows, columns))
     device = light.device
@@ -72,7 +79,7 @@ def pack(
     carry = float(np.diff(steps).max()) if dither == "error-diffusion" else 0.0
     tables = {"curve": device.table(steps), "bounds": device.table(bounds)}
     device.launch(quantize, **tables, gain=1.0 / full, carry=carry, images=images, **shared)
-    return Frames(_folded(images) if bits == 1 else images, bits, curve, full, columns, settings, flat)
+    return Frames(_folded(images) if bits == 1 else images, bits, curve, full, columns, settings, flat, motion)
 
 
 def _folded(images: DeviceArray) -> DeviceArray:

@@ -94,10 +94,10 @@ def sinogram(light: np.ndarray, full: float) -> str:
     return png(colored(light[:, :, light.shape[2] // 2] / full, "inferno"))
 
 
-def frames(light: np.ndarray, full: float, count: int = 4) -> list[dict[str, Any]]:
-    """``count`` poses, each a picture [z, r] as it leaves the projector, and their angles [°]."""
+def frames(light: np.ndarray, full: float, angles: np.ndarray, count: int = 4) -> list[dict[str, Any]]:
+    """``count`` poses, each a picture [z, r] as it leaves the projector, and its angle of ``angles`` [°]."""
     poses = [round(k * light.shape[0] / count) for k in range(min(count, light.shape[0]))]
     return [
-        {"angle": 360.0 * pose / light.shape[0], "image": png(colored(upright(light[pose]) / full, "inferno"))}
+        {"angle": float(angles[pose % len(angles)]), "image": png(colored(upright(light[pose]) / full, "inferno"))}
         for pose in poses
     ]

@@ -74,7 +74,8 @@ def _content(proof: Proof, plan: Any) -> dict[str, Any]:
         "per_slice": charts.slices_chart(proof.slices, z, wide=convergence is None),
         "cuts": pictures.cuts(dose, target, verdict, scores.peak),
         "sinogram": pictures.sinogram(light, full),
-        "frames": pictures.frames(light, full),
+        "scan": str(proof.operator.motion),
+        "frames": pictures.frames(light, full, np.degrees(proof.operator.motion.poses)),
         "frames_note": _frames_note(proof),
         "convergence": convergence,
         "lines": proof.lines(),
@@ -155,7 +156,7 @@ def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
     rows = [
         ("grid", f"{' × '.join(map(str, A.grid.shape))} voxels of {1e3 * A.grid.pitch:.4g} µm"),
         ("beam", f"{' × '.join(map(str, A.beam.pixels))} pixels of {1e3 * A.beam.pitch:.4g} µm"),
-        ("poses", f"{A.motion.angles} over a full turn"),
+        ("angles", str(A.motion)),
         ("vessel", _described(A.vessel) if A.vessel else "none: straight light, nothing absorbed"),
     ]
     if plan is not None:

@@ -10,6 +10,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.metrics import light_efficiency, score, score_slices
 from vamgpu.metrics.light import light_sent
+from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
 from vamgpu.optimize.part import on_device
@@ -54,9 +55,10 @@ def simulate(
     fraction = on_device(A, target)
     light = frames.irradiance(A.device)
     require(A.range, light, "the frames' light")
-    dose = A.T(light)
+    _same_poses(A, frames)
+    dose, shone = A.T(light), Dwell(A.motion, A.device).weighted(light)
     scores = score(dose, fraction, threshold=threshold)
-    sent = light_sent(light)
+    sent = light_sent(shone)
     given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
     return Proof(
         operator=A,
@@ -66,10 +68,17 @@ def simulate(
         dose=dose,
         scores=scores,
         slices=score_slices(dose, fraction, scores),
-        light_efficiency=light_efficiency(light, frames.scale),
+        light_efficiency=light_efficiency(shone, frames.scale),
         part_share=scores.total_in / sent if sent > 0 else 0.0,
         exposure=None if irradiance is None else expose(A, scores, sent, frames.scale, **given),  # type: ignore[arg-type]
     )
+
+
+def _same_poses(A: Projection, frames: Light) -> None:
+    motion = getattr(frames, "motion", None)
+    if motion is not None and motion != A.motion:
+        raise BadInput(f"the frames are for {motion!r}, the projection has {A.motion!r}; expected the same poses: "
+                       "simulate with the turntable that the frames were packed for")  # fmt: skip
 
 
 def _both_or_neither(irradiance: float | None, critical_dose: float | None) -> None:

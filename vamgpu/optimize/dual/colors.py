@@ -37,6 +37,9 @@ class Colors:
                     f"{name} maps {other.domain.shape} to {other.range.shape}, visible {self.visible.domain.shape} to "
                     f"{self.visible.range.shape}; wanted the same: build both on one grid, beam and motion"
                 )
+            motion, poses = (getattr(one, "motion", None) for one in (other, self.visible))
+            if motion != poses:
+                raise BadInput(f"{name} has {motion!r}, visible {poses!r}; wanted the same poses for both colors")
             if other.device is not self.visible.device:
                 raise BadInput(f"{name} is on {other.device}, visible on {self.visible.device}; wanted one device")
         if not 0.0 < self.strength < float("inf"):

@@ -25,7 +25,8 @@ class PointProjection(LinearOperator):
     """One slice of points and one row of bins, on the ``numpy`` device; for the resolutions of a page, not of a part.
 
     ``A(slice)`` [angle, bin, 1] sums the points in each bin, ``A.T(light)`` [x, y, 1] is what reaches each point; both
-    weigh a point by exp(−absorption·l), l the path [mm] from the wall of a volume whose diameter is the diagonal.
+    weigh a point by exp(−absorption·l), l the path [mm] from the wall of a volume whose diameter is the diagonal, and
+    by the pose's time over the mean.
     Bins narrower than a pixel may stay empty between points, as in the paper.
 
     grid: a slice, one voxel along z.  motion: the angles.  width: of a bin, in pixels of the slice.  absorption: of the
@@ -56,15 +57,15 @@ class PointProjection(LinearOperator):
         """Bins and weights of all points, an angle at a time."""
         x, y, _ = self.grid.axes()
         bins = self.beam.pixels[0]
-        for theta in self.motion.poses:
+        for theta, time in zip(self.motion.poses, self.motion.times, strict=True):
             across = (y * np.cos(theta))[None, :] - (x * np.sin(theta))[:, None]
             which = np.clip(np.floor(across / self.width + 0.5 * bins).astype(np.intp), 0, bins - 1)
             if not self.absorption:
-                yield which, np.ones(which.shape)
+                yield which, np.full(which.shape, time)
                 continue
             along = (x * np.cos(theta))[:, None] + (y * np.sin(theta))[None, :]
             path = np.sqrt(np.maximum(self.radius**2 - across**2, 0.0)) - along
-            yield which, np.exp(-self.absorption * path)
+            yield which, time * np.exp(-self.absorption * path)
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         bins, values, rows = self.beam.pixels[0], x.handle[:, :, 0], out.handle

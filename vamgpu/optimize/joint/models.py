@@ -94,6 +94,9 @@ class KineticModel:
         self.period = positive("period [s]", period, zero=True)
         if resin.pairing and not self.period:
             raise BadInput("the resin's B pairs up, so the period of a turn [s] counts; wanted period > 0")
+        if resin.pairing and visible.motion.dwell is not None:
+            raise BadInput(f"the resin's B pairs up while {visible.motion} angles are lit for unequal times; expected "
+                           "equal times, as runs of poses last alike: leave dwell out of Turntable")  # fmt: skip
         self.steps = counts("steps", (steps,), 1)[0]
         self.runs = tuple(PoseRuns(A, runs) for A in self.operators)
         self.shape = visible.domain.shape

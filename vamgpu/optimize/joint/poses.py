@@ -10,6 +10,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Turntable
 from vamgpu.kernels.inhibition import put_poses, take_poses
+from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.linear import Transposed
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import SinogramSpace
@@ -27,10 +28,10 @@ class PoseRuns:
         angles = operator.motion.angles
         if isinstance(count, bool) or int(count) != count or not 1 <= count <= angles:
             raise BadInput(f"{count!r} runs of {angles} poses; wanted a whole number of 1 to {angles}")
-        poses = np.array_split(operator.motion.poses, int(count))
+        runs = np.array_split(np.arange(angles), int(count))
         self.whole = operator
-        self.first = tuple(int(n) for n in np.cumsum([0, *map(len, poses)])[:-1])
-        self.parts = tuple(_part(operator, angles) for angles in poses)
+        self.first = tuple(int(run[0]) for run in runs)
+        self.parts = tuple(_part(operator, operator.motion.part(int(run[0]), int(run[-1]) + 1)) for run in runs)
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -50,12 +51,13 @@ class PoseRuns:
         device.launch(put_poses, part=rows, first=self.first[run], light=light)
 
 
-def _part(operator: Projection, poses: np.ndarray) -> Projection:
+def _part(operator: Projection, motion: Turntable) -> Projection:
     """The operator at some poses alone; it shares the tables of one pose."""
     part = copy(operator)
     vars(part).pop("_slices", None)
-    part.motion = Turntable(len(poses))
-    part.range = SinogramSpace(operator.beam, part.motion)
+    part.motion, poses = motion, motion.poses
+    part.range = SinogramSpace(operator.beam, motion)
     part._directions = operator.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
+    part._dwell = Dwell(motion, operator.device)
     part._transpose = Transposed(part)
     return part

@@ -1,0 +1,41 @@
+"""Poses that are lit for unequal times: part of every operator that a turntable turns."""
+
+from __future__ import annotations
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.geometry import Turntable
+from vamgpu.kernels.dwell import weigh_poses
+from vamgpu.operators.feed import Feed
+
+
+class Dwell:
+    """Weights images [angle, r, z] by the time of their pose over the mean; does nothing where all are as long.
+
+    A projector A = D·P has rows P of light of every pose and D the times, so that light stays an irradiance, A.T(light)
+    adds up dose, and both are exact transposes: P's forward projection is followed by `weigh`, and its transpose takes
+    what `weighted` gives.
+
+    Args:
+        motion: the poses. An image for each, or as many for each as there are tiles, tile after tile. What is no
+            turntable, such as a web's `Feed`, lights all poses as long.
+        device: of the images.
+    """
+
+    def __init__(self, motion: Turntable | Feed, device: Device) -> None:
+        self._device = device
+        times = motion.times if isinstance(motion, Turntable) and motion.dwell is not None else None
+        self._times = None if times is None else device.table(times)
+
+    def weigh(self, images: DeviceArray) -> None:
+        """images *= times, in place."""
+        if self._times is not None:
+            self._device.launch(weigh_poses, light=images, times=self._times, weighted=images)
+
+    def weighted(self, images: DeviceArray) -> DeviceArray:
+        """images · times in new memory; the images themselves where all poses are lit as long."""
+        if self._times is None:
+            return images
+        out = self._device.empty(images.shape)
+        self._device.launch(weigh_poses, light=images, times=self._times, weighted=out)
+        return out

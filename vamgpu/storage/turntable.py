@@ -1,0 +1,31 @@
+"""The poses of a print in a manifest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.geometry import Turntable
+
+
+def described(motion: Turntable) -> dict[str, Any]:
+    """Plain values: ``angles``, how many; ``theta``, where they were measured [rad]; ``dwell``, unequal times."""
+    found: dict[str, Any] = {"angles": motion.angles}
+    if motion.theta is not None:
+        found["theta"] = list(motion.theta)
+    if motion.dwell is not None:
+        found["dwell"] = list(motion.dwell)
+    return found
+
+
+def turntable_from(description: Mapping[str, Any]) -> Turntable:
+    """The turntable that `described` described. Raises `StorageError` for a description that is not one."""
+    try:
+        count, theta, dwell = description["angles"], description.get("theta"), description.get("dwell")
+        motion = Turntable(count if theta is None else theta, dwell)
+    except (KeyError, TypeError, AttributeError, BadInput) as error:
+        raise StorageError(f"the manifest garbles its turntable: {error}; write the job again") from error
+    if motion.angles != count:
+        raise StorageError(f"the manifest has {count!r} angles, and {motion.angles} measured ones; write the job again")
+    return motion
