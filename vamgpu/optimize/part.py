@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import warnings
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, EmptyMesh, OpticsWarning, TargetTooLarge
-from vamgpu.operators.reductions import extent
+from vamgpu.operators.reductions import extent, total
 from vamgpu.operators.space import require
 from vamgpu.optimize.projector import Projector
+from vamgpu.optimize.reach import check_reach
 from vamgpu.web import WebGrid
 
 
@@ -19,7 +21,8 @@ def fractions_of(operator: Projector, target: Any) -> DeviceArray:
     """The target's fractions [x, y, z] on the operator's device, after checking that light can reach it all.
 
     target: a `Target`, or fractions (NumPy or on the device).  Raises `BadInput` for another pitch and for values
-    beyond 0..1, `EmptyMesh` where nothing is to be printed, `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
+    beyond 0..1, `EmptyMesh` where nothing is to be printed, `NoLight` where light does not get to it all,
+    `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
     """
     if not hasattr(operator, "grid") or not hasattr(operator, "beam"):
         raise BadInput(f"got {operator!r} as operator; wanted a projector, or something made of one")
@@ -31,6 +34,9 @@ def fractions_of(operator: Projector, target: Any) -> DeviceArray:
         _check_beam(operator, radius, getattr(target, "height", None))
     fractions = on_device(operator, target)
     _check_values(fractions)
+    known = hasattr(target, "radius")  # then vessel and beam were asked above, and absorption alone is left
+    if not isinstance(operator.grid, WebGrid) and not (known and operator.vessel is None):
+        check_reach(operator, fractions)
     return fractions
 
 
@@ -56,7 +62,9 @@ def _edge(pitch: Any) -> str:
 
 
 def _check_values(fractions: DeviceArray) -> None:
-    low, high = extent(fractions)
+    low, high = extent(fractions, lower=-inf, upper=inf)
+    if not isfinite(total(fractions)):
+        raise BadInput("the target holds NaN or infinity; expected fractions in 0..1")
     if not (low >= 0.0 and high <= 1.0):
         raise BadInput(f"the target reaches from {low:g} to {high:g}; wanted fractions in 0..1: scale it")
     if high == 0.0:

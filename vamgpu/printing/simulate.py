@@ -10,9 +10,11 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.metrics import light_efficiency, score, score_slices
 from vamgpu.metrics.light import light_sent
+from vamgpu.metrics.parts import Parts
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
 from vamgpu.optimize.part import on_device
+from vamgpu.printing.dark import check_dose
 from vamgpu.printing.exposure import expose
 from vamgpu.printing.proof import Proof
 
@@ -46,7 +48,7 @@ def simulate(
     NumPy or device array.  irradiance: of a full-on pixel in air [mW/mm²] and critical_dose [mJ/mm³]: given both, times
     are predicted.  absorption: of the resin [1/mm], needed for the times where ``A`` absorbs no light.  threshold: dose
     in units of Aᵀ(light) from which a voxel counts as printed; the one with the best overlap by default.
-    Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
+    Raises `BadInput`, `NoLight`, `ShapeMismatch`, `DeviceError`.
     """
     _both_or_neither(irradiance, critical_dose)
     if threshold is not None:
@@ -55,6 +57,7 @@ def simulate(
     light = frames.irradiance(A.device)
     require(A.range, light, "the frames' light")
     dose = A.T(light)
+    check_dose(light, Parts(dose, fraction))
     scores = score(dose, fraction, threshold=threshold)
     sent = light_sent(light)
     given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
