@@ -40,6 +40,12 @@ MUTATIONS: tuple[Mutation, ...] = (
     Mutation(
         "R1", "Jacobian over the inner radius", "vamgpu/optics/wrap_map.py",
         "(self.inner + depth) / self.neutral, 1.0)", "(self.inner + depth) / self.inner, 1.0)",
+        ("tests/optics/test_roller.py",),
+    ),
+    Mutation(
+        "R1", "voxels of the flat film of lengths along the roller's face", "vamgpu/optics/roller_cells.py",
+        "phi = (l - map.middle) / map.neutral - self.turn[:, None]",
+        "phi = (l - map.middle) / map.inner - self.turn[:, None]",
         ("tests/physics/test_web_energy.py",),
     ),
     Mutation(
@@ -72,7 +78,12 @@ MUTATIONS: tuple[Mutation, ...] = (
     Mutation(
         "R4", "no momentum in the paper's choices", "vamgpu/optimize/bclp.py",
         "return cls(p=3.0, ridge=0.04, momentum=0.5)", "return cls(p=3.0, ridge=0.04)",
-        ("tests/optimize/test_methods.py",),
+        ("tests/optimize/test_bclp.py",),
+    ),
+    Mutation(
+        "R4", "no tolerance band", "kernels/loss.py",
+        "excess = np.abs(difference) - (slack_low + (slack_high - slack_low) * f)", "excess = np.abs(difference)",
+        ("tests/optimize/test_bclp.py",),
     ),
     Mutation(
         "R4", "the step of a web uphill", "vamgpu/webs/solver.py",
@@ -222,9 +233,14 @@ MUTATIONS: tuple[Mutation, ...] = (
         ("tests/chemistry/test_printability.py",),
     ),
     Mutation(
-        "P6", "pairs come back as one radical", "kernels/transport.py",
-        "_settled(b + 2.0 * (split - paired))", "_settled(b + split - 2.0 * paired)",
+        "P6", "diffusion half as fast", "kernels/transport.py",
+        "[...] += spread[axis] * gain", "[...] += 0.5 * spread[axis] * gain",
         ("tests/chemistry/test_transport.py",),
+    ),
+    Mutation(
+        "P6", "UV makes one radical, not two", "kernels/transport.py",
+        "_settled(b + 2.0 * (split - paired))", "_settled(b + split - 2.0 * paired)",
+        ("tests/chemistry/test_reaction.py",),
     ),
     Mutation(
         "P6", "every frame a pose late", "vamgpu/chemistry/printrun.py",
@@ -256,7 +272,18 @@ MUTATIONS: tuple[Mutation, ...] = (
         "A1", "background where the part is wanted", "vamgpu/optimize/recipe.py",
         'levels = {"low": self.background, "high": 1.0, "reach": work.reach}',
         'levels = {"low": 1.0, "high": self.background, "reach": work.reach}',
-        ("tests/optimize/test_methods.py",),
+        ("tests/optimize/test_recipe.py",),
+    ),
+    Mutation(
+        "A1", "a background of 20 %, not 60 %", "vamgpu/optimize/recipe.py",
+        "background: float = 0.6", "background: float = 0.2",
+        ("tests/optimize/test_recipe.py",),
+    ),
+    Mutation(
+        "A1", "the target corrected the wrong way", "kernels/update.py",
+        "model *= np.minimum(most, wanted / np.maximum(np.maximum(dose * scale, floor), 1e-30))",
+        "model /= np.minimum(most, wanted / np.maximum(np.maximum(dose * scale, floor), 1e-30))",
+        ("tests/optimize/test_recipe.py",),
     ),
     Mutation(
         "A1", "columns not made up for their spacing in the resin", "vamgpu/optimize/rebin.py",
@@ -363,5 +390,36 @@ MUTATIONS: tuple[Mutation, ...] = (
         "C6", "the next level above a light, not the nearest", "vamgpu/printing/gray.py",
         "np.searchsorted(0.5 * (curve[1:] + curve[:-1]),", "np.searchsorted(curve[:-1],",
         ("tests/printing/test_gray.py",),
+    ),
+    # ---- what no row of the papers covers --------------------------------------------------------------------------
+    Mutation(
+        "margin", "the gather of bent light looks too near", "vamgpu/operators/light.py",
+        "SAFETY = 1.5", "SAFETY = 0.2",
+        ("tests/contracts/test_lit_edges.py::test_no_voxel_is_missed_where_columns_are_as_wide_as_voxels",),
+    ),
+    Mutation(
+        "rim", "the map of the light breaks off at the rim", "vamgpu/operators/light.py",
+        "    if not beyond.any():", "    if beyond.any():",
+        ("tests/contracts/test_lit_edges.py::test_voxels_at_the_rim_are_lit_by_the_column_that_meets_them",),
+    ),
+    Mutation(
+        "extremes", "numbers beyond float32 become infinite", "vamgpu/backend/device.py",
+        "        if most > largest:", "        if most < 0.0:",
+        ("tests/test_extremes.py::test_numbers_beyond_float32_are_refused_everywhere",),
+    ),
+    Mutation(
+        "extremes", "light for a part in the dark", "vamgpu/optimize/reach.py",
+        "    if share < LOST:", "    if share < 0.0:",
+        ("tests/test_extremes.py::test_light_that_is_absorbed_before_the_part_is_told",),
+    ),
+    Mutation(
+        "extremes", "light beside the cylinder counts", "vamgpu/printing/dark.py",
+        "reach=parts.reach or 0.0", "reach=1e9",
+        ("tests/test_extremes.py::test_frames_that_print_nothing_are_not_judged",),
+    ),
+    Mutation(
+        "extremes", "the worse of rounding and error diffusion", "vamgpu/printing/pack.py",
+        "    if misses[0] <= misses[1]:", "    if misses[0] > misses[1]:",
+        ("tests/test_extremes.py::test_diffused_bits_are_never_worse_than_rounded_ones",),
     ),
 )
