@@ -1,6 +1,6 @@
 """Do the tests bite? One small physical error a cited test, applied to a copy of the tree; what survives is named.
 
-    python tests/mutations.py               every row of docs/papers.md, and the further ones of mutation_rows.py
+    python tests/mutations.py               every row of docs/papers.md, and the further ones of mutations.toml
     python tests/mutations.py R3 P1 margin  these rows alone
     python tests/mutations.py --all-devices on every device that works here, not on one of each kind
 
@@ -19,10 +19,10 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from py_compile import PycInvalidationMode
-
-from mutation_rows import MUTATIONS, Mutation
 
 ROOT = Path(__file__).resolve().parent.parent
 CODE = ("vamgpu", "kernels", "hosts")
@@ -33,6 +33,33 @@ PASSED, FAILED = 0, 1
 """Exit codes of pytest; all others say that tests were not run."""
 PATIENCE = 900.0
 """Seconds for the tests of one mutation, before they count as hung, and so as dead."""
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One error in one file.
+
+    Args:
+        row: of docs/papers.md, or a word for what no row covers.
+        error: what is wrong afterwards, in words.
+        file: from the root of the repository.
+        old: text that occurs exactly once in the file.
+        new: what replaces it.
+        tests: paths from the root, each with or without ``::test``; every one of them must fail.
+    """
+
+    row: str
+    error: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+def table() -> tuple[Mutation, ...]:
+    """All mutations of mutations.toml, in its order."""
+    text = (ROOT / "tests" / "mutations.toml").read_text(encoding="utf-8")
+    return tuple(Mutation(**(row | {"tests": tuple(row["tests"])})) for row in tomllib.loads(text)["mutation"])
 
 
 def copied(place: Path) -> Path:
@@ -104,11 +131,11 @@ def main() -> int:
     parser.add_argument("rows", nargs="*", metavar="ROW", help="rows to run; all by default")
     parser.add_argument("--all-devices", action="store_true", help="do not restrict tests to one device of each kind")
     parser.add_argument("--sound", action="store_true", help="run the tests without the mutations; all must pass")
-    asked = parser.parse_args()
-    unknown = sorted(set(asked.rows) - {mutation.row for mutation in MUTATIONS})
-    if unknown:
-        parser.error(f"no row {', '.join(unknown)}; there are {', '.join(dict.fromkeys(m.row for m in MUTATIONS))}")
-    chosen = [mutation for mutation in MUTATIONS if not asked.rows or mutation.row in asked.rows]
+    asked, mutations = parser.parse_args(), table()
+    known = dict.fromkeys(mutation.row for mutation in mutations)
+    if unknown := [row for row in asked.rows if row not in known]:
+        parser.error(f"no row {', '.join(unknown)}; there are {', '.join(known)}")
+    chosen = [mutation for mutation in mutations if not asked.rows or mutation.row in asked.rows]
     devices, bad = "" if asked.all_devices else ONE_OF_EACH_KIND, 0
     with tempfile.TemporaryDirectory(prefix="mutated-") as place:
         tree = compiled(copied(Path(place).resolve()))

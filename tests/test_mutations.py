@@ -12,10 +12,10 @@ FOLDER = Path(__file__).resolve().parent
 if str(FOLDER) not in sys.path:
     sys.path.append(str(FOLDER))
 
-from mutation_rows import MUTATIONS, Mutation  # noqa: E402
-from mutations import COPIED, FAILED, PASSED, copied, judged, mutated, verdict  # noqa: E402
+from mutations import COPIED, FAILED, PASSED, Mutation, copied, judged, mutated, table, verdict  # noqa: E402
 
 ROOT = FOLDER.parent
+MUTATIONS = table()
 
 
 def cited() -> dict[str, set[str]]:
@@ -56,19 +56,19 @@ def test_a_place_that_is_gone_or_ambiguous_is_told() -> None:
             mutated(mutation, text)
 
 
-def test_a_survivor_and_tests_that_do_not_run_are_told(tmp_path: Path) -> None:
-    """On a tree of one function: a test that checks it dies, one that does not survives, one that is none is broken."""
+def test_a_survivor_and_tests_that_do_not_run_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a tree of one function: a test that looks at it dies, one that does not survives."""
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # sooner done
     (tmp_path / "pyproject.toml").write_text("[tool.pytest.ini_options]\n", encoding="utf-8")
     (tmp_path / "twice.py").write_text("def twice(x):\n    return 2 * x\n", encoding="utf-8")
-    head = "import sys, pathlib\nsys.path.insert(0, str(pathlib.Path(__file__).parent))\nfrom twice import twice\n"
-    (tmp_path / "test_sharp.py").write_text(head + "def test(): assert twice(3) == 6\n", encoding="utf-8")
-    (tmp_path / "test_blunt.py").write_text(head + "def test(): assert twice(0) == 0\n", encoding="utf-8")
-    mutation = Mutation("X", "thrice", "twice.py", "2 * x", "3 * x", ("test_sharp.py", "test_blunt.py", "test_none.py"))
-    said = judged(tmp_path, mutation, "", sound=False)
-    assert said == "SURVIVED: test_blunt.py; BROKEN: test_none.py"
+    for name, check in (("sharp", "twice(3) == 6"), ("blunt", "twice(0) == 0")):
+        text = f"from twice import twice\n\n\ndef test() -> None:\n    assert {check}\n"
+        (tmp_path / f"test_{name}.py").write_text(text, encoding="utf-8")
+    mutation = Mutation("X", "thrice", "twice.py", "2 * x", "3 * x", ("test_sharp.py", "test_blunt.py"))
+    assert judged(tmp_path, mutation, "", sound=False) == "SURVIVED: test_blunt.py"
     assert (tmp_path / "twice.py").read_text(encoding="utf-8").endswith("2 * x\n")
-    assert judged(tmp_path, mutation, "", sound=True) == "BROKEN: test_none.py"
-    assert verdict(FAILED, PASSED) == "FAILS UNMUTATED"
+    assert [verdict(code, FAILED) for code in (PASSED, FAILED, 2, 4, 5)] == ["SURVIVED", "died"] + 3 * ["BROKEN"]
+    assert [verdict(code, PASSED) for code in (PASSED, FAILED, 5)] == ["sound", "FAILS UNMUTATED", "BROKEN"]
 
 
 def test_the_copy_is_whole(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def check_reach(operator: Projector, fractions: DeviceArray) -> None:
     share = least / greatest if greatest > 0.0 else 0.0
     if share >= DIM:
         return
-    absorption, lit = (float(getattr(vessel, name, other)) for name, other in (("absorption", 0.0), ("lit_radius", inf)))
+    absorption, lit = float(getattr(vessel, "absorption", 0.0)), float(getattr(vessel, "lit_radius", inf))
     told = (
         f"even light leaves the darkest voxel of the part {share:.2g} of the greatest dose; wanted {DIM:g} or more, "
         f"{LOST:g} at the very least: absorption is {absorption:g} /mm, the resin is lit out to {lit:.4g} mm from the "

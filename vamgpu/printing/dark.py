@@ -7,8 +7,8 @@ from typing import Any
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import NoLight
-from vamgpu.metrics.parts import Parts
 from vamgpu.kernels.update import linear
+from vamgpu.metrics.parts import Parts
 from vamgpu.operators.reductions import extent
 from vamgpu.printing.placement import Placement
 
@@ -42,8 +42,8 @@ def no_light(plan: Any, settings: Placement) -> NoLight:
     method, steps = type(getattr(plan, "method", None)).__name__, len(getattr(plan, "history", ()))
     who = f"{method} found no light in {steps} iterations" if steps else "whatever made it found no light"
     return NoLight(
-        f"the plan is dark everywhere though its columns reach the grid: {who}; wanted some light above 0: look whether "
-        "the target is empty where it was solved for, then try another method"
+        f"the plan is dark everywhere though its columns reach the grid: {who}; wanted some light above 0: look "
+        "whether the target is empty where it was solved for, then try another method"
     )
 
 

@@ -100,8 +100,8 @@ def _better(plan: Light, diffused: Frames, rounded: Frames) -> Frames:
     if misses[0] <= misses[1]:
         return diffused
     warnings.warn(
-        f"at {diffused.shape[0]} angles error diffusion misses the dose of the light by {100 * misses[0]:.0f} %, rounding "
-        f"by {100 * misses[1]:.0f} %; the frames are rounded: take more angles, or 8 bits",
+        f"at {diffused.shape[0]} angles error diffusion misses the dose of the light by {100 * misses[0]:.0f} %, "
+        f"rounding by {100 * misses[1]:.0f} %; the frames are rounded: take more angles, or 8 bits",
         PackWarning,
         stacklevel=3,
     )
