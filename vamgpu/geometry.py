@@ -14,6 +14,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 
+
 HALF_A_PIXEL = 0.5
 """Standard deviation [pixels] of the point spread of a projector in focus, where nobody measured it."""
 
