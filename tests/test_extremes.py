@@ -225,18 +225,17 @@ def test_a_part_that_fills_the_cylinder_or_the_box(device: Device) -> None:
 
 def test_a_part_that_touches_the_wall(device: Device) -> None:
     """Up to the printable radius there is an answer, beyond it an error, for targets and for bare arrays."""
-    operator, x = projection(device, vial(0.05), beam=vam.Beam((N + 16, NZ), PITCH)), np.arange(N) - 0.5 * (N - 1)
-    distance = np.hypot(x[:, None], x) * PITCH
-    within = distance <= min(vial(0.05).lit_radius, 7.5) - 0.75 * PITCH
-    beyond = np.ones_like(within)
-    for flat, error in ((within, None), (beyond, (TargetTooLarge, NoLight))):
+    n, vessel = 30, vial(0.05)
+    grid, x = vam.Grid((n, n, NZ), PITCH), (np.arange(n) - 0.5 * (n - 1)) * PITCH
+    operator = vam.Projection(grid, vam.Beam((n + 10, NZ), PITCH), vam.Turntable(30), vessel, device)
+    for radius in (vessel.lit_radius - 0.75 * PITCH, grid.inscribed_radius):
+        flat = np.hypot(x[:, None], x) <= radius
         part = np.repeat(flat[:, :, None], NZ, axis=2).astype(np.float64)
-        targets = (vam.Target.from_array(part, PITCH), part)
-        for k, target in enumerate(targets):
-            if error is None:
+        for target, error in ((vam.Target.from_array(part, PITCH), TargetTooLarge), (part, NoLight)):
+            if radius < vessel.lit_radius:
                 solved(operator, target)
             else:
-                with pytest.raises(error[k]):
+                with pytest.raises(error):
                     optimize(operator, target, iterations=1)
 
 

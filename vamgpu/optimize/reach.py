@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import warnings
 from math import inf, isfinite
+from typing import Any
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import NoLight, OpticsWarning
 from vamgpu.kernels.update import linear
 from vamgpu.operators.reductions import extent
-from vamgpu.optimize.projector import Projector
 
 LOST = 1e-6
 """Dose of the darkest voxel of a part over that of the brightest anywhere, by even light, below which there is no
@@ -19,13 +19,13 @@ DIM = 1e-2
 that take a hundred times as much of it."""
 
 
-def check_reach(operator: Projector, fractions: DeviceArray) -> None:
+def check_reach(operator: Any, fractions: DeviceArray) -> None:
     """Refuse a part that stays in the dark whatever the light, and warn of one that light hardly gets to.
 
-    Costs two half projector evaluations.
+    Voxels out of the cylinder that is judged do not count. Costs two half projector evaluations.
 
     Args:
-        operator: what makes dose of light.
+        operator: a projector of a volume that turns.
         fractions: of the part [x, y, z], on its device.
 
     Raises:
@@ -36,8 +36,9 @@ def check_reach(operator: Projector, fractions: DeviceArray) -> None:
     operator(fractions, out=even)  # finite numbers, as new memory need not hold
     device.launch(linear, a=0.0, x=even, b=0.0, y=even, floor=1.0, out=even)
     operator.T(even, out=dose)
-    least, greatest = extent(dose, fractions, 0.5, inf)[0], extent(dose)[1]
-    if not isfinite(least):  # no voxel is filled by half
+    judged = operator.grid.inscribed_radius / operator.grid.pitch * (1.0 + 1e-6)
+    least, greatest = extent(dose, fractions, 0.5, inf, judged)[0], extent(dose)[1]
+    if not isfinite(least):  # no voxel that is judged is filled by half
         return
     share = least / greatest if greatest > 0.0 else 0.0
     if share >= DIM:
