@@ -31,6 +31,10 @@ class TargetTooLarge(BadInput):
     """A target reaches beyond what light can print."""
 
 
+class NoLight(BadInput):
+    """There is no light where some is needed: it does not reach the part, or there was none to begin with."""
+
+
 class TileError(BadInput):
     """A stream of tiles broke off, or changed its section or pitch; what was written before stays valid."""
 
@@ -161,6 +165,10 @@ class DivergenceWarning(UserWarning):
 
 class OpticsWarning(UserWarning):
     """Light reaches part of the target so weakly that the print will suffer there."""
+
+
+class PackWarning(UserWarning):
+    """Frames are made in another way than asked for, because what was asked for would show the light worse."""
 
 
 class MemoryNotice(UserWarning):

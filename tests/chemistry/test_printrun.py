@@ -105,6 +105,17 @@ def test_extinction_follows_the_depletion_of_c(device: Device) -> None:
     assert c[16, 16, 2] == pytest.approx(2.0, rel=1e-3) and c[6, 24, 2] < 1.7  # the axis lies in the shadow of both
 
 
+def test_every_frame_shows_the_light_of_its_pose(device: Device) -> None:
+    """Light at one pose of four alone: oxygen falls in that frame of each turn, and in no other."""
+    visible = np.zeros((4, 33, 5))
+    visible[1] = 1.0
+    exposure = Exposure(BOX, visible, None, COLORS, device=device)
+    job = PrintRun(Transport(BOX, (1e-6, 1e-6, 1e-6), RESIN, device=device), exposure, 12.0, 2)
+    state, held = job.transport.start(1.0, 0.0, 2.0), [1.0]
+    job.run(state, progress=lambda frame, now: held.append(float(now.a.numpy()[16, 16, 2])))
+    assert [bool(fall > 0.01) for fall in -np.diff(held)] == [False, True, False, False] * 2
+
+
 def ripple(device: Device, angles: int, place: tuple[int, int]) -> np.ndarray:
     """Concentration of A in a voxel through the second turn of an even print of visible light."""
     flat = np.ones((angles, 33, 5))

@@ -10,7 +10,7 @@ import pytest
 
 import vamgpu as vam
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.errors import BadInput, NoLight, ShapeMismatch
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import pack
 
@@ -213,7 +213,7 @@ def test_error_is_carried_from_angle_to_angle(device: Device) -> None:
 
 
 def test_bad_plans_are_refused(device: Device) -> None:
-    with pytest.raises(BadInput, match="dark everywhere"):
+    with pytest.raises(NoLight, match="found no light"):
         pack(plan_of(device, np.zeros(SHAPE)))
     with pytest.raises(BadInput, match="1 or 8"):
         pack(plan_of(device, some_light()), bits=4)

@@ -168,5 +168,5 @@ def test_wrong_input_is_refused() -> None:
         simulate(A, frames, target[1:])
     with pytest.raises(ShapeMismatch, match="light"):
         simulate(A, Shown(frames.light[1:], 1.0), target)
-    with pytest.raises(BadInput, match="no light"):
+    with pytest.raises(BadInput, match="every frame is dark"):
         simulate(A, Shown(0 * frames.light, 1.0), target, irradiance=6, critical_dose=2)

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
+import numpy as np
 import pytest
 from slanted import WINDOW
+
+from vamgpu.web import WebGrid
+from vamgpu.webs.tiles import Columns
 
 LIMIT = 2 * 2**30
 PROGRAM = """
@@ -36,6 +41,21 @@ def test_a_long_web_needs_no_more_than_a_short_one(tmp_path: Path) -> None:
     short, long = (peak(tmp_path, count * WINDOW) for count in (5, 50))
     assert long[0] == short[0]
     assert long[1] < 1.1 * short[1]
+
+
+def test_tiles_are_forgotten_once_they_have_passed() -> None:
+    """Memory that reading takes while a web goes by, in tiles thick enough to be seen."""
+
+    def read(tiles: int) -> int:
+        columns = Columns((np.full((10, 64, 64), 0.5, np.float32) for _ in range(tiles)), WebGrid((1, 64, 64), 0.1))
+        tracemalloc.start()
+        for start in range(0, 10 * tiles - 20, 10):
+            assert columns.take(start, start + 20).min() == 0.5
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
+
+    assert read(100) < 1.2 * read(10)
 
 
 def test_the_limit_is_one(tmp_path: Path) -> None:

@@ -43,6 +43,12 @@ def test_every_pose_that_meets_the_web_has_one_frame() -> None:
     assert segments[0].frames.shape == (2 * WINDOW, *BEAM.pixels[::-1])
 
 
+def test_every_segment_lowers_its_loss() -> None:
+    """Segments with something to print; the best light of a segment is never worse than what it began with."""
+    found = [segment.loss for segment in stream(part(LONG), core=2.0) if segment.target.any()]
+    assert len(found) >= 5 and all(last < 0.95 * first for first, last in found)
+
+
 def test_tiles_may_be_of_any_thickness() -> None:
     target = part(LONG)
     cuts = np.split(target, np.sort(np.random.default_rng(0).choice(np.arange(1, LONG), 9, replace=False)))

@@ -102,7 +102,11 @@ class Device(ABC):
 
     @final
     def upload(self, values: Any, dtype: Any = None, *, table: bool = False) -> DeviceArray:
-        """Copy a NumPy array to the device, as a field or as a table. Raises `BadInput` for what is not finite."""
+        """Copy a NumPy array to the device, as a field or as a table.
+
+        Raises `BadInput` for what is not finite, and for numbers that float32 or the table's type cannot hold. The
+        reference, which computes in float64, refuses them too, so that devices agree on what they take.
+        """
         source = np.asarray(values)
         if source.dtype.kind not in "fiub":
             raise BadInput(f"the array holds {source.dtype}; wanted real numbers")
@@ -111,6 +115,7 @@ class Device(ABC):
         if source.dtype.kind == "f" and not np.isfinite(source).all():
             raise BadInput("the array holds NaN or infinity; clean it before uploading")
         kind = np.dtype(dtype) if dtype is not None else (source.dtype if table else self.real)
+        _check_range(source, kind)
         array = self.empty(source.shape, kind, table=table)
         stored = np.zeros(self.stored_shape(source.shape, array.lanes), kind) if array.lanes else None
         if stored is None:
@@ -200,6 +205,27 @@ class Device(ABC):
         """Inside, a transfer above 4 kB raises `TransferForbidden`."""
         with self.ledger.forbid():
             yield
+
+
+def _check_range(source: np.ndarray, kind: np.dtype) -> None:
+    """Refuse numbers that the target type would turn into infinity, into others, or all of them into nothing."""
+    if not source.size or source.dtype == kind != np.float64 or source.dtype.kind == "b":
+        return
+    low, high = source.min(), source.max()
+    if kind.kind in "iu":
+        bounds = np.iinfo(kind)
+        if low < bounds.min or high > bounds.max:
+            raise BadInput(f"the array reaches from {low} to {high}; {kind} holds {bounds.min} to {bounds.max}")
+    elif kind.kind == "f" and kind.itemsize >= 4:
+        most = max(-float(low), float(high))
+        least, largest = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+        if most > largest:
+            raise BadInput(f"the array holds {most:.3g}; expected at most {largest:.3g}, as float32 does: scale it")
+        if 0.0 < most < least:
+            raise BadInput(
+                f"the greatest number of the array is {most:.3g}, which float32 takes for nothing; expected "
+                f"{least:.3g} or more: scale it"
+            )
 
 
 def _pack(source: np.ndarray, stored: np.ndarray) -> None:

@@ -114,7 +114,6 @@ class Projection(LinearOperator):
         ratio, strength = self.grid.pitch / self.beam.pitch, self.grid.pitch**2 / self.beam.pitch
         bent, table = self.vessel is not None, self.device.table
         both = {
-            "directions": self._directions,
             "light": table(light.map if bent else np.zeros((2, 2, 4))),
             "bent": int(bent),
             "ratio": light.steepest if bent else ratio,
@@ -128,11 +127,11 @@ class Projection(LinearOperator):
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         rows = out if self._rows.same else self.device.empty(self._slices)
+        fields = {"volume": x, "directions": self._directions, "sinogram": rows}
         if self.footprint == "joseph":
-            given = {"directions": self._directions, "pitch": self.grid.pitch}
-            self.device.launch(forward_joseph, volume=x, sinogram=rows, **given)
+            self.device.launch(forward_joseph, **fields, pitch=self.grid.pitch)
         else:
-            self.device.launch(forward_footprint, volume=x, sinogram=rows, **self._light, **self._gather)
+            self.device.launch(forward_footprint, **fields, **self._light, **self._gather)
         if rows is not out:
             self._rows.from_slices(rows, out)
         self._dwell.weigh(out)
@@ -142,8 +141,8 @@ class Projection(LinearOperator):
         if not self._rows.same:
             rows = self.device.empty(self._slices)
             self._rows.to_slices(weighted, rows)
+        fields = {"sinogram": rows, "directions": self._directions, "volume": out}
         if self.footprint == "joseph":
-            given = {"directions": self._directions, "pitch": self.grid.pitch}
-            self.device.launch(back_joseph, sinogram=rows, volume=out, **given)
+            self.device.launch(back_joseph, **fields, pitch=self.grid.pitch)
         else:
-            self.device.launch(back_footprint, sinogram=rows, volume=out, **self._light)
+            self.device.launch(back_footprint, **fields, **self._light)

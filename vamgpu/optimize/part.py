@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from math import isfinite
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from vamgpu.kernels.update import paint
 from vamgpu.operators.reductions import EVERYWHERE, extent, total
 from vamgpu.operators.space import require
 from vamgpu.optimize.projector import Projector
+from vamgpu.optimize.reach import check_reach
 from vamgpu.web import WebGrid
 
 
@@ -23,7 +24,8 @@ def fractions_of(operator: Projector, target: Any) -> DeviceArray:
     """The target's fractions [x, y, z] on the operator's device, after checking that light can reach it all.
 
     target: a `Target`, or fractions (NumPy or on the device).  Raises `BadInput` for another pitch and for values
-    beyond 0..1, `EmptyMesh` where nothing is to be printed or judged, `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
+    beyond 0..1, `EmptyMesh` where nothing is to be printed or judged, `NoLight` where light does not get to it all,
+    `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
     """
     if not hasattr(operator, "grid") or not hasattr(operator, "beam"):
         raise BadInput(f"got {operator!r} as operator; wanted a projector, or something made of one")
@@ -37,6 +39,9 @@ def fractions_of(operator: Projector, target: Any) -> DeviceArray:
     _check_values(fractions)
     if isinstance(operator.grid, Grid):
         _check_cylinder(fractions, operator.grid)
+    known = hasattr(target, "radius")  # then vessel and beam were asked above, and absorption alone is left
+    if not isinstance(operator.grid, WebGrid) and not (known and operator.vessel is None):
+        check_reach(operator, fractions)
     return fractions
 
 
@@ -80,11 +85,11 @@ def _edge(pitch: Any) -> str:
 
 
 def _check_values(fractions: DeviceArray) -> None:
-    low, high = extent(fractions)
+    low, high = extent(fractions, lower=-inf, upper=inf)
+    if not isfinite(total(fractions)):
+        raise BadInput("the target holds NaN or infinity; expected fractions in 0..1")
     if not (low >= 0.0 and high <= 1.0):
         raise BadInput(f"the target reaches from {low:g} to {high:g}; wanted fractions in 0..1: scale it")
-    if not isfinite(total(fractions)):  # minimum and maximum pass over what is no number
-        raise BadInput("some voxels of the target are not a number; expected fractions in 0..1")
     if high == 0.0:
         raise EmptyMesh("every voxel of the target is 0; wanted some that are filled")
 

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
-from math import ceil
+import warnings
+from dataclasses import replace
+from math import ceil, sqrt
 from typing import Any, Protocol
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, PackWarning
 from vamgpu.geometry import Turntable, positive
 from vamgpu.kernels.pack import BINS, NEVER, count_light, fold_bits, quantize
 from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.reductions import dot
 from vamgpu.operators.space import require
+from vamgpu.printing.dark import no_light
 from vamgpu.printing.frames import Frames, flat_table, flattened
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import Placement
 
 ROUNDS = (21, 11, 1)
 """Bits dropped in each round of the search for a quantile: ten a round, from the sign of a float32 down."""
+FEW = 120
+"""Angles up to which 1-bit error diffusion is compared with rounding. Measured on a disk, a bar and a random plane: up
+to 12 angles rounding can give the better dose, from 16 on diffusion did every time."""
+FAINTEST, BRIGHTEST = 1e-30, 1e30
+"""Light of a full-on pixel between which float32 divides by it without loss."""
 
 
 class Light(Protocol):
@@ -50,9 +59,11 @@ def pack(
     shifted over an edge is lost.  quantile: a full-on pixel shows this quantile of the lit pixels, and brighter ones
     are cut to it, at least one of the plan's, so that a hot pixel does not dim the print; 1 cuts none.  dither: "round"
     to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle in the order of the
-    scan; for poses that are lit as long.  scale: irradiance of a full-on pixel, in place of the quantile.
+    scan, for poses that are lit as long; frames of 1 bit at `FEW` angles or less are rounded all the same, with a
+    `PackWarning`, where that gives a dose more like that of the light, up to a factor.  scale: irradiance of a full-on
+    pixel, in place of the quantile.
 
-    Everything runs on the plan's device. Raises `BadInput`, `ShapeMismatch`.
+    Everything runs on the plan's device. Raises `BadInput`, `ShapeMismatch`, `NoLight`.
     """
     if bits not in (1, 8):
         raise BadInput(f"bits is {bits!r}; wanted 1 or 8")
@@ -72,14 +83,47 @@ def pack(
     flat = None if flat_field is None else flattened(flat_field, (rows, columns))
     device = light.device
     shared = {"sinogram": light, "flat": flat_table(device, flat), **settings.arguments()}
-    full = _quantile(shared, quantile) if scale is None else positive("scale", scale)
+    full = positive("scale", scale) if scale is not None else _quantile(plan, settings, shared)
+    if not FAINTEST <= full <= BRIGHTEST:
+        raise BadInput(
+            f"a full-on pixel is {full:.3g}; wanted {FAINTEST:g} to {BRIGHTEST:g}, within which float32 divides: scale "
+            "the plan's light"
+        )
     steps = curve.table(bits)
     bounds = np.append(0.5 * (steps[1:] + steps[:-1]), np.full(257 - steps.size, NEVER))
     images = device.empty((angles, rows, columns), np.uint8, table=True)
     carry = float(np.diff(steps).max()) if dither == "error-diffusion" else 0.0
     tables = {"curve": device.table(steps), "bounds": device.table(bounds)}
     device.launch(quantize, **tables, gain=1.0 / full, carry=carry, images=images, **shared)
-    return Frames(_folded(images) if bits == 1 else images, bits, curve, full, columns, settings, flat, motion)
+    frames = Frames(_folded(images) if bits == 1 else images, bits, curve, full, columns, settings, flat, motion)
+    if carry == 0.0 or bits == 8 or angles > FEW or getattr(plan, "operator", None) is None:
+        return frames
+    plain = pack(plan, bits, curve, flat_field, flip_r, flip_z, shift, scale=full)
+    return _better(plan, frames, replace(plain, settings=replace(settings, dither="round")))
+
+
+def _better(plan: Light, diffused: Frames, rounded: Frames) -> Frames:
+    """Frames whose error is carried on, or, with a `PackWarning`, those that are rounded where their dose is better."""
+    misses = _miss(plan, diffused), _miss(plan, rounded)
+    if misses[0] <= misses[1]:
+        return diffused
+    warnings.warn(
+        f"at {diffused.shape[0]} angles error diffusion misses the dose of the light by {100 * misses[0]:.0f} %, "
+        f"rounding by {100 * misses[1]:.0f} %; the frames are rounded: take more angles, or 8 bits",
+        PackWarning,
+        stacklevel=3,
+    )
+    return rounded
+
+
+def _miss(plan: Light, frames: Frames) -> float:
+    """How far the dose of frames is from being in proportion to that of the plan's light: the sine of their angle.
+
+    A factor does not count, since the time of exposure makes up for it. 1 for frames that are dark.
+    """
+    wanted, shown = plan.operator.T(plan.sinogram), plan.operator.T(frames.irradiance(plan.sinogram.device))
+    lengths = dot(wanted, wanted) * dot(shown, shown)
+    return sqrt(max(0.0, 1.0 - dot(wanted, shown) ** 2 / lengths)) if lengths > 0.0 else 1.0
 
 
 def _folded(images: DeviceArray) -> DeviceArray:
@@ -100,7 +144,7 @@ def _light(plan: Light) -> DeviceArray:
     return light
 
 
-def _quantile(shared: dict[str, Any], quantile: float) -> float:
+def _quantile(plan: Light, settings: Placement, shared: dict[str, Any]) -> float:
     """The lit pixel that a share of them stays at or below, to the last bit but one of a float32."""
     device, prefix, rank = shared["sinogram"].device, 0, 0
     for drop in ROUNDS:
@@ -108,7 +152,9 @@ def _quantile(shared: dict[str, Any], quantile: float) -> float:
         device.launch(count_light, drop=drop, prefix=prefix, counts=counter, **shared)
         counts = counter.numpy().astype(np.int64)
         if drop == ROUNDS[0]:
-            rank = _rank(counts, quantile, shared)
+            if not counts.any():
+                raise no_light(plan, settings)
+            rank = _rank(counts, settings.quantile or 1.0, shared)
         below = np.cumsum(counts)
         chosen = int(np.searchsorted(below, rank, side="left"))
         rank -= int(below[chosen] - counts[chosen])
@@ -121,8 +167,6 @@ def _rank(counts: np.ndarray, quantile: float, shared: dict[str, Any]) -> int:
     if counts[1020:].any():
         raise BadInput(f"the plan's sinogram holds {counts[1020:].sum()} pixels that are not finite; solve it again")
     lit = int(counts.sum())
-    if not lit:
-        raise BadInput("the plan's sinogram is dark everywhere; there is nothing to print: check target and method")
     hot = (1 + (shared["part_r"] > 0)) * (1 + (shared["part_z"] > 0))  # frame pixels that one of the plan's lies on
     spared = max(ceil((1.0 - quantile) * lit), hot) if quantile < 1 else 0
     return max(1, lit - spared)

@@ -11,9 +11,11 @@ from vamgpu.geometry import positive
 from vamgpu.metrics import light_efficiency, score, score_slices
 from vamgpu.metrics.light import light_sent
 from vamgpu.operators.dwell import Dwell
+from vamgpu.metrics.parts import Parts
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
 from vamgpu.optimize.part import on_device
+from vamgpu.printing.dark import check_dose
 from vamgpu.printing.exposure import expose
 from vamgpu.printing.proof import Proof
 
@@ -47,7 +49,7 @@ def simulate(
     NumPy or device array.  irradiance: of a full-on pixel in air [mW/mm²] and critical_dose [mJ/mm³]: given both, times
     are predicted.  absorption: of the resin [1/mm], needed for the times where ``A`` absorbs no light.  threshold: dose
     in units of Aᵀ(light) from which a voxel counts as printed; the one with the best overlap by default.
-    Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
+    Raises `BadInput`, `NoLight`, `ShapeMismatch`, `DeviceError`.
     """
     _both_or_neither(irradiance, critical_dose)
     if threshold is not None:
@@ -57,6 +59,7 @@ def simulate(
     require(A.range, light, "the frames' light")
     _same_poses(A, frames)
     dose, shone = A.T(light), Dwell(A.motion, A.device).weighted(light)
+    check_dose(light, Parts(dose, fraction))
     scores = score(dose, fraction, threshold=threshold)
     sent = light_sent(shone)
     given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
