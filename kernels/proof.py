@@ -1,8 +1,8 @@
 """What frames do to the resin, computed apart from the operators that solve.
 
 A pixel's light is spread once along z and once along r into fine bins. Rays traced through one pose say between which
-bins the light lies that crosses a voxel; where caustics fold the light they say so for every fold, a branch. Fine voxels
-then take what lies between, and part voxels the mean of fine ones.
+bins the light lies that crosses a voxel; where caustics fold the light they say so for every fold, a branch. Fine
+voxels then take what lies between, and part voxels the mean of fine ones.
 """
 
 from __future__ import annotations
@@ -64,7 +64,6 @@ def expose_voxels(
     """
     x, y = (np.arange(n) - middle(n) for n in dose.shape[:2])
     far = x[:, None] ** 2 + y[None, :] ** 2
-    edge = np.arange(profile.shape[1] + 1.0)
     dose[...] = 0.0
     for angle, (c, s, time, _) in enumerate(poses):
         total = np.concatenate([np.zeros_like(profile[angle, :1]), np.cumsum(profile[angle], axis=0)])
@@ -73,7 +72,8 @@ def expose_voxels(
         for branch, table in enumerate(pose):
             low, high, share = np.moveaxis(_look_up(table, across, along)[..., :3], -1, 0)
             lit = (high > low) & (far <= radius**2) & ((branch == 0) | (far > single**2))
-            dose[lit] += (time * share[lit])[:, None] * (_between(edge, total, high[lit]) - _between(edge, total, low[lit]))
+            light = _running(total, high[lit]) - _running(total, low[lit])
+            dose[lit] += (time * share[lit])[:, None] * light
 
 
 def _look_up(table: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.ndarray:
@@ -86,10 +86,10 @@ def _look_up(table: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.nda
     return (1 - a) * near + a * ((1 - b) * table[i + 1, j] + b * table[i + 1, j + 1])
 
 
-def _between(edge: np.ndarray, total: np.ndarray, place: np.ndarray) -> np.ndarray:
+def _running(total: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Running integral [place, z] at fractional bins, constant beyond both ends."""
-    place = np.clip(place, 0.0, edge[-1])
-    k = np.minimum(place.astype(int), len(edge) - 2)
+    place = np.clip(place, 0.0, len(total) - 1.0)
+    k = np.minimum(place.astype(int), len(total) - 2)
     part = (place - k)[:, None]
     return (1 - part) * total[k] + part * total[k + 1]
 

@@ -54,7 +54,8 @@ def spread_columns(
 
 
 @wp.func_native("""
-    const char* at = (const char*)pose.data + (size_t)branch * pose.strides[0] + (size_t)i * pose.strides[1] + (size_t)j * 16;
+    const char* at = (const char*)pose.data + (size_t)branch * pose.strides[0] + (size_t)i * pose.strides[1];
+    at += (size_t)j * 16;
 #if defined(__CUDA_ARCH__)
     const float4 wide = *(const float4*)at;
     return wp::vec4(wide.x, wide.y, wide.z, wide.w);

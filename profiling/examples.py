@@ -172,8 +172,9 @@ def _exposed(n: int) -> Example:
     odd, angles, across = n | 1, n - n % 4 or 4, n + 4
     place = (np.arange(across) - 0.5 * (across - 1)) * 1.3
     middle = 1.0 * n + 1.4 * place[:, None] * (1.0 + 0.002 * place[None, :])
-    plain = np.stack([middle - 0.8, middle + 0.8, np.full_like(middle, 0.3), np.zeros_like(middle)], axis=-1)
-    folded = np.stack([1.9 * n - middle, 1.9 * n - middle + 0.4, np.full_like(middle, 0.2), np.zeros_like(middle)], axis=-1)
+    share, other, zero = np.full_like(middle, 0.3), 1.9 * n - middle, np.zeros_like(middle)
+    plain = np.stack([middle - 0.8, middle + 0.8, share, zero], axis=-1)
+    folded = np.stack([other, other + 0.4, 0.7 * share, zero], axis=-1)
     poses = np.concatenate([_poses(angles), np.ones((angles, 1)), np.zeros((angles, 1))], axis=1)
     sizes = {"angle": angles, "bin": 2 * n, "branch": 2, "across": across, "along": across, "x": odd, "y": odd}
     given = {"poses": poses, "pose": np.stack([plain, folded]), "scale": 1 / 1.3, "single": 0.3 * n, "radius": 0.48 * n}
