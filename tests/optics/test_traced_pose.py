@@ -55,7 +55,7 @@ def test_caustics_fold_the_light_of_a_vial_into_three_branches() -> None:
     assert len(traced.table) == 3 and 8.0 < traced.single <= VIAL.printable_radius
     low, high = traced.table[..., 0], traced.table[..., 1]
     assert (high >= low).all()
-    folded = (high[1:] > low[1:]).any(axis=(0, 1))
+    folded = np.any(high[1:] > low[1:], axis=(0, 1))
     assert not folded[: folded.size // 3].any() and folded[-20:].all()
     first, last = (np.where(high > low, low, np.inf).min(axis=1), np.where(high > low, high, -np.inf).max(axis=1))
     rows = slice(-40, -10)  # [branch, along]: through the axis, at larger columns, at smaller ones
