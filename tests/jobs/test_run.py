@@ -29,7 +29,7 @@ def test_a_job_is_solved_written_and_proven(name: str, tmp_path: Path) -> None:
     assert folder.manifest.inputs["job"]["vial"]["radius"] == "12.4 mm"
     proven = prove(tmp_path / "boat.vam", name)
     assert proven.proof.scores.in_voxels > 100
-    assert abs(proven.proof.scores.window - proven.plan.window) <= 1 / 255  # what eight bits may cost
+    assert abs(proven.proof.claimed.window - proven.plan.window) <= 1 / 255  # what eight bits may cost
     assert proven.proof.seconds is not None and proven.proof.seconds > 0
     losses = [step["loss"] for step in proven.plan.history]
     assert len(losses) == 3 and losses[-1] < losses[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from vamgpu.backend.array import DeviceArray
@@ -10,13 +11,14 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.metrics import light_efficiency, score, score_slices
 from vamgpu.metrics.light import light_sent
-from vamgpu.operators.dwell import Dwell
 from vamgpu.metrics.parts import Parts
+from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
 from vamgpu.optimize.part import on_device
 from vamgpu.printing.dark import check_dose
 from vamgpu.printing.exposure import expose
+from vamgpu.printing.independent import IndependentExposure, Outer
 from vamgpu.printing.proof import Proof
 
 
@@ -43,13 +45,31 @@ def simulate(
     absorption: float | None = None,
     threshold: float | None = None,
 ) -> Proof:
-    """Shine frames through a projection and judge the dose by a target; whole arrays stay on the device of ``A``.
+    """Expose frames and judge the dose by a target; whole arrays stay on the device of ``A``.
 
-    frames: e.g. `Frames`; only their bytes and gray curve are read.  target: a `Target`, or fractions [x, y, z] as a
-    NumPy or device array.  irradiance: of a full-on pixel in air [mW/mm²] and critical_dose [mJ/mm³]: given both, times
-    are predicted.  absorption: of the resin [1/mm], needed for the times where ``A`` absorbs no light.  threshold: dose
-    in units of Aᵀ(light) from which a voxel counts as printed; the one with the best overlap by default.
-    Raises `BadInput`, `NoLight`, `ShapeMismatch`, `DeviceError`.
+    The dose is not ``A``'s: frames shine on voxels half as wide, shifted by a quarter, out to the inner wall, along
+    rays that are traced for it (see `IndependentExposure`), and the part's voxels take the mean. What ``A`` itself
+    would say is kept beside it, as claimed. Operators other than `Projection` have no such rays and are judged by
+    themselves; the proof then says so.
+
+    Args:
+        A: what the frames were solved with.
+        frames: e.g. `Frames`; only their bytes and gray curve are read.
+        target: a `Target`, or fractions [x, y, z] as a NumPy or device array.
+        irradiance: of a full-on pixel in air [mW/mm²]; with ``critical_dose`` times are predicted.
+        critical_dose: from which resin is solid [mJ/mm³].
+        absorption: of the resin [1/mm], needed for the times where ``A`` absorbs no light.
+        threshold: dose in units of Aᵀ(light) from which a voxel counts as printed; by default the one with the best
+            overlap.
+
+    Returns:
+        The proof: dose, scores, and what is claimed.
+
+    Raises:
+        BadInput: a value out of its range.
+        NoLight: the frames are dark, or their light misses the part.
+        ShapeMismatch: frames or target of another geometry.
+        DeviceError: an array of another device.
     """
     _both_or_neither(irradiance, critical_dose)
     if threshold is not None:
@@ -58,8 +78,12 @@ def simulate(
     light = frames.irradiance(A.device)
     require(A.range, light, "the frames' light")
     _same_poses(A, frames)
-    dose, shone = A.T(light), Dwell(A.motion, A.device).weighted(light)
-    check_dose(light, Parts(dose, fraction))
+    own = A.T(light)
+    check_dose(light, Parts(own, fraction))
+    claimed = score(own, fraction, threshold=threshold)
+    judge = IndependentExposure(A) if isinstance(A, Projection) else _Itself(A)
+    dose, outer = judge.averaged(light)
+    shone = Dwell(A.motion, A.device).weighted(light)
     scores = score(dose, fraction, threshold=threshold)
     sent = light_sent(shone)
     given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
@@ -71,6 +95,9 @@ def simulate(
         dose=dose,
         scores=scores,
         slices=score_slices(dose, fraction, scores),
+        claimed=claimed,
+        outer=outer,
+        independent=isinstance(judge, IndependentExposure),
         light_efficiency=light_efficiency(shone, frames.scale),
         part_share=scores.total_in / sent if sent > 0 else 0.0,
         exposure=None if irradiance is None else expose(A, scores, sent, frames.scale, **given),  # type: ignore[arg-type]
@@ -82,6 +109,17 @@ def _same_poses(A: Projection, frames: Light) -> None:
     if motion is not None and motion != A.motion:
         raise BadInput(f"the frames are for {motion!r}, the projection has {A.motion!r}; expected the same poses: "
                        "simulate with the turntable that the frames were packed for")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Itself:
+    """An operator that judges its own light, for want of rays to trace."""
+
+    operator: Any
+
+    def averaged(self, light: DeviceArray) -> tuple[DeviceArray, Outer | None]:
+        """Its own dose, and nothing about what is beyond its grid."""
+        return self.operator.T(light), None
 
 
 def _both_or_neither(irradiance: float | None, critical_dose: float | None) -> None:
