@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid, positive
 from vamgpu.metrics.depth import signed_depth
@@ -31,12 +32,16 @@ _ROUNDING = 1e-4
 
 
 class Slab(Protocol):
-    """A dose between two heights: dose [x, y, z] and the positions of its voxels along the axes [mm]."""
+    """A dose between two heights: dose [x, y, z], on a device or not, and where its voxels are along the axes [mm]."""
 
-    dose: Array
-    x: Array
-    y: Array
-    z: Array
+    @property
+    def dose(self) -> Array | DeviceArray: ...
+    @property
+    def x(self) -> Array: ...
+    @property
+    def y(self) -> Array: ...
+    @property
+    def z(self) -> Array: ...
 
 
 class Part(Protocol):
@@ -125,7 +130,7 @@ class _Tally:
         self.peak = 0.0
 
     def add(self, slab: Slab, depth: Array, radius: float | None) -> None:
-        dose = np.asarray(slab.dose)
+        dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
         if dose.shape != depth.shape:
             raise BadInput(f"a slab's dose has shape {dose.shape}, its axes {depth.shape}; expected [x, y, z]")
         if not np.isfinite(dose).all():
