@@ -151,6 +151,41 @@ def _refracted(n: int) -> Example:
     return Example(sizes, {**tables, "width": light.width, "radius": light.radius})
 
 
+def _spread_rows(n: int) -> Example:
+    """Two rows and a part of the next ones light every slice; four taps light every column's bins."""
+    z, row = _slices(n), n + 3
+    slices = -(-z // 64) * 64
+    first = np.minimum(np.arange(slices), row - 3)
+    near = np.arange(row)[:, None] - first
+    shares = np.where((near >= 0) & (near < 3), 0.2 + 0.1 * near, 0.0)
+    given = {"shares": shares, "span": np.stack([first, first + 3], axis=1), "lanes": lambda _, a: a["light"].lanes}
+    return Example({"angle": n, "r": n + 1, "row": row, "slice": slices, "z": z}, given)
+
+
+def _spread_columns(n: int) -> Example:
+    first = np.minimum(np.arange(2 * n) // 2, n - 4)
+    return Example({"angle": n, "r": n, "bin": 2 * n, "tap": 4, "z": _slices(n)}, {"first": first})
+
+
+def _exposed(n: int) -> Example:
+    """Light that a caustic folds; an odd square of voxels and poses by fours fold by symmetry too."""
+    odd, angles, across = n | 1, n - n % 4 or 4, n + 4
+    place = (np.arange(across) - 0.5 * (across - 1)) * 1.3
+    middle = 1.0 * n + 1.4 * place[:, None] * (1.0 + 0.002 * place[None, :])
+    share, other, zero = np.full_like(middle, 0.3), 1.9 * n - middle, np.zeros_like(middle)
+    plain = np.stack([middle - 0.8, middle + 0.8, share, zero], axis=-1)
+    folded = np.stack([other, other + 0.4, 0.7 * share, zero], axis=-1)
+    poses = np.concatenate([_poses(angles), np.ones((angles, 1)), np.zeros((angles, 1))], axis=1)
+    sizes = {"angle": angles, "bin": 2 * n, "branch": 2, "across": across, "along": across, "x": odd, "y": odd}
+    given = {"poses": poses, "pose": np.stack([plain, folded]), "scale": 1 / 1.3, "single": 0.3 * n, "radius": 0.48 * n}
+    return Example({**sizes, "z": _slices(n)}, given)
+
+
+def _averaged(n: int) -> Example:
+    sizes = {"u": 2 * n + 3, "v": 2 * n + 1, "level": n, "tap": 5, "x": n, "y": n + 1, "z": n}
+    return Example(sizes, {"corner_x": -2, "corner_y": 1, "first": 0})
+
+
 def _oblique(n: int, source: str) -> Example:
     """Refracted light that also climbs, past an axis that wobbles."""
     example = _refracted(n)
@@ -445,6 +480,10 @@ def _stack(n: int, **given: Any) -> Example:
 
 
 EXAMPLES: dict[str, Callable[[int], Example]] = {
+    "spread_rows": _spread_rows,
+    "spread_columns": _spread_columns,
+    "expose_voxels": _exposed,
+    "average_voxels": _averaged,
     "pack_slices": lambda n: _stack(n, threshold=1),
     "expose_slices": lambda n: _stack(n, part=0.6, fade=0.9),
     "correct_slices": lambda n: _stack(n, reach=1),

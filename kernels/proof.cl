@@ -1,0 +1,211 @@
+#include "common.h"
+
+#define WIDE(name) PASTE(name, WIDTH)
+
+#ifdef COMPILE_spread_rows
+// A vector of slices takes each row that lights any of them, times its shares.
+FIELD_KERNEL spread_rows(__global const float *restrict light, __global const float *restrict shares,
+                         __global const int2 *restrict span, int lanes, __global float *restrict spread,
+                         int n_angle, int n_r, int n_row, int n_slice, int n_z) {
+    const int begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_r) : n_r, angle = ITEM_MAJOR;
+    if (angle >= n_angle) return;
+    spread += slab_offset(n_angle, n_r);
+    for (int r = begin; r < end; r++) EACH_VECTOR {
+        const int z = ITEM_SLAB * LANES + ITEM_LANE + v * WIDTH;
+        const int first = span[z].x, stop = span[z + WIDTH - 1].y;
+        Vector sum = (Vector)(0.0f);
+        for (int row = first; row < stop; row++) {
+            const float value = light[(((size_t)(row / lanes) * n_angle + angle) * n_r + r) * lanes + row % lanes];
+            sum = fma((Vector)(value), WIDE(vload)(0, shares + (size_t)row * n_slice + z), sum);
+        }
+        STORE(spread + SAMPLE(angle, r, n_r), sum);
+    }
+}
+#endif
+
+#ifdef COMPILE_spread_columns
+FIELD_KERNEL spread_columns(__global const float *restrict spread, __global const int *restrict first,
+                            __global const float *restrict shares, __global float *restrict profile,
+                            int n_angle, int n_r, int n_z, int n_bin, int n_tap) {
+    const int begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_bin) : n_bin, angle = ITEM_MAJOR;
+    if (angle >= n_angle) return;
+    spread += slab_offset(n_angle, n_r);
+    profile += slab_offset(n_angle, n_bin);
+    for (int bin = begin; bin < end; bin++) {
+        __global const float *sample = spread + SAMPLE(angle, first[bin], n_r);
+        __global const float *share = shares + bin * n_tap;
+        Vector sum[VECTORS];
+        EACH_VECTOR sum[v] = (Vector)(0.0f);
+        for (int tap = 0; tap < n_tap; tap++)
+            EACH_VECTOR sum[v] = fma((Vector)(share[tap]), LOAD(sample + tap * LANES), sum[v]);
+        EACH_VECTOR STORE(profile + SAMPLE(angle, bin, n_bin), sum[v]);
+    }
+}
+#endif
+
+#ifdef COMPILE_expose_voxels
+// First and last bin whose light crosses a voxel (x, y), relative to the axis, at one pose, and its share.
+static inline float4 look_up(__global const float4 *restrict pose, int n_across, int n_along, float4 turn, float scale,
+                             float x, float y) {
+    const float across = fma(y, turn.x, -x * turn.y) * scale + 0.5f * (n_across - 1);
+    const float along = fma(-x, turn.x, -y * turn.y) * scale + 0.5f * (n_along - 1);
+    const int i = clamp((int)across, 0, n_across - 2), j = clamp((int)along, 0, n_along - 2);
+    const float a = across - i, b = along - j;
+    __global const float4 *here = pose + i * n_along + j;
+    const float4 near = here[0] + b * (here[1] - here[0]);
+    const float4 far = here[n_along] + b * (here[n_along + 1] - here[n_along]);
+    return near + a * (far - near);
+}
+
+// How much of a bin lies between two places.
+static inline float inside(int bin, float low, float high) { return fmin(high, bin + 1.0f) - fmax(low, (float)bin); }
+
+// Half-integers below 2048 square exactly in float32, so every device agrees on each voxel.
+static inline bool within(float x, float y, float radius) { return x * x + y * y <= radius * radius; }
+
+#ifdef CPU
+// On a CPU core a look-up costs as much as the lanes it serves, so it is made once and noted, then applied to every slab
+// and, where a quarter turn maps voxels and poses onto themselves, to all four quarters (folds). TOGETHER neighbours are
+// noted before any is applied, because they read the same bins: those then come from the nearest cache.
+typedef struct {
+    int count;
+    float weight[CAPACITY];
+    int from[4][CAPACITY];      // sample of the profile, per fold
+    int to[4];                  // voxel, per fold
+} Notes;
+
+static inline void apply(const Notes *notes, int members, int folds, int slabs, __global const float *restrict profile,
+                         size_t profile_slab, __global float *restrict dose, size_t dose_slab) {
+    for (int fold = 0; fold < folds; fold++) for (int slab = 0; slab < slabs; slab++) {
+        __global const float *from = profile + slab * profile_slab;
+        for (int member = 0; member < members; member++) {
+            const Notes *own = notes + member;
+            __global float *out = dose + slab * dose_slab + (size_t)own->to[fold] * LANES;
+            Vector sum[VECTORS];
+            EACH_VECTOR sum[v] = LOAD(out);
+            for (int note = 0; note < own->count; note++) {
+                const Vector weight = (Vector)(own->weight[note]);
+                __global const float *sample = from + (size_t)own->from[fold][note] * LANES;
+                EACH_VECTOR sum[v] = fma(weight, LOAD(sample), sum[v]);
+            }
+            EACH_VECTOR STORE(out, sum[v]);
+        }
+    }
+}
+
+// A turn by 90 degrees takes pose a to a + n_angle / 4 and voxel (x, y) to (-y, x), where poses are even over a turn.
+static inline int folds_of(__global const float4 *poses, int n_angle, int n_x, int n_y) {
+    if (n_angle % 4 || n_x != n_y || n_x % 2 == 0) return 1;
+    for (int angle = 0; angle < n_angle; angle++) {
+        const float4 here = poses[angle], turned = poses[(angle + n_angle / 4) % n_angle];
+        if (fabs(turned.x + here.y) + fabs(turned.y - here.x) + fabs(turned.z - here.z) > 1e-4f) return 1;
+    }
+    return 4;
+}
+static inline int turned_voxel(int fold, int x, int y, int n_y) {
+    const int last = n_y - 1;
+    return fold == 0 ? x * n_y + y : fold == 1 ? (last - y) * n_y + x
+         : fold == 2 ? (last - x) * n_y + last - y : y * n_y + last - x;
+}
+#endif
+
+FIELD_KERNEL expose_voxels(__global const float *restrict profile, __global const float4 *restrict poses,
+                           __global const float4 *restrict pose, float scale, float single, float radius,
+                           __global float *restrict dose,
+                           int n_angle, int n_bin, int n_z, int n_branch, int n_across, int n_along, int n_x, int n_y) {
+    const float x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1);
+    const size_t table = (size_t)n_across * n_along;
+    profile += slab_offset(n_angle, n_bin);
+    dose += slab_offset(n_x, n_y);
+#ifdef CPU
+    const size_t from_slab = (size_t)n_angle * n_bin * LANES, to_slab = (size_t)n_x * n_y * LANES;
+    const int all = folds_of(poses, n_angle, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
+    // With folds: the rows behind the middle one, of each the columns from the middle on, and the middle voxel by itself.
+    const int rows = all == 4 ? n_x / 2 + 1 : n_x, items = get_global_size(1);
+    const int from = (int)((long)ITEM_MAJOR * rows / items), to = (int)((long)(ITEM_MAJOR + 1) * rows / items);
+    Notes notes[TOGETHER];
+    for (int block = 0; block < n_angle; block += ANGLES) for (int k = from; k < to; k++) {
+        const int row = all == 4 ? n_x / 2 + k : k, alone = all == 4 && k == 0, folds = alone ? 1 : all;
+        const int begin = all == 4 ? n_y / 2 : 0, end = alone ? begin + 1 : n_y;
+        for (int first = begin; first < end; first += TOGETHER) {
+            const int members = min(TOGETHER, end - first);
+            for (int member = 0; member < members; member++) {
+                Notes *own = notes + member;
+                const float x = row - x0, y = first + member - y0;
+                own->count = 0;
+                for (int fold = 0; fold < folds; fold++) own->to[fold] = turned_voxel(fold, row, first + member, n_y);
+                if (!block) for (int fold = 0; fold < folds; fold++) for (int slab = 0; slab < slabs; slab++) {
+                    __global float *out = dose + slab * to_slab + (size_t)own->to[fold] * LANES;
+                    EACH_VECTOR STORE(out, (Vector)(0.0f));
+                }
+                if (!within(x, y, radius)) continue;
+                const int branches = within(x, y, single) ? 1 : n_branch;
+                for (int angle = block; angle < min(n_angle, block + ANGLES); angle++)
+                    for (int branch = 0; branch < branches; branch++) {
+                        const float4 turn = poses[angle];
+                        const float4 lit = look_up(pose + branch * table, n_across, n_along, turn, scale, x, y);
+                        const float low = fmax(lit.x, 0.0f), high = fmin(lit.y, (float)n_bin);
+                        for (int bin = (int)low; bin < high; bin++) {
+                            if (own->count == CAPACITY) {
+                                apply(own, 1, folds, slabs, profile, from_slab, dose, to_slab);
+                                own->count = 0;
+                            }
+                            for (int fold = 0; fold < folds; fold++)
+                                own->from[fold][own->count] = (angle + fold * (n_angle / 4)) % n_angle * n_bin + bin;
+                            own->weight[own->count++] = turn.z * lit.z * inside(bin, low, high);
+                        }
+                    }
+            }
+            apply(notes, members, folds, slabs, profile, from_slab, dose, to_slab);
+        }
+    }
+#else
+    const int row = ITEM_MAJOR, column = ITEM_MINOR;
+    if (row >= n_x || column >= n_y) return;
+    const float x = row - x0, y = column - y0;
+    const int branches = within(x, y, single) ? 1 : n_branch, last = (n_z - 1) / LANES;
+    Vector sum[TILE_SLABS];
+    UNROLL for (int s = 0; s < TILE_SLABS; s++) sum[s] = (Vector)(0.0f);
+    if (within(x, y, radius)) for (int angle = 0; angle < n_angle; angle++) for (int branch = 0; branch < branches; branch++) {
+        const float4 turn = poses[angle];
+        const float4 lit = look_up(pose + branch * table, n_across, n_along, turn, scale, x, y);
+        const float low = fmax(lit.x, 0.0f), high = fmin(lit.y, (float)n_bin);
+        for (int bin = (int)low; bin < high; bin++) {
+            const float weight = turn.z * lit.z * inside(bin, low, high);
+            __global const float *sample = profile + SAMPLE(angle, bin, n_bin);
+            UNROLL for (int s = 0; s < TILE_SLABS; s++) {   // the surplus slabs of the last item repeat the last one
+                const size_t beyond = (size_t)(min(ITEM_SLAB + s, last) - ITEM_SLAB) * n_angle * n_bin * LANES;
+                sum[s] += weight * *(__global const Vector *)(sample + beyond);
+            }
+        }
+    }
+    UNROLL for (int s = 0; s < TILE_SLABS; s++) {
+        const size_t beyond = (size_t)(min(ITEM_SLAB + s, last) - ITEM_SLAB) * n_x * n_y * LANES;
+        *(__global Vector *)(dose + SAMPLE(row, column, n_y) + beyond) = sum[s];
+    }
+#endif
+}
+#endif
+
+#ifdef COMPILE_average_voxels
+FIELD_KERNEL average_voxels(__global const float *restrict fine, __global const float *restrict taps,
+                            int corner_x, int corner_y, int first, __global float *restrict volume,
+                            int n_u, int n_v, int n_level, int n_tap, int n_x, int n_y, int n_z) {
+    const int begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_y) : n_y, x = ITEM_MAJOR;
+    const int slab = ITEM_SLAB - first / LANES;
+    if (x >= n_x || slab < 0 || slab * LANES >= n_level) return;
+    fine += (size_t)slab * n_u * n_v * LANES + ITEM_LANE;
+    volume += slab_offset(n_x, n_y);
+    for (int y = begin; y < end; y++) {
+        Vector sum[VECTORS];
+        EACH_VECTOR sum[v] = (Vector)(0.0f);
+        for (int a = 0; a < n_tap; a++) for (int b = 0; b < n_tap; b++) {
+            const int i = corner_x + 2 * x + a, j = corner_y + 2 * y + b;
+            if (i < 0 || i >= n_u || j < 0 || j >= n_v) continue;
+            const Vector weight = (Vector)(taps[a] * taps[b]);
+            EACH_VECTOR sum[v] = fma(weight, LOAD(fine + SAMPLE(i, j, n_v)), sum[v]);
+        }
+        EACH_VECTOR STORE(volume + SAMPLE(x, y, n_y), sum[v]);
+    }
+}
+#endif

@@ -1,0 +1,173 @@
+"""Warp siblings of `proof`; a thread owns four lanes, in each of four slabs where a look-up serves them all."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from vamgpu.kernels.wide_warp import Flat, read, read_one
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+
+@wp.kernel
+def spread_rows(
+    light: Flat,
+    shares: wp.array2d(dtype=float),
+    span: wp.array2d(dtype=int),
+    lanes: int,
+    spread: Flat,
+    n_angle: int,
+    n_r: int,
+    n_row: int,
+    n_slice: int,
+    n_z: int,
+):
+    slab, angle, r, lane = wp.tid()
+    own = spread.shape[1] // (n_angle * n_r)
+    z = 4 * (slab * own + lane)
+    result = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for row in range(span[z, 0], span[z + 3, 1]):
+        at = row % lanes
+        value = read_one(light, row // lanes, (angle * n_r + r) * (lanes // 4) + at // 4, at % 4)
+        result += value * wp.vec4(shares[row, z], shares[row, z + 1], shares[row, z + 2], shares[row, z + 3])
+    spread[slab, (angle * n_r + r) * own + lane] = result
+
+
+@wp.kernel
+def spread_columns(
+    spread: Flat,
+    first: wp.array(dtype=int),
+    shares: wp.array2d(dtype=float),
+    profile: Flat,
+    n_angle: int,
+    n_r: int,
+    n_z: int,
+    n_bin: int,
+    n_tap: int,
+):
+    slab, angle, bin, lane = wp.tid()
+    lanes = profile.shape[1] // (n_angle * n_bin)
+    result = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for tap in range(n_tap):
+        result += shares[bin, tap] * read(spread, slab, (angle * n_r + first[bin] + tap) * lanes + lane)
+    profile[slab, (angle * n_bin + bin) * lanes + lane] = result
+
+
+@wp.func_native("""
+    const char* at = (const char*)pose.data + (size_t)branch * pose.strides[0] + (size_t)i * pose.strides[1];
+    at += (size_t)j * 16;
+#if defined(__CUDA_ARCH__)
+    const float4 wide = *(const float4*)at;
+    return wp::vec4(wide.x, wide.y, wide.z, wide.w);
+#else
+    return *(const wp::vec4*)at;
+#endif
+""")
+def node(pose: wp.array4d(dtype=float), branch: int, i: int, j: int) -> wp.vec4:  # type: ignore[empty-body]
+    """A sample of the pose, in one load."""
+    ...
+
+
+@wp.func
+def look_up(
+    pose: wp.array4d(dtype=float), branch: int, n_across: int, n_along: int, c: float, s: float, scale: float,
+    x: float, y: float,
+):
+    across = (y * c - x * s) * scale + 0.5 * float(n_across - 1)
+    along = (-x * c - y * s) * scale + 0.5 * float(n_along - 1)
+    i = wp.clamp(int(across), 0, n_across - 2)
+    j = wp.clamp(int(along), 0, n_along - 2)
+    a = across - float(i)
+    b = along - float(j)
+    near = node(pose, branch, i, j)
+    far = node(pose, branch, i + 1, j)
+    near += b * (node(pose, branch, i, j + 1) - near)
+    far += b * (node(pose, branch, i + 1, j + 1) - far)
+    return near + a * (far - near)
+
+
+@wp.kernel(launch_bounds=(256, 3))  # fewer registers, so that more threads hide the loads
+def expose_voxels(
+    profile: Flat,
+    poses: wp.array2d(dtype=float),
+    pose: wp.array4d(dtype=float),
+    scale: float,
+    single: float,
+    radius: float,
+    dose: Flat,
+    n_angle: int,
+    n_bin: int,
+    n_z: int,
+    n_branch: int,
+    n_across: int,
+    n_along: int,
+    n_x: int,
+    n_y: int,
+):
+    block, i, j, lane = wp.tid()
+    s0 = 4 * block
+    s1 = wp.min(s0 + 1, dose.shape[0] - 1)  # the last thread's surplus slabs repeat the last one there is
+    s2 = wp.min(s0 + 2, dose.shape[0] - 1)
+    s3 = wp.min(s0 + 3, dose.shape[0] - 1)
+    lanes = dose.shape[1] // (n_x * n_y)
+    x = float(i) - 0.5 * float(n_x - 1)
+    y = float(j) - 0.5 * float(n_y - 1)
+    t0 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    t1 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    t2 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    t3 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    far = x * x + y * y
+    if far <= radius * radius:
+        branches = n_branch
+        if far <= single * single:
+            branches = 1
+        for angle in range(n_angle):
+            for branch in range(branches):
+                lit = look_up(pose, branch, n_across, n_along, poses[angle, 0], poses[angle, 1], scale, x, y)
+                low = wp.max(lit[0], 0.0)
+                high = wp.min(lit[1], float(n_bin))
+                if high > low:
+                    for bin in range(int(low), int(wp.ceil(high))):
+                        part = wp.min(high, float(bin) + 1.0) - wp.max(low, float(bin))
+                        weight = poses[angle, 2] * lit[2] * part
+                        index = (angle * n_bin + bin) * lanes + lane
+                        t0 += weight * read(profile, s0, index)
+                        t1 += weight * read(profile, s1, index)
+                        t2 += weight * read(profile, s2, index)
+                        t3 += weight * read(profile, s3, index)
+    index = (i * n_y + j) * lanes + lane
+    dose[s0, index] = t0
+    dose[s1, index] = t1
+    dose[s2, index] = t2
+    dose[s3, index] = t3
+
+
+@wp.kernel
+def average_voxels(
+    fine: Flat,
+    taps: wp.array(dtype=float),
+    corner_x: int,
+    corner_y: int,
+    first: int,
+    volume: Flat,
+    n_u: int,
+    n_v: int,
+    n_level: int,
+    n_tap: int,
+    n_x: int,
+    n_y: int,
+    n_z: int,
+):
+    slab, x, y, lane = wp.tid()
+    lanes = volume.shape[1] // (n_x * n_y)
+    source = slab - first // (4 * lanes)
+    if source >= 0 and source < fine.shape[0]:
+        total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        for a in range(n_tap):
+            i = corner_x + 2 * x + a
+            if i >= 0 and i < n_u:
+                for b in range(n_tap):
+                    j = corner_y + 2 * y + b
+                    if j >= 0 and j < n_v:
+                        total += taps[a] * taps[b] * read(fine, source, (i * n_v + j) * lanes + lane)
+        volume[slab, (x * n_y + y) * lanes + lane] = total

@@ -1,0 +1,219 @@
+"""Rays traced through what the resin stands in, row by row of the laboratory: where they are, how steep, how bright.
+
+Proofs are made of these. Nothing here asks for the ray through a point, as solvers do; see `vamgpu.optics.traced_pose`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Vessel
+from vamgpu.optics.graded import GradedVial
+from vamgpu.optics.inputs import Floats, absorbed_share
+from vamgpu.optics.interface import refract
+from vamgpu.optics.occluder import Occluded
+from vamgpu.optics.vial import Vial
+
+RAYS = 1025
+"""Traced over the light of one pose: between neighbors 0.04 mm apart a straight line is right to 5e-5 mm."""
+BISECTIONS = 50
+
+
+class Crossing(NamedTuple):
+    """Rays where they cross a row Y of the laboratory, arrays (rays,).
+
+    across: X [mm].  cosine: of their angle to the light.  share: absorbed per mm there [1/mm], or 1 in clear resin.
+    """
+
+    across: Floats
+    cosine: Floats
+    share: Floats
+
+
+class Rays(Protocol):
+    """Rays of one pose in order of their columns.
+
+    u: offsets of the columns [mm], ascending.  transmittance: power that reaches the resin.
+    """
+
+    @property
+    def u(self) -> Floats: ...
+
+    @property
+    def transmittance(self) -> Floats: ...
+
+    def cross(self, along: float) -> Crossing:
+        """Where the rays cross the row Y = ``along`` [mm], continued straight beyond the resin."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class StraightRays:
+    """Rays that run straight in the resin: arrays (rays,).
+
+    p: distance of the chords from the axis [mm].  cosine, sine: of their turn.  entry: place along its chord at which a
+    ray enters [mm].
+    """
+
+    u: Floats
+    transmittance: Floats
+    p: Floats
+    cosine: Floats
+    sine: Floats
+    entry: Floats
+    absorption: float
+
+    def cross(self, along: float) -> Crossing:
+        """See `Rays.cross`."""
+        across = (self.p - along * self.sine) / self.cosine
+        path = along * self.cosine - across * self.sine - self.entry if self.absorption > 0 else np.zeros_like(across)
+        return Crossing(across, self.cosine, absorbed_share(self.absorption, path))
+
+
+@dataclass(frozen=True, eq=False)
+class BentRays:
+    """Rays that bend in the resin, in steps: places and path [mm], arrays (rays, steps), along ever larger."""
+
+    u: Floats
+    transmittance: Floats
+    across: Floats
+    along: Floats
+    path: Floats
+    absorption: float
+
+    def cross(self, along: float) -> Crossing:
+        """See `Rays.cross`."""
+        step = np.clip((self.along < along).sum(axis=1) - 1, 0, self.along.shape[1] - 2)[:, None]
+        x, y, path = (np.take_along_axis(a, step + [[0, 1]], axis=1) for a in (self.across, self.along, self.path))
+        rise = np.maximum(y[:, 1] - y[:, 0], 1e-12)
+        part = (along - y[:, 0]) / rise
+        length = np.hypot(x[:, 1] - x[:, 0], rise)
+        gone = path[:, 0] + part * length
+        return Crossing(x[:, 0] + part * (x[:, 1] - x[:, 0]), rise / length, absorbed_share(self.absorption, gone))
+
+
+@dataclass(frozen=True, eq=False)
+class ShadedRays:
+    """Rays of which a rod takes its share."""
+
+    inner: Rays
+    rod: Occluded
+
+    @property
+    def u(self) -> Floats:
+        """Of the rays without the rod."""
+        return self.inner.u
+
+    @property
+    def transmittance(self) -> Floats:
+        """Without the rod."""
+        return self.inner.transmittance
+
+    def cross(self, along: float) -> Crossing:
+        """See `Rays.cross`."""
+        rays, rod = self.inner.cross(along), self.rod
+        sine = self._sine(rays.cosine, along)
+        x, y = rays.across - rod.across, along - rod.along
+        beside = np.abs(x * rays.cosine + y * sine)
+        behind = y * rays.cosine - x * sine > -np.sqrt(np.maximum(rod.radius**2 - beside**2, 0.0))
+        return rays._replace(share=np.where((beside < rod.radius) & behind, rod.transmittance, 1.0) * rays.share)
+
+    def _sine(self, cosine: Floats, along: float) -> Floats:
+        """Signed sine of the rays' turn: the sign by where they go."""
+        drift = self.inner.cross(along + 1e-3).across - self.inner.cross(along).across
+        return -np.sign(drift) * np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
+
+
+# ---- how the rays of a vessel are traced ---------------------------------------------------------------------------
+def traced_rays(vessel: Vessel | None, reach: float, rays: int = RAYS) -> Rays:
+    """The rays of one pose.
+
+    Args:
+        vessel: what the resin stands in; None for straight light in clear resin.
+        reach: columns farther than this from the middle send no light [mm].
+        rays: how many.
+
+    Raises:
+        BadInput: no ray reaches the resin.
+    """
+    if vessel is None:
+        u = np.linspace(-reach, reach, rays)
+        return StraightRays(u, np.ones(rays), u, np.ones(rays), np.zeros(rays), np.zeros(rays), 0.0)
+    if isinstance(vessel, Occluded):
+        return ShadedRays(traced_rays(vessel.vessel, reach, rays), vessel)
+    if isinstance(vessel, GradedVial):
+        return _bent(vessel)
+    u = _offsets(vessel, reach, rays)
+    chords = vessel.chords(u)
+    if isinstance(vessel, Vial):
+        entry, heading = trace_vial(vessel, u)
+        cosine, sine = heading[:, 1], -heading[:, 0]
+        p = entry[:, 0] * cosine + entry[:, 1] * sine
+        start = np.sum(entry * heading, axis=1)
+    else:
+        p, cosine, sine = chords.p, np.cos(chords.angle), np.sin(chords.angle)
+        start = np.where(np.isfinite(chords.length), -0.5 * chords.length, 0.0)
+    return StraightRays(u, chords.transmittance, p, cosine, sine, start, vessel.absorption)
+
+
+def trace_vial(vial: Vial, u: Floats) -> tuple[Floats, Floats]:
+    """Rays from in front of a vial into its resin by Snell's law in vector form, face by face.
+
+    Args:
+        vial: the vial.
+        u: offsets of the columns [mm], shape (rays,); each reaches the resin.
+
+    Returns:
+        Places on the inner face [mm] and unit headings behind it, shape (rays, 2) each, axes X and Y.
+    """
+    place = np.stack([u, np.full_like(u, -2.0 * vial.radius)], axis=1)
+    heading = np.broadcast_to([0.0, 1.0], place.shape)
+    for face in vial.faces:
+        back = np.sum(place * heading, axis=1)
+        beside = place - back[:, None] * heading
+        half = np.sqrt(np.maximum(face.radius**2 - np.sum(beside**2, axis=1), 0.0))
+        place = beside - half[:, None] * heading
+        heading = refract(heading, place / face.radius, face.outer_index, face.inner_index)
+    return place, heading
+
+
+def _offsets(vessel: Vessel, reach: float, rays: int) -> Floats:
+    """Offsets [mm] of rays that reach the resin, closer towards both ends, where refraction is steep."""
+    coarse = np.linspace(-reach, reach, 4097)
+    lit = np.flatnonzero(vessel.chords(coarse).transmittance > 0)
+    if not lit.size:
+        raise BadInput("no column of the beam reaches the resin; widen the beam or check the vessel's radius")
+    low = _end(vessel, float(coarse[lit[0]]), float(coarse[max(lit[0] - 1, 0)]))
+    high = _end(vessel, float(coarse[lit[-1]]), float(coarse[min(lit[-1] + 1, coarse.size - 1)]))
+    return 0.5 * (low + high) + 0.5 * (high - low) * np.sin(np.linspace(-0.5, 0.5, rays) * np.pi)
+
+
+def _end(vessel: Vessel, inner: float, outer: float) -> float:
+    """The last offset that reaches the resin, between one that does and one that may not."""
+    for _ in range(BISECTIONS if inner != outer else 0):
+        middle = 0.5 * (inner + outer)
+        lit = bool(vessel.chords(np.array([middle])).transmittance[0] > 0)
+        inner, outer = (middle, outer) if lit else (inner, middle)
+    return float(inner)
+
+
+def _bent(vial: GradedVial) -> BentRays:
+    """The marched rays of a vial whose resin bends them; its own table of them is inverted nowhere here."""
+    sheet: Any = vial.sheet
+    u = vial._column(np.arange(vial.rays, dtype=float))[0]
+    return BentRays(u, vial.chords(u).transmittance, sheet.across, sheet.along, sheet.path, vial.absorption)
+
+
+def resin_radius(vessel: Any) -> float:
+    """How far from the axis resin is that turns freely [mm]: to the inner wall; infinite in open air."""
+    if vessel is None:
+        return float("inf")
+    for name in ("inner_radius", "printable_radius"):
+        if hasattr(vessel, name):
+            return float(getattr(vessel, name))
+    inner = getattr(vessel, "inner", None)
+    return resin_radius(inner) if inner is not None else float(vessel.lit_radius)

@@ -1,0 +1,257 @@
+"""Frames exposed apart from the operator that solved for them: other rays, other tables, another grid.
+
+Voxels are half as wide as the part's and shifted by a quarter of one, so that their centers lie on the part's centers
+and faces; they reach out to the inner wall. Their light comes from traced rays, of which several may meet where
+caustics fold them. Nothing here is read from a solver's operator but its geometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil, hypot, inf
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Grid
+from vamgpu.kernels.proof import average_voxels, expose_voxels, spread_columns, spread_rows
+from vamgpu.metrics.histogram import extremes
+from vamgpu.metrics.parts import EVERYWHERE, IN, Parts
+from vamgpu.operators.projection import Projection
+from vamgpu.optics.traced_pose import TracedPose, trace_pose
+from vamgpu.optics.traced_rays import Rays, resin_radius, traced_rays
+from vamgpu.printing.spread import column_shares, row_shares, spread_of
+
+MEMORY = 1 << 29
+"""Bytes that the arrays of one slab may take."""
+MEAN = np.array([3.0, -22.0, 125.0, 300.0, 125.0, -22.0, 3.0]) / 512.0
+"""The mean over a voxel from voxels half as wide about its center and its faces, exact for polynomials of degree 5:
+what their running integral, interpolated to the voxel's faces, gains between them."""
+EDGE = len(MEAN) // 2
+LANES = 64
+"""Slices that tables are padded to: no device has wider vectors."""
+SAMPLES = 128
+"""Of a table of one pose, from the axis to the wall; straight light takes no more than a few."""
+FAR = 2.0
+"""Where resin reaches this much farther than the corners of the grid, it is exposed on wider voxels beyond them."""
+
+
+@dataclass(frozen=True, eq=False)
+class FineSlab:
+    """Some slices of the dose on voxels half as wide as the part's.
+
+    dose: [x, y, z] on the device, in units of Aᵀ(light): comparable with the dose of a part voxel.  x, y, z: centers of
+    the voxels [mm].  pitch: their edge [mm].  radius: of the resin [mm]; voxels farther from the axis mean nothing.
+    """
+
+    dose: DeviceArray
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    pitch: float
+    radius: float
+
+
+@dataclass(frozen=True)
+class Outer:
+    """The greatest dose beyond the cylinder that is judged, out to the inner wall.
+
+    dose: on one voxel, in units of Aᵀ(light).  place: its center x, y, z [mm].  width: of the voxel [mm]: the part's,
+    or wider where the resin reaches much farther than the part.  radius: where the resin ends [mm].
+    """
+
+    dose: float
+    place: tuple[float, float, float]
+    width: float
+    radius: float
+
+    @property
+    def distance(self) -> float:
+        """From the axis [mm]."""
+        return hypot(*self.place[:2])
+
+
+class IndependentExposure:
+    """The light of a projection's pixels in the resin, by rays traced for it.
+
+    Args:
+        A: gives the geometry: grid, beam, motion and vessel; none of its tables is read.
+        memory: bytes that the arrays of one slab of slices may take.
+
+    Raises:
+        BadInput: no ray reaches the resin, or a slab of the fewest slices needs more memory.
+    """
+
+    def __init__(self, A: Projection, memory: int = MEMORY) -> None:
+        self.grid, self.beam, self.motion, self.vessel, self.device = A.grid, A.beam, A.motion, A.vessel, A.device
+        self.pitch, self.memory = 0.5 * A.grid.pitch, memory
+        self.corner = hypot(*(0.5 * n * A.grid.pitch for n in A.grid.shape[:2]))
+        wall = resin_radius(A.vessel)
+        self.radius = self.corner if wall == inf else wall
+        self._spread = spread_of(A.beam, A.vessel)
+        self._discs: dict[tuple[float, float], _Disc] = {}
+
+    # ---- what is asked ----------------------------------------------------------------------------------------------
+    def fine(self, light: DeviceArray, reach: float | None = None) -> Iterator[FineSlab]:
+        """The dose of light on voxels half as wide as the part's, slab by slab from the lowest z.
+
+        Args:
+            light: of every pixel [angle, r, z], a field on the device.
+            reach: farthest from the axis [mm] that is exposed; the inner wall by default.
+
+        Returns:
+            Slabs that follow each other without a gap; let each go before the next one is asked for.
+        """
+        disc, half = self._disc(self.pitch, min(reach or inf, self.radius)), self.grid.shape[2]
+        z = np.arange(-half, half + 1) * self.pitch
+        for part in self._slabs(disc, z.size):
+            dose = self._expose(disc, light, z[part], self.pitch)
+            yield FineSlab(dose, disc.axis, disc.axis, z[part], self.pitch, disc.radius)
+
+    def averaged(self, light: DeviceArray) -> tuple[DeviceArray, Outer | None]:
+        """The dose on the part's own voxels, the mean of the fine ones.
+
+        Along z the mean over a slice is that of its halves, whatever they are, so it is taken in one step.
+
+        Args:
+            light: of every pixel [angle, r, z], a field on the device.
+
+        Returns:
+            The dose [x, y, z] of the grid, and the greatest beyond the judged cylinder; None where no resin is there.
+        """
+        dose, z = self.device.empty(self.grid.shape), self.grid.axes()[2]
+        far = self.radius > FAR * self.corner
+        disc = self._disc(self.pitch, self.corner if far else self.radius)
+        outer = None
+        for part in self._slabs(disc, z.size):
+            fine = self._expose(disc, light, z[part], self.grid.pitch)
+            self._average(disc, fine, dose, part.start)
+            if not far:
+                around = self._around(z[part].size)
+                volume = self.device.empty(around.shape)
+                self._average(disc, fine, volume, 0)
+                outer = self._greatest(volume, around.axes()[0], around.axes()[1], z[part], self.grid.pitch, outer)
+        return dose, self._beyond(light) if far else outer
+
+    def _beyond(self, light: DeviceArray) -> Outer | None:
+        """`Outer` by voxels so wide that the whole vessel has no more of them than the grid has fine ones."""
+        width = self.grid.pitch * ceil(0.5 * self.radius / self.corner)
+        disc, z, outer = self._disc(width, self.radius), self.grid.axes()[2], None
+        for part in self._slabs(disc, z.size):
+            dose = self._expose(disc, light, z[part], self.grid.pitch)
+            outer = self._greatest(dose, disc.axis, disc.axis, z[part], width, outer)
+        return outer
+
+    # ---- tables -----------------------------------------------------------------------------------------------------
+    @cached_property
+    def _rays(self) -> Rays:
+        return traced_rays(self.vessel, self._spread.reach(self.beam))
+
+    @cached_property
+    def _tables(self) -> dict[str, Any]:
+        """How a column's light falls on bins, and the poses."""
+        columns, poses = column_shares(self._spread, self.beam, self._rays), self.motion.poses
+        times = np.asarray(getattr(self.motion, "times", np.ones_like(poses)))
+        return {
+            "first": self.device.table(columns.first, "int32"),
+            "shares": self.device.table(columns.shares),
+            "poses": self.device.table(np.stack([np.cos(poses), np.sin(poses), times, 0.0 * times], axis=1)),
+        }
+
+    def _disc(self, width: float, radius: float) -> _Disc:
+        """Voxels of a width about the axis, made once."""
+        if (width, radius) not in self._discs:
+            half = ceil(radius / width) + EDGE
+            samples = 4 if self.vessel is None else SAMPLES
+            traced = trace_pose(self._rays, width, half * width, half * width / samples)
+            table = self.device.table(self._in_bins(traced, width))
+            scale, single = width / traced.spacing, traced.single / width
+            self._discs[width, radius] = _Disc(width, half, radius, {"pose": table, "scale": scale, "single": single})
+        return self._discs[width, radius]
+
+    def _in_bins(self, traced: TracedPose, width: float) -> np.ndarray:
+        """A voxel's bins, and its share such that even light of 1 gives voxel volume / pixel area, as Aᵀ does."""
+        bins, beam = self._spread.bins, self.beam
+        table = traced.table.copy()
+        table[..., :2] = (table[..., :2] / beam.pitch + 0.5 * beam.pixels[0] + self._spread.beyond) * bins
+        table[..., 2] *= self.grid.voxel_volume / beam.pixel_area * beam.pitch / (bins * width)
+        return table
+
+    # ---- slabs ------------------------------------------------------------------------------------------------------
+    def _slabs(self, disc: _Disc, slices: int) -> Iterator[slice]:
+        """Parts of the slices whose arrays fit the memory and whose layout is that of the whole."""
+        each = self.motion.angles * (self.beam.pixels[0] + self._tables["first"].shape[0]) + 2 * disc.axis.size**2
+        each *= self.device.real.itemsize
+        lanes = self.device.lanes_for(slices) or 1
+        count = slices if each * slices <= self.memory else self.memory // (each * lanes) * lanes
+        while count != slices and count > lanes and self.device.lanes_for(count) != self.device.lanes_for(slices):
+            count -= lanes
+        if count == 0:
+            raise BadInput(
+                f"{lanes} slices of a proof need {lanes * each} bytes at once; got a memory of {self.memory}: "
+                "allow more, or prove a coarser grid"
+            )
+        for first in range(0, slices, count):
+            yield slice(first, min(first + count, slices))
+
+    def _expose(self, disc: _Disc, light: DeviceArray, z: np.ndarray, height: float) -> DeviceArray:
+        """Dose [x, y, z] of a disc's voxels at some z, the mean over ``height`` about each."""
+        tables, device, (angles, columns, _) = self._tables, self.device, light.shape
+        rows = row_shares(self._spread, self.beam, z, height, LANES)
+        spread = device.empty((angles, columns, z.size))
+        shares = {"shares": device.table(rows.shares), "span": device.table(rows.span, "int32")}
+        device.launch(spread_rows, light=light, **shares, lanes=light.lanes, spread=spread)
+        profile = device.empty((angles, tables["first"].shape[0], z.size))
+        device.launch(spread_columns, spread=spread, first=tables["first"], shares=tables["shares"], profile=profile)
+        dose = device.empty((disc.axis.size, disc.axis.size, z.size))
+        pose = {"poses": tables["poses"], **disc.pose, "radius": float(disc.half)}
+        device.launch(expose_voxels, profile=profile, **pose, dose=dose)
+        return dose
+
+    def _average(self, disc: _Disc, fine: DeviceArray, volume: DeviceArray, first: int) -> None:
+        """Mean of a disc's voxels over twice as wide ones about the axis, into slices of ``volume`` from ``first``."""
+        corner_x, corner_y = (disc.half - (n - 1) - EDGE for n in volume.shape[:2])
+        corner = {"corner_x": corner_x, "corner_y": corner_y, "taps": self.device.table(MEAN)}
+        self.device.launch(average_voxels, fine=fine, **corner, first=first, volume=volume)
+
+    # ---- beyond the judged cylinder ---------------------------------------------------------------------------------
+    def _around(self, slices: int) -> Grid:
+        """The part's grid with as many more voxels as it takes to the wall."""
+        more = (ceil(max(self.radius / self.grid.pitch - 0.5 * n, 0.0)) for n in self.grid.shape[:2])
+        nx, ny = (n + 2 * m for n, m in zip(self.grid.shape[:2], more, strict=True))
+        return Grid((nx, ny, slices), self.grid.pitch)
+
+    def _greatest(
+        self, dose: DeviceArray, x: np.ndarray, y: np.ndarray, z: np.ndarray, width: float, best: Outer | None
+    ) -> Outer | None:
+        """The greatest dose beyond the judged cylinder, or the best so far if that is greater."""
+        distance = np.hypot(x[:, None], y[None, :])
+        beyond = (distance > self.grid.inscribed_radius * (1.0 + 1e-12)) & (distance <= self.radius)
+        if not beyond.any():
+            return best
+        mask = self.device.upload(np.broadcast_to(beyond[:, :, None], dose.shape))
+        greatest = extremes(Parts(dose, mask, reach=EVERYWHERE), per_slice=True).greatest[:, IN]
+        k = int(np.argmax(greatest))
+        if best is not None and greatest[k] <= best.dose:
+            return best
+        i, j = np.unravel_index(int(np.argmax(np.where(beyond, dose.numpy()[:, :, k], -inf))), beyond.shape)
+        return Outer(float(greatest[k]), (float(x[i]), float(y[j]), float(z[k])), width, self.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class _Disc:
+    """Voxels ``width`` [mm] wide about the axis, ``half`` to either side, and what a launch says of one pose."""
+
+    width: float
+    half: int
+    radius: float
+    pose: dict[str, Any]
+
+    @cached_property
+    def axis(self) -> np.ndarray:
+        """Centers of the voxels along x and along y [mm]."""
+        return np.arange(-self.half, self.half + 1) * self.width

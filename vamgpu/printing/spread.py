@@ -1,0 +1,116 @@
+"""How the light of rows and columns spreads: a lit box under a Gaussian, averaged in closed form over what it meets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from vamgpu.geometry import Beam, Vessel
+from vamgpu.optics.traced_rays import Rays
+
+TAIL = 4.5
+"""Standard deviations kept of a Gaussian: 7e-6 of it lie beyond."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The light of one pixel.
+
+    side: of the lit box.  column, row: standard deviations along columns and along rows; all in pixels.  bins: into
+    which a column's width is cut.  beyond: columns' widths on either side of the beam that its light reaches.
+    """
+
+    side: float
+    column: float
+    row: float
+    bins: int
+
+    @property
+    def beyond(self) -> int:
+        """Columns' widths on either side of the beam that its light reaches."""
+        return ceil(TAIL * self.column)
+
+    def reach(self, beam: Beam) -> float:
+        """Farthest light from the middle of the beam [mm]."""
+        return (0.5 * beam.pixels[0] + self.beyond) * beam.pitch
+
+
+class ColumnShares(NamedTuple):
+    """Light of the bins per light of columns: first column of each bin (bins,), shares (bins, taps) from there on."""
+
+    first: np.ndarray
+    shares: np.ndarray
+
+
+class RowShares(NamedTuple):
+    """Light of the slices per light of rows: shares (rows, slices), first and end of each slice's rows (slices, 2)."""
+
+    shares: np.ndarray
+    span: np.ndarray
+
+
+def spread_of(beam: Beam, vessel: Vessel | None) -> Spread:
+    """The light of a beam's pixel in a vessel. Sharp light takes finer bins."""
+    width = beam.pitch
+    if vessel is not None:
+        p = vessel.chords(np.array([-1e-3, 1e-3]) * beam.pitch).p
+        width *= abs(float(p[1] - p[0])) / (2e-3 * beam.pitch)
+    column, row = beam.blur(width)
+    return Spread(sqrt(beam.fill), column, row, 2 if column >= 0.4 else 4 if column >= 0.2 else 8)
+
+
+def column_shares(spread: Spread, beam: Beam, rays: Rays) -> ColumnShares:
+    """Mean light of every bin: what a pixel's profile has there, times the power that rays there bring to the resin.
+
+    Light that is taken to be even within a bin has the variance of its profile and twice that of a bin, which is taken
+    off the Gaussian beforehand.
+    """
+    columns, bins = beam.pixels[0], spread.bins
+    edge = np.arange(-spread.beyond * bins, (columns + spread.beyond) * bins + 1) / bins  # 0 at the first column's edge
+    sigma = sqrt(max(spread.column**2 - 1.0 / (6.0 * bins**2), 0.0))
+    taps = min(columns, 2 * ceil(0.5 * spread.side + TAIL * sigma + 1.0 / bins) + 1)
+    first = np.clip(np.floor(edge[:-1] + 0.5 / bins).astype(int) - taps // 2, 0, columns - taps)
+    column = first[:, None] + np.arange(taps) + 0.5
+    shares = _mean(edge[:-1, None] - column, edge[1:, None] - column, spread.side, sigma)
+    return ColumnShares(first, shares * _transmitted(rays, (edge - 0.5 * columns) * beam.pitch)[:, None])
+
+
+def _transmitted(rays: Rays, edge: np.ndarray) -> np.ndarray:
+    """Mean transmittance between edges [mm]; 0 beyond the last rays."""
+    pieces = 0.5 * (rays.transmittance[1:] + rays.transmittance[:-1]) * np.diff(rays.u)
+    total = np.concatenate([[0.0], np.cumsum(pieces)])
+    return np.diff(np.interp(edge, rays.u, total)) / np.diff(edge)
+
+
+def row_shares(spread: Spread, beam: Beam, z: np.ndarray, height: float, multiple: int) -> RowShares:
+    """Mean light of slices ``height`` [mm] high about ``z`` [mm], per light of rows; padded to a multiple of slices."""
+    rows = beam.pixels[1]
+    center = z / beam.pitch + 0.5 * (rows - 1)
+    half = 0.5 * height / beam.pitch
+    reach = half + 0.5 * spread.side + TAIL * spread.row
+    row = np.arange(rows)[:, None]
+    shares = np.zeros((rows, -(-z.size // multiple) * multiple))
+    shares[:, : z.size] = np.where(
+        np.abs(row - center) <= reach, _mean(center - half - row, center + half - row, spread.side, spread.row), 0.0
+    )
+    span = np.stack([np.ceil(center - reach), np.floor(center + reach) + 1], axis=1)
+    span = np.clip(span, 0, rows).astype(int)
+    return RowShares(shares, np.pad(span, ((0, shares.shape[1] - z.size), (0, 0)), "edge"))
+
+
+def _mean(low: np.ndarray, high: np.ndarray, side: float, sigma: float) -> np.ndarray:
+    """Mean between two places of a box of area 1 about 0, ``side`` wide, under a Gaussian."""
+    half = 0.5 * side
+    gained = _ramp(high + half, sigma) - _ramp(high - half, sigma) - _ramp(low + half, sigma) + _ramp(low - half, sigma)
+    return gained / ((high - low) * side)
+
+
+def _ramp(x: np.ndarray, sigma: float) -> np.ndarray:
+    """Twice the running integral of a Gaussian: max(x, 0) under it."""
+    if sigma == 0:
+        return np.maximum(x, 0.0)
+    return x * ndtr(x / sigma) + sigma / sqrt(2.0 * np.pi) * np.exp(-0.5 * (x / sigma) ** 2)
