@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
-from vamgpu.metrics.tolerance import Slab, ToleranceWindow, depth_of_fractions, tolerance_window
-from vamgpu.operators.projection import Projection
+from vamgpu.backend.array import DeviceArray
+from vamgpu.geometry import Grid
+from vamgpu.metrics.tolerance import ToleranceWindow, depth_of_fractions, tolerance_window
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.tolerances import ToleranceTable, tolerance_table
 
@@ -25,23 +24,24 @@ class Judgement:
     table: ToleranceTable
 
 
-def judged(proof: Proof, slabs: Iterable[Slab] | None = None) -> Judgement:
+def judged(proof: Proof) -> Judgement:
     """Judge a proof by the light of its frames, exposed once more on finer voxels and through the tolerance table.
 
-    Args:
-        proof: of an operator that is a `Projection`.
-        slabs: the proved dose on finer voxels; exposed here by default.
+    Where a proof knows no finer dose than that of the part's own voxels, W is found on those.
     """
     A = proof.operator
-    light = proof.frames.irradiance(A.device)
     depth = depth_of_fractions(proof.target.numpy(), A.grid)
-    fine = _exposed(A, light) if slabs is None else slabs
-    found = tolerance_window(fine, depth, A.grid.pitch, radius=A.grid.inscribed_radius)
+    radius = A.grid.inscribed_radius
+    slabs = proof.fine(radius) if proof.independent else (OwnVoxels(A.grid, proof.dose),)
+    found = tolerance_window(slabs, depth, A.grid.pitch, radius=radius)
+    light = proof.frames.irradiance(A.device)
     table = tolerance_table(A, light, proof.target, proved=proof.scores, half_voxel=found.half_voxel)
     return Judgement(found, table)
 
 
-def _exposed(A: Projection, light: Any) -> Iterable[Slab]:
-    from vamgpu.printing.independent import IndependentExposure
+class OwnVoxels:
+    """The whole dose of a grid, as one slab."""
 
-    return IndependentExposure(A).fine(light, A.grid.inscribed_radius)
+    def __init__(self, grid: Grid, dose: DeviceArray) -> None:
+        self.dose = dose
+        self.x, self.y, self.z = grid.axes()

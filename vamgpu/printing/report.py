@@ -11,8 +11,12 @@ from typing import Any
 import numpy as np
 
 import vamgpu
+from vamgpu.metrics.light import outside_over_inside
 from vamgpu.optimize.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
 from vamgpu.printing import charts, pictures, surface
+from vamgpu.printing.dose import absorbs
+from vamgpu.printing.judgement import Judgement, judged
+from vamgpu.printing.opening import opening
 from vamgpu.printing.proof import Proof
 from vamgpu.storage.atomic import explained
 from vamgpu.storage.page import filled, template
@@ -24,10 +28,20 @@ MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
 JOSEPH = "P. M. Joseph, An improved algorithm for reprojecting rays through pixel images, IEEE TMI 1 (1982) 192"
 
 
-def write_report(proof: Proof, path: str | Path, plan: Any = None) -> Path:
-    """Write the page of a proof; ``plan`` adds convergence, method and papers. Raises `StorageError`."""
+def write_report(proof: Proof, path: str | Path, plan: Any = None, judgement: Judgement | None = None) -> Path:
+    """Write the page of a proof.
+
+    Args:
+        proof: what to show.
+        path: of the page.
+        plan: adds convergence, method and papers.
+        judgement: window over tolerance and tolerance table; found here by default, for some ten projector pairs.
+
+    Raises:
+        StorageError: the page cannot be written.
+    """
     target = Path(path)
-    page = render(proof, plan)
+    page = render(proof, plan, judgement)
     partial = target.with_name(target.name + ".part")
     try:
         partial.write_text(page, encoding="utf-8")
@@ -38,10 +52,11 @@ def write_report(proof: Proof, path: str | Path, plan: Any = None) -> Path:
     return target
 
 
-def render(proof: Proof, plan: Any = None) -> str:
+def render(proof: Proof, plan: Any = None, judgement: Judgement | None = None) -> str:
     """The page as text."""
     css, js = (template("vamgpu.printing", name) for name in ("report.css", "report.js"))
-    return filled("vamgpu.printing", "report.html", css=css, js=js, **_content(proof, plan))
+    first = opening(proof, judged(proof) if judgement is None else judgement)
+    return filled("vamgpu.printing", "report.html", css=css, js=js, **first, **_content(proof, plan))
 
 
 def _content(proof: Proof, plan: Any) -> dict[str, Any]:
@@ -116,17 +131,23 @@ def _verdict(proof: Proof) -> str:
 
 
 def _tiles(proof: Proof) -> list[dict[str, str]]:
+    """Scores, and what became of the light, each with what it means."""
     scores = proof.scores
+    share, meaning = f"{proof.part_share:.3g} mm", "mean path of light in the part"
+    if absorbs(proof.operator):
+        share, meaning = f"{100 * proof.part_share:.2g} %", "of the light sent is absorbed in the part"
+    outside = outside_over_inside(proof.dose, proof.target)
     tiles = [
-        ("process window", f"{scores.window:+.3f}".replace("-", "−")),
-        ("IoU", f"{scores.iou:.4f}"),
-        ("VER", _power(scores.error_rate)),
-        ("IPDR", f"{scores.dose_range:.3f}"),
-        ("light efficiency", f"{100 * proof.light_efficiency:.2g} %"),
+        ("IoU", f"{scores.iou:.4f}", "intersection over union at the threshold"),
+        ("VER", _power(scores.error_rate), "voxels on the wrong side of the threshold"),
+        ("IPDR", f"{scores.dose_range:.3f}", "range of the dose in the part, over the greatest"),
+        ("light efficiency", f"{100 * proof.light_efficiency:.2g} %", "mean pixel over full-on, wherever it goes"),
+        ("share of the part", share, meaning),
+        ("dose outside over inside", f"{outside:.3f}", "mean dose outside the part over the mean in it"),
     ]
     if proof.seconds is not None:
-        tiles.append(("predicted exposure", f"{proof.seconds:.3g} s"))
-    return [{"name": name, "value": value} for name, value in tiles]
+        tiles.append(("predicted exposure", f"{proof.seconds:.3g} s", "until the threshold is solid"))
+    return [{"name": name, "value": value, "meaning": meaning} for name, value, meaning in tiles]
 
 
 def _power(value: float) -> str:
