@@ -35,7 +35,8 @@ def judged(proof: Proof) -> Judgement:
     slabs = proof.fine(radius) if proof.independent else (OwnVoxels(A.grid, proof.dose),)
     found = tolerance_window(slabs, depth, A.grid.pitch, radius=radius)
     light = proof.frames.irradiance(A.device)
-    table = tolerance_table(A, light, proof.target, proved=proof.scores, half_voxel=found.half_voxel)
+    at = proof.scores.threshold
+    table = tolerance_table(A, light, proof.target, proved=proof.dose, threshold=at, half_voxel=found.half_voxel)
     return Judgement(found, table)
 
 

@@ -104,10 +104,10 @@ def _first(limits: tuple[FirstWrong, ...]) -> str:
 
 def _table_note(found: ToleranceTable) -> str:
     return (
-        "The same frames, as long and as bright, through a machine that is off in one thing. Windows change as they do "
-        "by the solver's operator; the change is added to what was proved. Wrong voxels are counted at one threshold, "
-        f"that of the proof. Pixels are the projector's. This table took {found.exposures} back projections, half a "
-        "projector pair each."
+        "The same frames, as long and as bright, through a machine that is off in one thing. By how much the dose of a "
+        "voxel changes is the solver's operator's to say; the change is added to the proved dose. Wrong voxels are "
+        "counted at one threshold, that of the proof. Pixels are the projector's. This table took "
+        f"{found.exposures} back projections, half a projector pair each."
     )
 
 

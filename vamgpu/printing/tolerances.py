@@ -1,25 +1,26 @@
 """What a print bears: the same frames through a machine that is off by a little, and the first voxel that goes wrong.
 
 Each scenario is one exposure by the solver's kind of operator with one thing changed: half a projector pair. What it
-changes is added to the windows that were proved independently. The exposure time stays as it is: one threshold, that
-of the proof, tells wrong voxels in all of them.
+changes is added to the proved dose, voxel by voxel. The exposure time stays as it is: one threshold, that of the proof,
+tells wrong voxels in all of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from math import isfinite, nan
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
+from vamgpu.kernels.update import linear
 from vamgpu.metrics.depth import signed_depth
 from vamgpu.metrics.histogram import above, extremes
 from vamgpu.metrics.parts import IN, OUT, Parts
-from vamgpu.metrics.scores import Scores, score
+from vamgpu.metrics.scores import score
+from vamgpu.operators.compose import NO_FLOOR
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.scenarios import SCENARIOS, Scenario
 
@@ -102,7 +103,8 @@ def tolerance_table(
     light: DeviceArray,
     fraction: DeviceArray,
     *,
-    proved: Scores | None = None,
+    proved: DeviceArray | None = None,
+    threshold: float | None = None,
     half_voxel: float | None = None,
     scenarios: Sequence[Scenario] = SCENARIOS,
 ) -> ToleranceTable:
@@ -112,15 +114,18 @@ def tolerance_table(
         A: the operator the light was made for; only a plain `Projection` can be varied, for others the rows say so.
         light: of every pixel and pose [angle, r, z] on the device of ``A``.
         fraction: of the part [x, y, z], on the same device.
-        proved: scores of the independent proof, to which the changes are added; those of ``A`` itself by default.
-        half_voxel: proved W at half a voxel; that of ``A`` by default.
+        proved: dose of the independent proof [x, y, z], in units of Aᵀ(light); Aᵀ(light) itself by default.
+        threshold: dose from which a voxel prints; by default the one with the best overlap.
+        half_voxel: proved W at half a voxel, found on finer voxels; that of the part's own voxels by default.
         scenarios: what may be off.
 
     Raises:
         BadInput: no voxel of the part is judged.
         ShapeMismatch, DeviceError: fields that do not fit ``A``.
     """
-    bench = _Bench(A, light, fraction, proved, half_voxel)
+    bench = _Bench(A, light, fraction, proved, threshold)
+    known_half = bench.nominal.half_voxel if half_voxel is None else half_voxel
+    finer = known_half - bench.nominal.half_voxel
     rows: list[Row] = []
     first: list[FirstWrong] = []
     for scenario in scenarios:
@@ -130,47 +135,51 @@ def tolerance_table(
         except BadInput as error:
             rows += [Row(scenario.name, scenario.written(amount), note=str(error)) for amount in scenario.amounts]
             continue
-        rows += [bench.row(scenario.name, scenario.written(amount), seen) for amount, seen in known.items()]
+        rows += [seen.row(scenario.name, scenario.written(amount), finer) for amount, seen in known.items()]
         first += found
-    return ToleranceTable(bench.row("as it should be", "", bench.nominal), tuple(rows), tuple(first), bench.exposures)
+    return ToleranceTable(bench.nominal.row("as it should be", "", finer), tuple(rows), tuple(first), bench.exposures)
 
 
 # ---- one exposure after the other -----------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Seen:
-    """What an exposure did: doses over the nominal peak, windows over its own, voxels over the fixed threshold."""
+    """What an exposure did; margin: how far the threshold is from the nearest voxel that would go wrong, over the peak
+    of the print as it should be, below 0 where one is wrong."""
 
-    least: float
-    greatest: float
     window: float
     half_voxel: float
     missing: int
     excess: int
+    margin: float
+
+    def row(self, name: str, change: str, finer: float) -> Row:
+        """As a row of the table; finer: what W at half a voxel is more on finer voxels."""
+        return Row(name, change, self.half_voxel + finer, self.window, self.missing, self.excess)
 
 
 class _Bench:
-    """The nominal print, and the same light exposed otherwise."""
+    """The print as it should be, and the same light exposed otherwise."""
 
     def __init__(
-        self, A: Projection, light: DeviceArray, fraction: DeviceArray, proved: Scores | None, half_voxel: float | None
+        self,
+        A: Projection,
+        light: DeviceArray,
+        fraction: DeviceArray,
+        proved: DeviceArray | None,
+        threshold: float | None,
     ) -> None:
-        self.A, self.light, self.fraction, self.exposures = A, light, fraction, 1
+        self.A, self.light, self.fraction = A, light, fraction
         depth = signed_depth(np.pad(fraction.numpy(), 2), 1.0)[2:-2, 2:-2, 2:-2]
         self._deep, self._far = fraction.device.upload(depth), fraction.device.upload(-depth)
-        self.dose = A.T(light)
-        own = score(self.dose, fraction)
-        self.scores = own if proved is None else proved
-        self.peak = own.peak or 1.0
-        scale = self.peak / (self.scores.peak or 1.0)
-        self._more_in = self.scores.least_in * scale - own.least_in
-        self._more_out = self.scores.greatest_out * scale - own.greatest_out
-        self.threshold = self.scores.threshold * scale
-        self._half = half_voxel
-
-    @cached_property
-    def nominal(self) -> _Seen:
-        """The print as it should be."""
-        return self._seen(self.dose, 1.0)
+        self.dose, self.exposures = A.T(light), 1
+        self._more: DeviceArray | None = None
+        if proved is not None:
+            self._more = _combined(1.0, proved, -1.0, self.dose)
+            self.dose = proved
+        scores = score(self.dose, fraction, threshold=threshold)
+        self.threshold, self.peak = scores.threshold, scores.peak or 1.0
+        self.least, self.greatest = scores.least_in, scores.greatest_out
+        self.nominal = self._seen(self.dose, 1.0)
 
     def exposed(self, scenario: Scenario, amount: float) -> _Seen:
         """The light in a machine that is off by an amount. Raises `BadInput` where that means nothing."""
@@ -178,43 +187,32 @@ class _Bench:
             return self._seen(self.dose, 1.0 + amount)
         if not isinstance(self.A, Projection):
             raise BadInput(f"a {type(self.A).__name__} is exposed as it is; only a plain Projection is varied")
-        operator = scenario.off(self.A, amount)
+        dose = scenario.off(self.A, amount).T(self.light)
         self.exposures += 1
-        return self._seen(operator.T(self.light), 1.0)
-
-    def row(self, name: str, change: str, seen: _Seen) -> Row:
-        """An exposure as a row: what it changes is added to what was proved."""
-        half = self.nominal.half_voxel if self._half is None else self._half
-        return Row(
-            name,
-            change,
-            half + (seen.half_voxel - self.nominal.half_voxel),
-            self.scores.window + (seen.window - self.nominal.window),
-            seen.missing,
-            seen.excess,
-        )
-
-    def margin(self, seen: _Seen) -> float:
-        """How far the threshold is from the nearest voxel that would go wrong, over the greatest dose."""
-        return min(seen.least - self.threshold / self.peak, self.threshold / self.peak - seen.greatest)
+        return self._seen(dose if self._more is None else _combined(1.0, dose, 1.0, self._more), 1.0)
 
     def _seen(self, dose: DeviceArray, times: float) -> _Seen:
         """Judge a dose that is exposed ``times`` as long; no copy of it is made."""
-        parts = Parts(dose, self.fraction)
-        ends = extremes(parts)
+        parts, at = Parts(dose, self.fraction), self.threshold / times
+        ends, counts = extremes(parts), above(parts, at)[0]
         peak = float(ends.greatest.max()) or 1.0
         least, greatest = float(ends.least[0, IN]), max(float(ends.greatest[0, OUT]), 0.0)
         deep = float(extremes(Parts(dose, self._deep, _HALF)).least[0, IN])
         far = max(float(extremes(Parts(dose, self._far, _HALF)).greatest[0, IN]), 0.0)
-        at = self.threshold / times
         return _Seen(
-            least=(least + self._more_in) * times / self.peak,
-            greatest=(greatest + self._more_out) * times / self.peak,
             window=(least - greatest) / peak,
             half_voxel=(deep - far) / peak if isfinite(deep) else nan,
-            missing=int(above(parts, at - self._more_in)[0, IN, 0]),
-            excess=int(above(parts, at - self._more_out)[0, OUT, 1]),
+            missing=int(counts[IN, 0]),
+            excess=int(counts[OUT, 1]),
+            margin=min(least - at, at - greatest) * times / self.peak,
         )
+
+
+def _combined(a: float, x: DeviceArray, b: float, y: DeviceArray) -> DeviceArray:
+    """a·x + b·y, a new field."""
+    out = x.device.empty(x.shape)
+    x.device.launch(linear, a=a, x=x, b=b, y=y, floor=NO_FLOOR, out=out)
+    return out
 
 
 # ---- the first wrong voxel ------------------------------------------------------------------------------------------
@@ -235,27 +233,27 @@ def _first_wrong(bench: _Bench, scenario: Scenario, sign: int, known: dict[float
 
 def _of_dose(bench: _Bench, sign: int) -> float:
     """Less or more time: known without an exposure. NaN where no dose is outside."""
-    nearest = bench.nominal.least if sign < 0 else bench.nominal.greatest
-    return bench.threshold / bench.peak / nearest - 1.0 if nearest > 0 else nan
+    nearest = bench.least if sign < 0 else bench.greatest
+    return bench.threshold / nearest - 1.0 if nearest > 0 else nan
 
 
 def _closed_in(bench: _Bench, scenario: Scenario, farthest: float, known: dict[float, _Seen]) -> float:
     """By interpolation between a good and a bad amount; NaN where none is bad."""
-    good: Point = (0.0, bench.margin(bench.nominal))
+    good: Point = (0.0, bench.nominal.margin)
     bad: Point | None = None
     for amount in sorted((a for a in known if a * farthest > 0), key=abs):
-        margin = bench.margin(known[amount])
+        margin = known[amount].margin
         if margin < 0:
             bad = (amount, margin)
             break
         good = (amount, margin)
     if bad is None:
-        bad = (farthest, bench.margin(bench.exposed(scenario, farthest)))
+        bad = (farthest, bench.exposed(scenario, farthest).margin)
     if bad[1] >= 0:
         return nan
     for _ in range(REFINED):
         amount = _crossing(good, bad)
-        margin = bench.margin(bench.exposed(scenario, amount))
+        margin = bench.exposed(scenario, amount).margin
         good, bad = (good, (amount, margin)) if margin < 0 else ((amount, margin), bad)
         if abs(margin) < _CLOSE:
             break
