@@ -45,7 +45,7 @@ def trace_pose(rays: Rays, width: float, radius: float, spacing: float) -> Trace
         The table, of samples up to ``radius`` in both directions.
     """
     half = ceil(radius / spacing) + 1
-    place = np.arange(-half, half + 1) * spacing
+    place: Floats = np.arange(-half, half + 1.0) * spacing
     middle = int(np.argmin(np.abs(rays.cross(0.0).across)))
     rows = [_Row(rays, middle, float(along), place, width) for along in place]
     low, high = max(row.before for row in rows), max(row.behind for row in rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,11 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
 from vamgpu.metrics import Parts, Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram, histogram
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.dose import absorbs
 from vamgpu.printing.exposure import Exposure
+from vamgpu.printing.independent import FineSlab, IndependentExposure, Outer
 
 
 class Line(NamedTuple):
@@ -28,11 +31,22 @@ class Line(NamedTuple):
 class Proof:
     """A simulated print and its scores.
 
-    operator: the projection.  frames: what was shone.  name: of the target.  target: fractions [x, y, z].  dose:
-    Aᵀ(light) [x, y, z] in units of light × mm; both on the device.  scores: of the volume.  slices: of every z at the
-    volume's scale and threshold.  light_efficiency: mean light of all pixels over that of a full-on one.  part_share:
-    power absorbed in the part over power sent, or the mean length [mm] of rays inside it where nothing is absorbed.
-    exposure: predicted times, where irradiance and critical dose were given.
+    Attributes:
+        operator: what the frames were solved with.
+        frames: what was exposed.
+        name: of the target.
+        target: fractions [x, y, z] on the device.
+        dose: on the part's own voxels [x, y, z], in units of Aᵀ(light), that is light × mm; on the device.
+        scores: of the whole volume, by that dose: the proved ones.
+        slices: of every z at the volume's scale and threshold.
+        light_efficiency: mean light of all pixels over that of a full-on one.
+        part_share: power absorbed in the part over power sent, or the mean length [mm] of rays inside it where nothing
+            is absorbed.
+        claimed: the same scores by Aᵀ(light) of the operator itself.
+        outer: the greatest dose beyond the judged cylinder; None where no resin is there or nobody traced rays to it.
+        independent: whether the dose is by rays traced apart from the operator, on finer voxels; else it is the
+            operator's own.
+        exposure: predicted times, where irradiance and critical dose were given.
     """
 
     operator: Projection
@@ -44,6 +58,9 @@ class Proof:
     slices: SliceScores
     light_efficiency: float
     part_share: float
+    claimed: Scores
+    outer: Outer | None = None
+    independent: bool = False
     exposure: Exposure | None = None
 
     @property
@@ -52,9 +69,37 @@ class Proof:
         return self.exposure.seconds if self.exposure else None
 
     @property
+    def ratio(self) -> float:
+        """The proved window over the claimed one; NaN where none is claimed."""
+        return self.scores.window / self.claimed.window if self.claimed.window > 0 else float("nan")
+
+    @property
+    def outer_share(self) -> float:
+        """The greatest dose beyond the judged cylinder over the threshold; from 1 on it prints. 0 if none is known."""
+        return self.outer.dose / (self.scores.threshold or 1.0) if self.outer else 0.0
+
+    def fine(self, reach: float | None = None) -> Iterator[FineSlab]:
+        """The dose on voxels half as wide, computed anew slab by slab; see `IndependentExposure.fine`.
+
+        Args:
+            reach: farthest from the axis [mm]; the inner wall by default. The judged cylinder alone,
+                ``operator.grid.inscribed_radius``, takes a fraction of the time.
+
+        Raises:
+            BadInput: the dose is the operator's own, which has no finer one.
+        """
+        if not self.independent:
+            raise BadInput(
+                f"{type(self.operator).__name__} has no rays to trace apart from it, so there is no dose on finer "
+                "voxels; prove a Projection, or read Proof.dose"
+            )
+        light = self.frames.irradiance(self.operator.device)
+        return IndependentExposure(self.operator).fine(light, reach)
+
+    @property
     def perfect(self) -> bool:
-        """Whether every judged voxel is printed right."""
-        return self.scores.missing == 0 and self.scores.excess == 0
+        """Whether every judged voxel is printed right, and nothing beyond the judged cylinder is printed."""
+        return self.scores.missing == 0 and self.scores.excess == 0 and self.outer_share < 1.0
 
     def printed(self) -> np.ndarray:
         """Boolean [x, y, z]: voxels that reach the threshold, the inscribed cylinder alone."""
@@ -70,6 +115,7 @@ class Proof:
         share = "light sent that the part absorbs" if absorbs(self.operator) else "mean path of light inside the part"
         found = [
             Line("process window, strict", f"{w.strict:+.4f}", "least dose in the part − greatest outside, over peak"),
+            *_judged(self),
             Line("process window, 0.1 %", f"{w.fine:+.4f}", "0.1 % quantile in the part − 99.9 % outside"),
             Line("process window, 1 %", f"{w.trimmed:+.4f}", "1 % quantile in the part − 99 % outside"),
             Line("process window, one-sided", f"{w.one_sided:+.4f}", "least dose in the part − 99 % quantile outside"),
@@ -93,6 +139,20 @@ class Proof:
         from vamgpu.printing.report import write_report
 
         return write_report(self, path, plan)
+
+
+def _judged(proof: Proof) -> Iterator[Line]:
+    """Who judged, and what was claimed."""
+    if not proof.independent:
+        name = type(proof.operator).__name__
+        yield Line("judged by", "its own operator", f"{name} has no rays to trace apart from it: nothing is proved")
+        return
+    yield Line("judged by", "traced rays", "on voxels half as wide, shifted by a quarter, averaged over the part's")
+    yield Line("window claimed", f"{proof.claimed.window:+.4f}", "the strict window by the operator that solved")
+    yield Line("proved over claimed", f"{proof.ratio:.3f}", "the strict window by traced rays over the claimed one")
+    if proof.outer is not None:
+        where = f"{proof.outer.distance:.3g} of {proof.outer.radius:.3g} mm from the axis"
+        yield Line("dose beyond the cylinder", f"{proof.outer_share:.3f}", f"the greatest over the threshold, {where}")
 
 
 def _share(proof: Proof) -> str:

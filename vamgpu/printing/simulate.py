@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from vamgpu.backend.array import DeviceArray
@@ -14,6 +15,7 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
 from vamgpu.optimize.part import on_device
 from vamgpu.printing.exposure import expose
+from vamgpu.printing.independent import IndependentExposure, Outer
 from vamgpu.printing.proof import Proof
 
 
@@ -40,13 +42,30 @@ def simulate(
     absorption: float | None = None,
     threshold: float | None = None,
 ) -> Proof:
-    """Shine frames through a projection and judge the dose by a target; whole arrays stay on the device of ``A``.
+    """Expose frames and judge the dose by a target; whole arrays stay on the device of ``A``.
 
-    frames: e.g. `Frames`; only their bytes and gray curve are read.  target: a `Target`, or fractions [x, y, z] as a
-    NumPy or device array.  irradiance: of a full-on pixel in air [mW/mm²] and critical_dose [mJ/mm³]: given both, times
-    are predicted.  absorption: of the resin [1/mm], needed for the times where ``A`` absorbs no light.  threshold: dose
-    in units of Aᵀ(light) from which a voxel counts as printed; the one with the best overlap by default.
-    Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
+    The dose is not ``A``'s: frames shine on voxels half as wide, shifted by a quarter, out to the inner wall, along
+    rays that are traced for it (see `IndependentExposure`), and the part's voxels take the mean. What ``A`` itself
+    would say is kept beside it, as claimed. Operators other than `Projection` have no such rays and are judged by
+    themselves; the proof then says so.
+
+    Args:
+        A: what the frames were solved with.
+        frames: e.g. `Frames`; only their bytes and gray curve are read.
+        target: a `Target`, or fractions [x, y, z] as a NumPy or device array.
+        irradiance: of a full-on pixel in air [mW/mm²]; with ``critical_dose`` times are predicted.
+        critical_dose: from which resin is solid [mJ/mm³].
+        absorption: of the resin [1/mm], needed for the times where ``A`` absorbs no light.
+        threshold: dose in units of Aᵀ(light) from which a voxel counts as printed; by default the one with the best
+            overlap.
+
+    Returns:
+        The proof: dose, scores, and what is claimed.
+
+    Raises:
+        BadInput: a value out of its range.
+        ShapeMismatch: frames or target of another geometry.
+        DeviceError: an array of another device.
     """
     _both_or_neither(irradiance, critical_dose)
     if threshold is not None:
@@ -54,7 +73,9 @@ def simulate(
     fraction = on_device(A, target)
     light = frames.irradiance(A.device)
     require(A.range, light, "the frames' light")
-    dose = A.T(light)
+    claimed = score(A.T(light), fraction, threshold=threshold)
+    judge = IndependentExposure(A) if isinstance(A, Projection) else _Itself(A)
+    dose, outer = judge.averaged(light)
     scores = score(dose, fraction, threshold=threshold)
     sent = light_sent(light)
     given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
@@ -66,10 +87,24 @@ def simulate(
         dose=dose,
         scores=scores,
         slices=score_slices(dose, fraction, scores),
+        claimed=claimed,
+        outer=outer,
+        independent=isinstance(judge, IndependentExposure),
         light_efficiency=light_efficiency(light, frames.scale),
         part_share=scores.total_in / sent if sent > 0 else 0.0,
         exposure=None if irradiance is None else expose(A, scores, sent, frames.scale, **given),  # type: ignore[arg-type]
     )
+
+
+@dataclass(frozen=True)
+class _Itself:
+    """An operator that judges its own light, for want of rays to trace."""
+
+    operator: Any
+
+    def averaged(self, light: DeviceArray) -> tuple[DeviceArray, Outer | None]:
+        """Its own dose, and nothing about what is beyond its grid."""
+        return self.operator.T(light), None
 
 
 def _both_or_neither(irradiance: float | None, critical_dose: float | None) -> None:

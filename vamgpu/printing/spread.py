@@ -7,7 +7,6 @@ from math import ceil, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
 
 from vamgpu.geometry import Beam, Vessel
 from vamgpu.optics.traced_rays import Rays
@@ -113,4 +112,6 @@ def _ramp(x: np.ndarray, sigma: float) -> np.ndarray:
     """Twice the running integral of a Gaussian: max(x, 0) under it."""
     if sigma == 0:
         return np.maximum(x, 0.0)
+    from scipy.special import ndtr  # takes longer to load than all of vamgpu
+
     return x * ndtr(x / sigma) + sigma / sqrt(2.0 * np.pi) * np.exp(-0.5 * (x / sigma) ** 2)

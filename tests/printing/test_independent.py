@@ -1,0 +1,278 @@
+"""The independent exposure against energy, closed forms, and rays traced one by one; and the proofs made of it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+import vamgpu as vam
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.operators.oblique import Oblique
+from vamgpu.optics.beams import Fan
+from vamgpu.optics.occluder import Occluded
+from vamgpu.optics.rising import Inclined
+from vamgpu.printing import independent
+from vamgpu.printing.independent import IndependentExposure
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "physics"))
+from raytracer import trace  # noqa: E402  # pyright: ignore[reportMissingImports]
+
+VIAL = vam.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.05)
+SMALL = vam.Vial(radius=3.2, wall=0.2, resin_index=1.45, wall_index=1.47, bath_index=1.3, absorption=0.08)
+
+
+def exposed(A: vam.Projection, light: np.ndarray, **options: int) -> np.ndarray:
+    """Dose on the part's voxels as float64."""
+    return IndependentExposure(A, **options).averaged(A.device.upload(light))[0].numpy().astype(float)
+
+
+def plane(A: vam.Projection, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and dose [x, y] of the middle fine slice."""
+    slabs = list(IndependentExposure(A).fine(A.device.upload(light)))
+    dose = np.concatenate([slab.dose.numpy() for slab in slabs], axis=2).astype(float)
+    return slabs[0].x, dose[:, :, dose.shape[2] // 2]
+
+
+# ---- closed forms --------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("pitch", [0.1, 0.0877, 0.17])
+def test_even_straight_light_gives_even_dose(pitch: float) -> None:
+    A = vam.Projection(vam.Grid((25, 22, 9), 0.1), vam.Beam((60, 40), pitch), vam.Turntable(17))
+    even = exposed(A, np.ones(A.range.shape)) / (17 * 0.1**3 / pitch**2)
+    assert np.abs(even - 1.0).max() < 1e-3
+
+
+@pytest.mark.parametrize(("fill", "spread"), [(1.0, None), (0.6, 0.05), (1.0, 0.0)])
+def test_one_pixel_is_a_box_under_a_gaussian(fill: float, spread: float | None) -> None:
+    """At θ = 0 a voxel's shadow is a box as wide as itself; at any angle the pixel keeps its power and its variance."""
+    pitch, h = 0.1, 0.0431
+    beam = vam.Beam((20, 15), pitch, fill=fill, spread=spread)
+    A = vam.Projection(vam.Grid((30, 30, 30), 2 * h), beam, vam.Turntable(1))
+    light = np.zeros(A.range.shape)
+    light[0, 12, 6] = 1.0
+    slab = next(IndependentExposure(A).fine(A.device.upload(light)))
+    got = slab.dose.numpy().astype(float)[slab.x.size // 2]  # [y, z]: r is y
+    sigma = beam.blur()[0] * pitch
+
+    def mean(place: np.ndarray) -> np.ndarray:
+        """Of the pixel's profile over a voxel about each place, by 2000 points."""
+        points = place[:, None] + (np.arange(2000) + 0.5) / 2000 * h - 0.5 * h
+        side = np.sqrt(fill) * pitch
+        if sigma == 0:
+            return (np.abs(points) < 0.5 * side).mean(axis=1) / np.sqrt(fill)
+        return (ndtr((points + 0.5 * side) / sigma) - ndtr((points - 0.5 * side) / sigma)).mean(axis=1) / np.sqrt(fill)
+
+    wanted = mean(slab.y - 2.5 * pitch)[:, None] * mean(slab.z + pitch)[None, :] * (2 * h) ** 3 / pitch**2
+    assert np.abs(got - wanted).max() <= (1e-5 if sigma == 0 and fill == 1.0 else 8e-3) * wanted.max()
+    assert got.sum() == pytest.approx(wanted.sum(), rel=1e-4)
+    for axis, places in ((0, slab.y), (1, slab.z)):
+        weights = [g.sum(axis=1 - axis) / g.sum() for g in (got, wanted)]
+        means = [float(w @ places) for w in weights]
+        assert means[0] == pytest.approx(means[1], abs=1e-4 * pitch)
+        spreads = [float(w @ (places - m) ** 2) for w, m in zip(weights, means, strict=True)]
+        assert spreads[0] == pytest.approx(spreads[1], abs=1e-3 * pitch**2)
+
+
+def test_all_light_that_a_vial_absorbs_is_in_its_dose() -> None:
+    """Even light over the whole vial, caustics, shadows and rim included: ∫ T (1 − exp(−α L)) du, to 1e-3."""
+    A = vam.Projection(vam.Grid((32, 32, 1), 0.2), vam.Beam((300, 12), 0.09), vam.Turntable(60), VIAL)
+    x, dose = plane(A, np.ones(A.range.shape))
+    inside = np.hypot(x[:, None], x[None, :]) <= VIAL.inner_radius
+    u = np.linspace(-VIAL.aperture, VIAL.aperture, 200_001)
+    chords = VIAL.chords(u)
+    absorbed = np.trapezoid(chords.transmittance * -np.expm1(-VIAL.absorption * chords.length), u)
+    found = dose[inside].mean() * np.pi * VIAL.inner_radius**2 * 0.09**2 / 0.2**3 / 60
+    assert found == pytest.approx(absorbed, rel=1e-3)
+
+
+# ---- rays traced one by one ----------------------------------------------------------------------------------------
+POSES, COLUMNS, AIR = 45, 181, 0.134
+
+
+def _profile(light: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Light [pose, u] of columns under a point spread of half a pixel."""
+    distance = u[:, None] / AIR - (np.arange(COLUMNS) - 0.5 * (COLUMNS - 1))
+    return light @ (ndtr((distance + 0.5) / 0.5) - ndtr((distance - 0.5) / 0.5)).T
+
+
+def _traced(light: np.ndarray, x: float, y: float, width: float, points: int) -> float:
+    """Mean over a square of every ray that meets each of its points, all branches: Σ light T density α exp(−α s)."""
+    u = np.linspace(-VIAL.aperture, VIAL.aperture, 12_001)[1:-1]
+    theta = 2.0 * np.pi * np.arange(POSES) / POSES
+    rays, bright = trace(VIAL, theta[:, None], u[None, :]), _profile(light, u)
+    step = ((np.arange(points) + 0.5) / points - 0.5) * width
+    total = 0.0
+    for dx in step:
+        for dy in step:
+            miss = rays.heading[..., 1] * (x + dx - rays.start[..., 0])
+            miss = miss - rays.heading[..., 0] * (y + dy - rays.start[..., 1])
+            pose, k = np.nonzero(miss[:, 1:] * miss[:, :-1] <= 0.0)
+            near, far = miss[pose, k], miss[pose, k + 1]
+            share = near / (near - far)
+            path = np.hypot(x + dx - rays.start[pose, k, 0], y + dy - rays.start[pose, k, 1])
+            power = rays.power[pose, k] + share * (rays.power[pose, k + 1] - rays.power[pose, k])
+            sent = bright[pose, k] + share * (bright[pose, k + 1] - bright[pose, k])
+            density = (u[1] - u[0]) / np.abs(far - near)
+            total += float(np.sum(sent * power * density * VIAL.absorption * np.exp(-VIAL.absorption * path)))
+    return total / points**2
+
+
+@pytest.fixture(scope="module")
+def noisy() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Light [pose, column], positions and fine dose of a slice: light without any order, the hardest there is."""
+    light = np.random.default_rng(1).random((POSES, COLUMNS))
+    A = vam.Projection(vam.Grid((100, 100, 1), 0.18), vam.Beam((COLUMNS, 9), AIR), vam.Turntable(POSES), VIAL)
+    x, dose = plane(A, np.repeat(light[:, :, None], 9, axis=2))
+    return light, x, dose * AIR**2 / 0.18**3
+
+
+@pytest.mark.parametrize(("radius", "angle", "within"), [
+    (0.0, 0.0, 2e-3), (3.0, 0.3, 2e-3), (6.0, 0.8, 3e-3), (7.0, 2.1, 3e-3), (7.6, 3.9, 3e-3), (8.0, 5.0, 4e-3),
+    (8.2, 0.7, 5e-3), (8.6, 1.4, 0.02), (9.5, 4.2, 0.02), (10.4, 0.3, 0.03),
+])  # fmt: skip
+def test_the_dose_is_that_of_rays_traced_one_by_one(
+    noisy: tuple[np.ndarray, np.ndarray, np.ndarray], radius: float, angle: float, within: float
+) -> None:
+    """Beyond 8.27 mm two and three rays meet, and on the caustics the density of rays has no bound."""
+    light, x, dose = noisy
+    i, j = (int(np.argmin(np.abs(x - radius * f(angle)))) for f in (np.cos, np.sin))
+    wanted = _traced(light, x[i], x[j], x[1] - x[0], 6 if radius < 8.0 else 12)
+    assert dose[i, j] == pytest.approx(wanted, rel=within)
+
+
+# ---- grids, slabs, devices -----------------------------------------------------------------------------------------
+def _case(device: Device | str | None = None) -> tuple[vam.Projection, np.ndarray]:
+    A = vam.Projection(vam.Grid((26, 22, 20), 0.2), vam.Beam((32, 22), 0.2), vam.Turntable(16), SMALL, device)
+    x = np.linspace(-1, 1, 32)[None, :, None] + 0.3 * np.cos(np.arange(16))[:, None, None]
+    return A, np.exp(-(3 * x**2)) * np.random.default_rng(2).random(A.range.shape)
+
+
+def test_devices_agree_with_the_definition(fast_device: Device) -> None:
+    A, light = _case("numpy")
+    B, _ = _case(fast_device)
+    wanted, got = exposed(A, light), exposed(B, light)
+    assert np.abs(got - wanted).max() <= 2e-5 * wanted.max()
+
+
+def test_slabs_of_any_height_give_the_same(device: Device) -> None:
+    A, light = _case(device)
+    whole, cut = exposed(A, light), exposed(A, light, memory=16 * 150_000 if device.lanes_for(1) else 400_000)
+    assert np.abs(whole - cut).max() <= 1e-6 * whole.max()
+    fine = [list(IndependentExposure(A, memory).fine(device.upload(light))) for memory in (1 << 29, 64 * 150_000)]
+    heights = [np.concatenate([slab.z for slab in slabs]) for slabs in fine]
+    assert np.array_equal(*heights) and np.allclose(np.diff(heights[0]), 0.1)
+    assert len(fine[0]) == 1
+    with pytest.raises(BadInput, match="allow more"):
+        exposed(A, light, memory=1000)
+
+
+def test_the_grid_does_not_matter() -> None:
+    """Voxels half as wide, averaged back: what is left is how well fine voxels stand for their mean."""
+    A, light = _case()
+    B = vam.Projection(vam.Grid((52, 44, 40), 0.1), A.beam, A.motion, SMALL)
+    coarse, fine = exposed(A, light), exposed(B, light)
+    back = 8 * fine.reshape(26, 2, 22, 2, 20, 2).mean(axis=(1, 3, 5))
+    lit = np.broadcast_to(A.grid.cylinder()[:, :, None], coarse.shape)
+    assert np.abs(coarse - back)[lit].max() <= 5e-3 * back.max()
+
+
+def test_the_mean_of_fine_voxels_is_exact_for_smooth_dose() -> None:
+    place = np.arange(-3, 4)
+    for power in range(6):
+        edges = [((place + s) ** (power + 1)) / (power + 1) for s in (0.5, -0.5)]
+        wanted = (1.0 - (-1.0) ** (power + 1)) / (2 * (power + 1))
+        assert independent.MEAN @ (edges[0] - edges[1]) == pytest.approx(wanted, abs=1e-12)
+
+
+# ---- beyond the part -----------------------------------------------------------------------------------------------
+def test_the_greatest_dose_beyond_the_cylinder_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light of two columns that miss the part's cylinder; with a wall far away on wider voxels, a little dimmer."""
+    A = vam.Projection(vam.Grid((20, 20, 4), 0.2), vam.Beam((32, 8), 0.2), vam.Turntable(24), SMALL)
+    light = np.zeros(A.range.shape)
+    light[:, 27:29] = 1.0
+    _, outer = IndependentExposure(A).averaged(A.device.upload(light))
+    assert outer is not None and 2.2 < outer.distance < 2.7 and outer.radius == 3.0
+    x, dose = plane(A, light)
+    far = np.hypot(x[:, None], x[None, :])
+    assert outer.dose == pytest.approx(dose[(far > A.grid.inscribed_radius) & (far < 3.0)].max(), rel=0.02)
+    monkeypatch.setattr(independent, "FAR", 1.0)
+    _, wide = IndependentExposure(A).averaged(A.device.upload(light))
+    assert wide is not None and wide.width == pytest.approx(0.2)
+    assert wide.dose == pytest.approx(outer.dose, rel=0.05) and wide.distance == pytest.approx(outer.distance, abs=0.2)
+
+
+# ---- other vessels -------------------------------------------------------------------------------------------------
+def test_a_fan_thins_with_the_square_of_nothing_but_the_plane() -> None:
+    """One pose of even light from a pupil: in the plane its density falls as 1 / distance."""
+    fan = Fan(throw=8.0)
+    A = vam.Projection(vam.Grid((30, 30, 1), 0.1), vam.Beam((80, 9), 0.1), vam.Turntable(1), fan)
+    x, dose = plane(A, np.ones(A.range.shape))
+    _, density = fan.illuminate(x[None, :], -x[:, None])
+    near = np.hypot(x[:, None], x[None, :]) < 1.4
+    assert np.abs(dose / (0.1**3 / 0.1**2) / density - 1.0)[near].max() < 2e-3
+
+
+def test_a_rod_shades_what_is_behind_it() -> None:
+    rod = Occluded(None, across=0.5, along=-0.2, radius=0.3, transmittance=0.25)
+    A = vam.Projection(vam.Grid((30, 30, 1), 0.1), vam.Beam((60, 9), 0.1), vam.Turntable(1), rod)
+    x, dose = plane(A, np.ones(A.range.shape))
+    share = dose / 0.1
+    at = {name: (int(np.argmin(np.abs(x + y))), int(np.argmin(np.abs(x - c)))) for name, c, y in (
+        ("behind", 0.5, 0.9), ("before", 0.5, -0.9), ("beside", -0.5, 0.9))}  # fmt: skip
+    assert share[at["behind"]] == pytest.approx(0.25, abs=1e-3)
+    assert share[at["before"]] == pytest.approx(1.0, abs=1e-3) and share[at["beside"]] == pytest.approx(1.0, abs=1e-3)
+
+
+# ---- proofs --------------------------------------------------------------------------------------------------------
+class Shown:
+    """Frames that are nothing but their light."""
+
+    def __init__(self, light: np.ndarray) -> None:
+        self.light, self.scale = light, 1.0
+
+    def irradiance(self, device: Device) -> vam.DeviceArray:  # pyright: ignore[reportAttributeAccessIssue]
+        return device.upload(self.light)
+
+
+def test_a_proof_says_who_judged_and_what_was_claimed() -> None:
+    A, light = _case()
+    target = np.zeros(A.grid.shape)
+    target[8:18, 7:15, 6:14] = 1.0
+    proof = vam.simulate(A, Shown(light), target)
+    lines = {line.name: line.value for line in proof.lines()}
+    assert proof.independent and lines["judged by"] == "traced rays"
+    assert lines["window claimed"] == f"{proof.claimed.window:+.4f}"
+    assert np.abs(proof.dose.numpy() - exposed(A, light)).max() <= 1e-6 * proof.scores.peak
+    assert proof.outer is not None and lines["dose beyond the cylinder"] == f"{proof.outer_share:.3f}"
+    slabs = list(proof.fine(reach=A.grid.inscribed_radius))
+    assert slabs[0].radius == A.grid.inscribed_radius and slabs[0].pitch == 0.1
+    assert sum(slab.z.size for slab in slabs) == 41
+
+
+def test_an_operator_without_rays_of_its_own_proves_nothing_and_says_so() -> None:
+    grid, beam, motion = vam.Grid((16, 16, 12), 0.2), vam.Beam((20, 16), 0.2), vam.Turntable(8)
+    A = Oblique(grid, beam, motion, Inclined(elevation=0.2))
+    target = np.zeros(grid.shape)
+    target[5:11, 5:11, 4:8] = 1.0
+    proof = vam.simulate(A, Shown(np.ones(A.range.shape)), target)  # pyright: ignore[reportArgumentType]
+    assert not proof.independent and proof.outer is None
+    assert proof.scores == proof.claimed
+    assert {line.name: line.value for line in proof.lines()}["judged by"] == "its own operator"
+    with pytest.raises(BadInput, match="no rays to trace"):
+        proof.fine()
+
+
+def test_what_prints_beyond_the_cylinder_spoils_a_proof() -> None:
+    """Light for a part that is right everywhere in the cylinder, and as much again outside."""
+    A = vam.Projection(vam.Grid((20, 20, 4), 0.2), vam.Beam((32, 8), 0.2), vam.Turntable(24), SMALL)
+    light = np.zeros(A.range.shape)
+    light[:, 11:21] = 1.0
+    target = np.broadcast_to((A.grid.axes()[0][:, None] ** 2 + A.grid.axes()[1] ** 2 < 1.0)[:, :, None], A.grid.shape)
+    good = vam.simulate(A, Shown(light), target.astype(float))
+    light[:, 28:30] = 4.0
+    bad = vam.simulate(A, Shown(light), target.astype(float), threshold=good.scores.threshold)
+    assert good.outer_share < 1.0 < bad.outer_share and not bad.perfect
