@@ -28,9 +28,8 @@ class Figure(NamedTuple):
     meaning: str
 
 
-def opening(proof: Proof, judgement: Judgement) -> dict[str, Any]:
-    """What the template's first blocks show."""
-    surface = getattr(proof, "surface", None)
+def opening(proof: Proof, judgement: Judgement, surface: Any = None) -> dict[str, Any]:
+    """What the template's first blocks show; surface: with ``lines()``, or None."""
     return {
         "headline": headline(proof, judgement),
         "tolerance_chart": charts.tolerance_chart(judgement.over_tolerance),
@@ -50,7 +49,7 @@ def headline(proof: Proof, judgement: Judgement) -> list[Figure]:
     proved = Figure(signed(proof.scores.window), "proved process window", f"{window}; by rays traced for the proof")
     own = Figure(signed(proof.scores.window), "process window, not proved", f"{window}; by the operator that solved")
     at_half = Figure(signed(found.half_voxel), f"window at half a voxel, {1e3 * half:.3g} µm", share)
-    return [proved, at_half, _against_claim(proof)] if proof.independent else [own, at_half]
+    return [proved, at_half, _against_claim(proof), *_beyond(proof)] if proof.independent else [own, at_half]
 
 
 def _against_claim(proof: Proof) -> Figure:
@@ -59,6 +58,15 @@ def _against_claim(proof: Proof) -> Figure:
     if not isfinite(proof.ratio):
         return Figure("–", "proved over claimed", f"{said}: no window to compare with")
     return Figure(f"{proof.ratio:.2f}".replace("-", "−"), "proved over claimed", said)
+
+
+def _beyond(proof: Proof) -> list[Figure]:
+    """What the resin around the judged cylinder gets; empty where there is none."""
+    if proof.outer is None:
+        return []
+    place = f"greatest dose beyond the judged cylinder, {proof.outer.distance:.3g} mm from the axis; the resin ends at"
+    name = "of the threshold, beyond the cylinder"
+    return [Figure(f"{proof.outer_share:.2f}", name, f"{place} {proof.outer.radius:.3g} mm; from 1 on it prints")]
 
 
 def _chart_note(proof: Proof) -> str:

@@ -36,10 +36,10 @@ class Scenario:
         """Directions: -1 where amounts below 0 exist, and 1."""
         return (-1, 1) if min(self.amounts) < 0 else (1,)
 
-    def written(self, amount: float) -> str:
+    def written(self, amount: float, digits: int = 3) -> str:
         """An amount with its sign and unit."""
         value = 100 * amount if self.unit == "%" else amount
-        return f"{value:+.3g} {self.unit}".replace("-", "−")
+        return f"{value:+.{digits}g} {self.unit}".replace("-", "−")
 
 
 @dataclass(frozen=True)

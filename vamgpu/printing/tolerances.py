@@ -228,7 +228,7 @@ def _first_wrong(bench: _Bench, scenario: Scenario, sign: int, known: dict[float
     amount = _of_dose(bench, sign) if scenario.off is None else _closed_in(bench, scenario, farthest, known)
     if not abs(amount) <= scenario.farthest:
         return FirstWrong(scenario.name, nan, farthest, f"none up to {scenario.written(farthest)}")
-    return FirstWrong(scenario.name, amount, farthest, scenario.written(amount))
+    return FirstWrong(scenario.name, amount, farthest, scenario.written(amount, 2))
 
 
 def _of_dose(bench: _Bench, sign: int) -> float:
