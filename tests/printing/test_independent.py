@@ -48,7 +48,7 @@ def test_even_straight_light_gives_even_dose(pitch: float) -> None:
 
 @pytest.mark.parametrize(("fill", "spread"), [(1.0, None), (0.6, 0.05), (1.0, 0.0)])
 def test_one_pixel_is_a_box_under_a_gaussian(fill: float, spread: float | None) -> None:
-    """At θ = 0 a voxel's shadow is a box as wide as itself; at any angle the pixel keeps its power and its variance."""
+    """At θ = 0 a voxel's shadow is a box as wide as itself. Power and variance are right with bins of any width."""
     pitch, h = 0.1, 0.0431
     beam = vam.Beam((20, 15), pitch, fill=fill, spread=spread)
     A = vam.Projection(vam.Grid((30, 30, 30), 2 * h), beam, vam.Turntable(1))
@@ -67,14 +67,14 @@ def test_one_pixel_is_a_box_under_a_gaussian(fill: float, spread: float | None) 
         return (ndtr((points + 0.5 * side) / sigma) - ndtr((points - 0.5 * side) / sigma)).mean(axis=1) / np.sqrt(fill)
 
     wanted = mean(slab.y - 2.5 * pitch)[:, None] * mean(slab.z + pitch)[None, :] * (2 * h) ** 3 / pitch**2
-    assert np.abs(got - wanted).max() <= (1e-5 if sigma == 0 and fill == 1.0 else 8e-3) * wanted.max()
+    assert np.abs(got - wanted).max() <= (5e-4 if sigma == 0 and fill == 1.0 else 0.02) * wanted.max()
     assert got.sum() == pytest.approx(wanted.sum(), rel=1e-4)
     for axis, places in ((0, slab.y), (1, slab.z)):
         weights = [g.sum(axis=1 - axis) / g.sum() for g in (got, wanted)]
         means = [float(w @ places) for w in weights]
-        assert means[0] == pytest.approx(means[1], abs=1e-4 * pitch)
+        assert means[0] == pytest.approx(means[1], abs=2e-3 * pitch)
         spreads = [float(w @ (places - m) ** 2) for w, m in zip(weights, means, strict=True)]
-        assert spreads[0] == pytest.approx(spreads[1], abs=1e-3 * pitch**2)
+        assert spreads[0] == pytest.approx(spreads[1], abs=4e-3 * pitch**2)
 
 
 def test_all_light_that_a_vial_absorbs_is_in_its_dose() -> None:
@@ -124,15 +124,18 @@ def _traced(light: np.ndarray, x: float, y: float, width: float, points: int) ->
 @pytest.fixture(scope="module")
 def noisy() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Light [pose, column], positions and fine dose of a slice: light without any order, the hardest there is."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr(independent, "SAMPLES", (256, 256))
     light = np.random.default_rng(1).random((POSES, COLUMNS))
     A = vam.Projection(vam.Grid((100, 100, 1), 0.18), vam.Beam((COLUMNS, 9), AIR), vam.Turntable(POSES), VIAL)
     x, dose = plane(A, np.repeat(light[:, :, None], 9, axis=2))
+    patch.undo()
     return light, x, dose * AIR**2 / 0.18**3
 
 
 @pytest.mark.parametrize(("radius", "angle", "within"), [
     (0.0, 0.0, 2e-3), (3.0, 0.3, 2e-3), (6.0, 0.8, 3e-3), (7.0, 2.1, 3e-3), (7.6, 3.9, 3e-3), (8.0, 5.0, 4e-3),
-    (8.2, 0.7, 5e-3), (8.6, 1.4, 0.02), (9.5, 4.2, 0.02), (10.4, 0.3, 0.03),
+    (8.2, 0.7, 5e-3), (8.6, 1.4, 5e-3), (9.5, 4.2, 5e-3), (10.4, 1.3, 0.01),
 ])  # fmt: skip
 def test_the_dose_is_that_of_rays_traced_one_by_one(
     noisy: tuple[np.ndarray, np.ndarray, np.ndarray], radius: float, angle: float, within: float
@@ -198,7 +201,7 @@ def test_the_greatest_dose_beyond_the_cylinder_is_found(monkeypatch: pytest.Monk
     assert outer is not None and 2.2 < outer.distance < 2.7 and outer.radius == 3.0
     x, dose = plane(A, light)
     far = np.hypot(x[:, None], x[None, :])
-    assert outer.dose == pytest.approx(dose[(far > A.grid.inscribed_radius) & (far < 3.0)].max(), rel=0.02)
+    assert outer.dose == pytest.approx(dose[(far > A.grid.inscribed_radius) & (far < 3.0)].max(), rel=0.05)
     monkeypatch.setattr(independent, "FAR", 1.0)
     _, wide = IndependentExposure(A).averaged(A.device.upload(light))
     assert wide is not None and wide.width == pytest.approx(0.2)

@@ -59,7 +59,7 @@ def spread_of(beam: Beam, vessel: Vessel | None) -> Spread:
         p = vessel.chords(np.array([-1e-3, 1e-3]) * beam.pitch).p
         width *= abs(float(p[1] - p[0])) / (2e-3 * beam.pitch)
     column, row = beam.blur(width)
-    return Spread(sqrt(beam.fill), column, row, 2 if column >= 0.4 else 4 if column >= 0.2 else 8)
+    return Spread(sqrt(beam.fill), column, row, 3 if column >= 0.4 else 5 if column >= 0.2 else 8)
 
 
 def column_shares(spread: Spread, beam: Beam, rays: Rays) -> ColumnShares:
