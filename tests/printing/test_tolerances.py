@@ -121,6 +121,20 @@ def test_the_first_wrong_voxel_is_where_the_print_changes(printed: Print) -> Non
         assert before.missing + before.excess == 0 < beyond.missing + beyond.excess
 
 
+def test_a_voxel_that_prints_outside_is_found_as_well(printed: Print) -> None:
+    """With a threshold just above what lies outside, excess comes first."""
+    own = score(printed.dose(), printed.fraction)
+    at = own.greatest_out + 0.05 * own.window * own.peak
+    off = next(scenario for scenario in SCENARIOS if scenario.name == "axis of rotation")
+    table = tolerance_table(printed.A, printed.light, printed.fraction, threshold=at, scenarios=(off,))
+    for first in table.limits(off.name):
+        before, beyond = (
+            score(printed.dose(displaced(printed.A, k * first.amount)), printed.fraction, threshold=at)
+            for k in (0.85, 1.15)
+        )
+        assert before.excess == 0 < beyond.excess and before.missing == 0
+
+
 def test_exposures_are_counted_and_bounded(printed: Print) -> None:
     rows = sum(len(scenario.amounts) for scenario in SCENARIOS if scenario.off)
     assert 1 + rows <= printed.table.exposures <= 1 + rows + 3 * 5
