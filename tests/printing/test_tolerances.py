@@ -172,6 +172,16 @@ def test_what_does_not_apply_says_why() -> None:
     assert notes == {"a Vat that is off the axis looks different at every angle"}
 
 
+def test_an_operator_that_is_no_plain_projection_keeps_the_rows_of_the_dose(printed: Print) -> None:
+    class Other:
+        T = printed.A.T
+
+    table = tolerance_table(Other(), printed.light, printed.fraction)  # type: ignore[arg-type]
+    notes = {row.name: row.note for row in table.rows}
+    assert notes.pop("dose") == "" and table.exposures == 1 and len(table.first_wrong) == 2
+    assert set(notes.values()) == {"Other is exposed as it is; only a plain Projection is varied"}
+
+
 def test_a_print_that_is_wrong_already_says_so(printed: Print) -> None:
     high = 0.99 * score(printed.dose(), printed.fraction).peak
     table = tolerance_table(printed.A, printed.light, printed.fraction, threshold=high, scenarios=(DOSE,))

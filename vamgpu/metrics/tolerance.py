@@ -27,6 +27,8 @@ WIDEST = 2.0
 """Tolerances are drawn from 0 to this many voxels."""
 BINS = 128
 """Steps of the curve; an even number puts half a voxel on one of them."""
+SLICES = 32
+"""Of a slab that are judged at once: what is at work beside the dose itself stays small."""
 _ROUNDING = 1e-4
 """Voxels by which a depth may miss a step and still count as being there."""
 
@@ -101,7 +103,7 @@ class ToleranceWindow:
 def tolerance_window(
     slabs: Iterable[Slab], depth: Depth, voxel: float, *, radius: float | None = None, bins: int = BINS
 ) -> ToleranceWindow:
-    """Judge a dose that comes slab by slab; memory is that of a slab.
+    """Judge a dose that comes slab by slab; memory is that of a slab and a few of its slices.
 
     Args:
         slabs: the dose, every voxel once.
@@ -115,7 +117,13 @@ def tolerance_window(
     """
     tally = _Tally(positive("voxel [mm]", voxel), int(positive("bins", bins)))
     for slab in slabs:
-        tally.add(slab, depth(slab.x, slab.y, slab.z), radius)
+        dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
+        if dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
+            raise BadInput(f"a slab's dose has shape {dose.shape}; expected one voxel a place of its axes, [x, y, z]")
+        disc = None if radius is None else np.hypot(slab.x[:, None], slab.y[None, :]) <= radius * (1.0 + 1e-9)
+        for first in range(0, len(slab.z), SLICES):
+            some = slice(first, first + SLICES)
+            tally.add(dose[:, :, some], depth(slab.x, slab.y, slab.z[some]), disc)
     return tally.result()
 
 
@@ -129,14 +137,11 @@ class _Tally:
         self.count = np.zeros(bins + 1, np.int64)
         self.peak = 0.0
 
-    def add(self, slab: Slab, depth: Array, radius: float | None) -> None:
-        dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
-        if dose.shape != depth.shape:
-            raise BadInput(f"a slab's dose has shape {dose.shape}, its axes {depth.shape}; expected [x, y, z]")
+    def add(self, dose: Array, depth: Array, disc: npt.NDArray[np.bool_] | None) -> None:
+        """Doses [x, y, z] and the depths [mm] where they are; disc: [x, y], what counts, or None for everything."""
         if not np.isfinite(dose).all():
             raise BadInput("a slab's dose holds NaN or infinity; expected finite numbers")
-        if radius is not None:
-            disc = np.hypot(slab.x[:, None], slab.y[None, :]) <= radius * (1.0 + 1e-9)
+        if disc is not None:
             dose, depth = dose[disc], depth[disc]
         self.peak = max(self.peak, float(dose.max(initial=0.0)))
         inside = depth >= 0
