@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid
 from vamgpu.kernels.proof import average_voxels, expose_voxels, spread_columns, spread_rows
 from vamgpu.metrics.histogram import extremes
@@ -83,10 +82,11 @@ class IndependentExposure:
 
     Args:
         A: gives the geometry: grid, beam, motion and vessel; none of its tables is read.
-        memory: bytes that the arrays of one slab of slices may take.
+        memory: bytes that the arrays of some slices may take. As many slices as the device keeps together (64 at most)
+            are exposed in any case.
 
     Raises:
-        BadInput: no ray reaches the resin, or a slab of the fewest slices needs more memory.
+        BadInput: no ray reaches the resin.
     """
 
     def __init__(self, A: Projection, memory: int = MEMORY) -> None:
@@ -126,18 +126,18 @@ class IndependentExposure:
         Returns:
             The dose [x, y, z] of the grid, and the greatest beyond the judged cylinder; None where no resin is there.
         """
-        dose, z = self.device.empty(self.grid.shape), self.grid.axes()[2]
-        far = self.radius > FAR * self.corner
+        dose, far = self.device.empty(self.grid.shape), self.radius > FAR * self.corner
         disc = self._disc(self.pitch, self.corner if far else self.radius)
         outer = None
-        for part in self._slabs(disc, z.size):
-            fine = self._expose(disc, light, z[part], self.grid.pitch)
+        for part in self._slabs(disc, self.grid.shape[2]):
+            z = (np.arange(part.start, part.stop) - 0.5 * (self.grid.shape[2] - 1)) * self.grid.pitch
+            fine = self._expose(disc, light, z, self.grid.pitch)
             self._average(disc, fine, dose, part.start)
             if not far:
-                around = self._around(z[part].size)
-                volume = self.device.empty(around.shape)
+                x, y, _ = self._around.axes()
+                volume = self.device.empty((x.size, y.size, z.size))
                 self._average(disc, fine, volume, 0)
-                outer = self._greatest(volume, around.axes()[0], around.axes()[1], z[part], self.grid.pitch, outer)
+                outer = self._greatest(volume, (x, y, z[: self.grid.shape[2] - part.start]), self.grid.pitch, outer)
         return dose, self._beyond(light) if far else outer
 
     def _beyond(self, light: DeviceArray) -> Outer | None:
@@ -146,7 +146,7 @@ class IndependentExposure:
         disc, z, outer = self._disc(width, self.radius), self.grid.axes()[2], None
         for part in self._slabs(disc, z.size):
             dose = self._expose(disc, light, z[part], self.grid.pitch)
-            outer = self._greatest(dose, disc.axis, disc.axis, z[part], width, outer)
+            outer = self._greatest(dose, (disc.axis, disc.axis, z[part]), width, outer)
         return outer
 
     # ---- tables -----------------------------------------------------------------------------------------------------
@@ -187,20 +187,18 @@ class IndependentExposure:
 
     # ---- slabs ------------------------------------------------------------------------------------------------------
     def _slabs(self, disc: _Disc, slices: int) -> Iterator[slice]:
-        """Parts of the slices whose arrays fit the memory and whose layout is that of the whole."""
+        """Parts of the slices, as many in each, whose arrays fit the memory and whose layout is that of the whole.
+
+        The last may go on beyond the slices.
+        """
         each = self.motion.angles * (self.beam.pixels[0] + self._tables["first"].shape[0]) + 2 * disc.axis.size**2
         each *= self.device.real.itemsize
         lanes = self.device.lanes_for(slices) or 1
-        count = slices if each * slices <= self.memory else self.memory // (each * lanes) * lanes
+        count = slices if each * slices <= self.memory else max(self.memory // (each * lanes), 1) * lanes
         while count != slices and count > lanes and self.device.lanes_for(count) != self.device.lanes_for(slices):
             count -= lanes
-        if count == 0:
-            raise BadInput(
-                f"{lanes} slices of a proof need {lanes * each} bytes at once; got a memory of {self.memory}: "
-                "allow more, or prove a coarser grid"
-            )
         for first in range(0, slices, count):
-            yield slice(first, min(first + count, slices))
+            yield slice(first, first + count)
 
     def _expose(self, disc: _Disc, light: DeviceArray, z: np.ndarray, height: float) -> DeviceArray:
         """Dose [x, y, z] of a disc's voxels at some z, the mean over ``height`` about each."""
@@ -223,22 +221,27 @@ class IndependentExposure:
         self.device.launch(average_voxels, fine=fine, **corner, first=first, volume=volume)
 
     # ---- beyond the judged cylinder ---------------------------------------------------------------------------------
-    def _around(self, slices: int) -> Grid:
+    @cached_property
+    def _around(self) -> Grid:
         """The part's grid with as many more voxels as it takes to the wall."""
         more = (ceil(max(self.radius / self.grid.pitch - 0.5 * n, 0.0)) for n in self.grid.shape[:2])
         nx, ny = (n + 2 * m for n, m in zip(self.grid.shape[:2], more, strict=True))
-        return Grid((nx, ny, slices), self.grid.pitch)
+        return Grid((nx, ny, self.grid.shape[2]), self.grid.pitch)
 
     def _greatest(
-        self, dose: DeviceArray, x: np.ndarray, y: np.ndarray, z: np.ndarray, width: float, best: Outer | None
+        self, dose: DeviceArray, axes: tuple[np.ndarray, ...], width: float, best: Outer | None
     ) -> Outer | None:
-        """The greatest dose beyond the judged cylinder, or the best so far if that is greater."""
+        """The greatest dose beyond the judged cylinder, or the best so far if that is greater.
+
+        axes: centers of the voxels [mm]; slices of the dose beyond the last z do not count.
+        """
+        x, y, z = axes
         distance = np.hypot(x[:, None], y[None, :])
         beyond = (distance > self.grid.inscribed_radius * (1.0 + 1e-12)) & (distance <= self.radius)
         if not beyond.any():
             return best
         mask = self.device.upload(np.broadcast_to(beyond[:, :, None], dose.shape))
-        greatest = extremes(Parts(dose, mask, reach=EVERYWHERE), per_slice=True).greatest[:, IN]
+        greatest = extremes(Parts(dose, mask, reach=EVERYWHERE), per_slice=True).greatest[: z.size, IN]
         k = int(np.argmax(greatest))
         if best is not None and greatest[k] <= best.dose:
             return best
