@@ -12,7 +12,7 @@ import pytest
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, DeviceError, ShapeMismatch
 from vamgpu.metrics import Parts, light_efficiency, score, score_slices
-from vamgpu.metrics.light import light_sent
+from vamgpu.metrics.light import light_sent, outside_over_inside
 
 
 def _plain() -> ModuleType:
@@ -105,6 +105,25 @@ def test_scoring_the_whole_keeps_the_fields_on_the_device(fast_device: Device) -
     dose, target = (fast_device.upload(a) for a in plain.example((32, 32, 40), 6, 0.1))
     with fast_device.no_transfers():
         score(dose, target)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_dose_outside_over_inside(device: Device, shape: tuple[int, int, int]) -> None:
+    dose, target = plain.example(shape, 3, 0.2)
+    out, into = plain.split(dose, target)
+    wanted = out.mean(dtype=np.float64) / into.mean(dtype=np.float64)
+    field, part = device.upload(dose), device.upload(target)
+    assert outside_over_inside(field, part) == pytest.approx(wanted, rel=1e-5)
+    assert np.isnan(outside_over_inside(device.upload(np.zeros(shape)), part))
+
+
+def test_light_that_floods_the_void_is_bright_and_yet_told(device: Device) -> None:
+    """Even light is as bright as light can be, and gives the void as much as the part."""
+    _, target = plain.example((24, 24, 8), 3, 0.0)
+    even = device.upload(np.ones((6, 24, 8)))
+    assert light_efficiency(even) == 1.0
+    assert outside_over_inside(device.upload(np.ones((24, 24, 8))), device.upload(target)) == pytest.approx(1.0)
+    assert outside_over_inside(device.upload(target >= 0.5), device.upload(target)) == 0.0
 
 
 def test_light_efficiency_is_the_mean_over_the_greatest(device: Device) -> None:

@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,8 +21,9 @@ from vamgpu import Beam, Grid, Projection, Turntable, Vial
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import StorageError
-from vamgpu.printing import charts, pictures, surface
-from vamgpu.printing.proof import Proof
+from vamgpu.printing import charts, opening, pictures, report, surface
+from vamgpu.printing.judgement import judged
+from vamgpu.printing.proof import Line, Proof
 from vamgpu.printing.simulate import simulate
 
 GRID = Grid((24, 24, 14), 0.2)
@@ -83,14 +84,79 @@ def test_the_page_is_one_file_and_complete(proof: Proof, tmp_path: Path) -> None
     assert "ball &lt;1&gt;" in page and "<1>" not in page
     assert not re.findall(r"""(?:src|href)=["'](?!data:|#)[^"']*["']""", page)
     assert "@import" not in page and "url(http" not in page
-    for heading in ("Printed part", "Slices", "Dose in and out", "Slice by slice", "Sinogram", "Frames", "Convergence",
-                    "Numbers", "Papers relied on"):  # fmt: skip
+    for heading in ("Window over tolerance", "What the print bears", "Printed part", "Slices", "Dose in and out",
+                    "Slice by slice", "Sinogram", "Frames", "Convergence", "Numbers", "Papers relied on"):  # fmt: skip
         assert heading in page
     for text in (*plan.papers, "two thresholds", proof.operator.device.description):
         assert text in page
-    assert page.count("<svg") == 3
+    assert page.count("<svg") == 4
     for line in proof.lines():
         assert line.name in page
+
+
+def blocks(page: str) -> list[str]:
+    """The text of the page's headings, in their order."""
+    return re.findall(r"<h2>(.*?)</h2>", page)
+
+
+def test_the_page_opens_with_what_is_proved_and_what_the_print_bears(proof: Proof) -> None:
+    judgement, lines = judged(proof), (Line("surface distance, mean", "+3 µm", "of print and part"),)
+    page = report.render(proof, None, judgement, SimpleNamespace(lines=lambda: lines))
+    assert blocks(page)[:4] == [
+        "Window over tolerance", "What the print bears", "Surface of the print against the mesh", "Printed part",
+    ]  # fmt: skip
+    headline = page[page.index('class="headline"') : page.index('class="opening"')]
+    found = judgement.over_tolerance
+    windows = (proof.scores.window, found.half_voxel, proof.claimed.window)
+    shown = [opening.signed(window) for window in windows]
+    places = [headline.index(text) for text in (*shown[:2], "proved over claimed", shown[2], "beyond the cylinder")]
+    assert places == sorted(places) and "100 µm" in headline
+    assert f"{proof.outer_share:.2f}" in headline
+    assert f"judges {100 * found.judged_at(0.1):.0f} % of the part" in headline
+    assert "+3 µm" in page and "against the mesh" not in report.render(proof, None, judgement)
+
+
+def test_the_tolerance_table_shows_every_row(proof: Proof) -> None:
+    judgement = judged(proof)
+    groups = opening.table(judgement.table)
+    assert [group["name"] for group in groups] == ["As it should be", *opening.WORDS.values()]
+    assert groups[0]["rows"][0]["window"] == opening.signed(proof.scores.window)
+    cells = [row for group in groups[1:] for row in group["rows"]]
+    assert [(c["change"], c["wrong"]) for c in cells] == [(r.change, f"{r.wrong:,}") for r in judgement.table.rows]
+    page = report.render(proof, None, judgement)
+    for group in groups[1:]:
+        assert group["name"] in page and group["first"] in page and group["first"]
+    assert f"{judgement.table.exposures} back projections" in page
+
+
+def test_the_fine_dose_is_judged_where_there_is_one(proof: Proof) -> None:
+    """W(0) on finer voxels sees what the mean over a voxel hides; without rays the own voxels are all there is."""
+    own = replace(proof, independent=False)
+    fine, coarse = judged(proof).over_tolerance, judged(own).over_tolerance
+    assert coarse.at(0.0) == pytest.approx(proof.scores.window, abs=1e-5)
+    assert fine.at(0.0) < coarse.at(0.0)
+    page = report.render(own)
+    assert "process window, not proved" in page and "proved over claimed" not in page[: page.index("Numbers")]
+
+
+def test_every_number_of_the_light_says_what_it_is(proof: Proof, tmp_path: Path) -> None:
+    dose, target, disc = proof.dose.numpy(), proof.target.numpy() >= 0.5, GRID.cylinder()[:, :, None]
+    wanted = dose[~target & disc].mean() / dose[target & disc].mean()
+    assert proof.outside_over_inside == pytest.approx(wanted, rel=1e-5)
+    light = {line.name: line for line in proof.lines()}
+    names = ("light efficiency", "share of the part", "dose outside over inside")
+    assert all(len(light[name].meaning) > 30 for name in names)
+    page = proof.report(tmp_path / "proof.html").read_text(encoding="utf-8")
+    tiles = page[page.index('class="tiles"') : page.index("<main>")]
+    for name in names:
+        assert re.search(rf"<span>{name}</span><small>[^<]+</small>", tiles)
+
+
+def test_resin_that_prints_beyond_the_cylinder_is_told(proof: Proof) -> None:
+    assert proof.outer is not None
+    flooded = replace(proof, outer=replace(proof.outer, dose=1.2 * proof.scores.threshold))
+    page = report.render(flooded, None, judged(proof))
+    assert "Resin beyond the judged cylinder prints too." in page and "1.20" in page
 
 
 def test_a_report_without_a_plan_has_no_convergence(proof: Proof, tmp_path: Path) -> None:

@@ -42,6 +42,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "precompensation": "A dose that makes up for diffusing oxygen",
         "history": "Resin that is used again and again",
         "proof": "A print, proven from its frames",
+        "claimed": "Claimed and proved",
         "deviation": "How far prints lie from their mesh",
         "curethrough": "Doses that leave a feature as it should be",
         "correction": "Slices corrected for cure-through",

@@ -1,12 +1,12 @@
-"""How well light is used."""
+"""How well light is used: how bright the frames are, and how much of the dose lands outside the part."""
 
 from __future__ import annotations
 
 from math import prod
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.metrics.histogram import extremes
-from vamgpu.metrics.parts import IN, Parts
+from vamgpu.metrics.histogram import above, extremes
+from vamgpu.metrics.parts import IN, OUT, Parts
 
 
 def light_sent(light: DeviceArray) -> float:
@@ -23,3 +23,27 @@ def light_efficiency(light: DeviceArray, full: float | None = None) -> float:
     ends = extremes(Parts.whole(light))
     peak = float(ends.greatest[0, IN]) if full is None else full
     return float(ends.total[0, IN]) / prod(light.shape) / peak if peak > 0 else 0.0
+
+
+def outside_over_inside(
+    dose: DeviceArray, target: DeviceArray, *, level: float = 0.5, reach: float | None = None
+) -> float:
+    """Mean dose of the judged voxels outside the part over the mean of those in it.
+
+    0 where all light goes to the part, 1 where the void gets as much per volume. A method that lights everything is
+    bright and yet no better for it.
+
+    Args:
+        dose: field [x, y, z].
+        target: fractions [x, y, z] on the same device.
+        level: fraction from which a voxel is in the part.
+        reach: radius [voxels] of the judged cylinder; the inscribed one by default.
+
+    Returns:
+        The ratio; 0 where no voxel is outside, NaN where the part has no dose.
+    """
+    parts = Parts(dose, target, level, reach)
+    total = extremes(parts).total[0]
+    count = above(parts, 0.0)[0].sum(axis=1)
+    mean = [float(total[side]) / max(int(count[side]), 1) for side in (OUT, IN)]
+    return mean[OUT] / mean[IN] if mean[IN] > 0 else float("nan")

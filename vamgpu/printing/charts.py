@@ -13,6 +13,7 @@ import numpy as np
 from vamgpu.metrics import Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram
 from vamgpu.metrics.parts import IN, OUT
+from vamgpu.metrics.tolerance import ToleranceWindow
 
 INK, FAINT, PART, REST, WARN = "#1f2733", "#d5dae1", "#2563a8", "#9aa5b4", "#d63a49"
 STYLE: dict[Any, Any] = {
@@ -26,7 +27,9 @@ ABSCISSA = {"pairs": "projector pairs", "projector_pairs": "projector pairs", "i
 ORDINATE = {"loss": "loss", "window": "strict window"}
 
 
-def _figure(draw: Any, width: float = 7.2, height: float = 3.0, rows: int = 1) -> str:
+def _figure(
+    draw: Any, width: float = 7.2, height: float = 3.0, rows: int = 1, heights: tuple[float, ...] | None = None
+) -> str:
     from matplotlib import rc_context
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -34,7 +37,7 @@ def _figure(draw: Any, width: float = 7.2, height: float = 3.0, rows: int = 1) -
     with rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasSVG(figure)
-        draw(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+        draw(figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
         stream = StringIO()
         figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
     svg = stream.getvalue()
@@ -79,6 +82,28 @@ def slices_chart(slices: SliceScores, z: np.ndarray, *, wide: bool = False) -> s
         axes[1].legend(ncols=2, loc="upper right")
 
     return _figure(draw, width=11.6 if wide else 5.6, height=4.0, rows=2)
+
+
+def tolerance_chart(found: ToleranceWindow) -> str:
+    """The window over the tolerance [µm], half a voxel marked, and how much of the part it judges."""
+    distance, window, half = 1e3 * found.distance, found.window, 0.5e3 * found.voxel
+
+    def draw(axes: Sequence[Any]) -> None:
+        axes[0].axhline(0, color=INK, lw=0.8)
+        axes[0].plot(distance, window, color=PART, lw=2.0)
+        for axis in axes:
+            axis.axvline(half, color=INK, lw=1.0, ls=(0, (4, 3)))
+        if np.isfinite(found.half_voxel):
+            axes[0].plot([half], [found.half_voxel], "o", color=PART, ms=6)
+        at, value = f"½ voxel = {half:.3g} µm", f"{found.half_voxel:+.3f}".replace("-", "−")
+        axes[0].annotate(f"{at}: {value}" if np.isfinite(found.half_voxel) else at, (half, 1.0), (5, -3),
+                         xycoords=("data", "axes fraction"), textcoords="offset points", va="top")  # fmt: skip
+        axes[0].set(ylabel="process window W(δ)", xlim=(0, distance[-1]))
+        axes[1].fill_between(distance, 100 * found.judged, color=REST, alpha=0.4, lw=0)
+        axes[1].set(ylabel="judged [%]", ylim=(0, 100), xlabel="tolerance δ on either side of the surface [µm]")
+        axes[0].margins(y=0.15)
+
+    return _figure(draw, width=5.6, height=6.0, rows=2, heights=(3.4, 1))
 
 
 def convergence_chart(history: Sequence[Any]) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -13,10 +13,14 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.metrics import Parts, Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram, histogram
+from vamgpu.metrics.light import outside_over_inside
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.dose import absorbs
 from vamgpu.printing.exposure import Exposure
 from vamgpu.printing.independent import FineSlab, IndependentExposure, Outer
+
+if TYPE_CHECKING:
+    from vamgpu.printing.judgement import Judgement
 
 
 class Line(NamedTuple):
@@ -101,6 +105,11 @@ class Proof:
         """Whether every judged voxel is printed right, and nothing beyond the judged cylinder is printed."""
         return self.scores.missing == 0 and self.scores.excess == 0 and self.outer_share < 1.0
 
+    @property
+    def outside_over_inside(self) -> float:
+        """Mean dose of the judged voxels outside the part over the mean in it."""
+        return outside_over_inside(self.dose, self.target)
+
     def printed(self) -> np.ndarray:
         """Boolean [x, y, z]: voxels that reach the threshold, the inscribed cylinder alone."""
         return (self.dose.numpy() >= self.scores.threshold) & self.operator.grid.cylinder()[:, :, None]
@@ -112,7 +121,10 @@ class Proof:
     def lines(self) -> tuple[Line, ...]:
         """Every score with its meaning."""
         s, w = self.scores, self.scores.windows
-        share = "light sent that the part absorbs" if absorbs(self.operator) else "mean path of light inside the part"
+        share = "of the light sent, what the part absorbs; the rest heats the void or leaves"
+        share = share if absorbs(self.operator) else "mean path of light inside the part: nothing is absorbed"
+        bright = "mean light of all pixels and angles over a full-on pixel; says nothing of where it goes"
+        outside = "mean dose of judged voxels outside the part over the mean in it; 1 lights the void as much"
         found = [
             Line("process window, strict", f"{w.strict:+.4f}", "least dose in the part − greatest outside, over peak"),
             *_judged(self),
@@ -126,19 +138,29 @@ class Proof:
             Line("threshold", f"{s.threshold / (s.peak or 1.0):.4f}", "printed from this dose on, over peak"),
             Line("wrong voxels", f"{s.missing:,} + {s.excess:,}", "missing in the part + excess outside"),
             Line("judged voxels", f"{s.in_voxels:,} + {s.out_voxels:,}", "in the part + outside, in the cylinder"),
-            Line("light efficiency", f"{100 * self.light_efficiency:.3g} %", "mean light of all pixels over full-on"),
+            Line("light efficiency", f"{100 * self.light_efficiency:.3g} %", bright),
             Line("share of the part", _share(self), share),
+            Line("dose outside over inside", f"{self.outside_over_inside:.3f}", outside),
         ]
         return (*found, *(_times(self.exposure) if self.exposure else ()))
 
-    def report(self, path: str | Path, plan: Any = None) -> Path:
-        """Write one self-contained HTML page with pictures; ``plan`` adds its convergence and its papers.
+    def report(
+        self, path: str | Path, plan: Any = None, judgement: Judgement | None = None, surface: Any = None
+    ) -> Path:
+        """Write one self-contained HTML page with pictures.
 
-        Raises `StorageError` where it cannot be written.
+        Args:
+            path: of the page.
+            plan: adds its convergence and its papers.
+            judgement: window over tolerance and tolerance table; found by default, see `judged` for what it costs.
+            surface: what was found about the print's surface against the mesh, with ``lines()``; None leaves it out.
+
+        Raises:
+            StorageError: the page cannot be written.
         """
         from vamgpu.printing.report import write_report
 
-        return write_report(self, path, plan)
+        return write_report(self, path, plan, judgement, surface)
 
 
 def _judged(proof: Proof) -> Iterator[Line]:

@@ -13,6 +13,9 @@ import numpy as np
 import vamgpu
 from vamgpu.optimize.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
 from vamgpu.printing import charts, pictures, surface
+from vamgpu.printing.dose import absorbs
+from vamgpu.printing.judgement import Judgement, judged
+from vamgpu.printing.opening import opening
 from vamgpu.printing.proof import Proof
 from vamgpu.storage.atomic import explained
 from vamgpu.storage.page import filled, template
@@ -24,10 +27,12 @@ MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
 JOSEPH = "P. M. Joseph, An improved algorithm for reprojecting rays through pixel images, IEEE TMI 1 (1982) 192"
 
 
-def write_report(proof: Proof, path: str | Path, plan: Any = None) -> Path:
-    """Write the page of a proof; ``plan`` adds convergence, method and papers. Raises `StorageError`."""
+def write_report(
+    proof: Proof, path: str | Path, plan: Any = None, judgement: Judgement | None = None, surface: Any = None
+) -> Path:
+    """Write the page of a proof; arguments as for `render`. Raises `StorageError`."""
     target = Path(path)
-    page = render(proof, plan)
+    page = render(proof, plan, judgement, surface)
     partial = target.with_name(target.name + ".part")
     try:
         partial.write_text(page, encoding="utf-8")
@@ -38,10 +43,18 @@ def write_report(proof: Proof, path: str | Path, plan: Any = None) -> Path:
     return target
 
 
-def render(proof: Proof, plan: Any = None) -> str:
-    """The page as text."""
+def render(proof: Proof, plan: Any = None, judgement: Judgement | None = None, surface: Any = None) -> str:
+    """The page as text.
+
+    Args:
+        proof: what to show.
+        plan: adds convergence, method and papers.
+        judgement: window over tolerance and tolerance table; found here by default.
+        surface: what was found about the print's surface against the mesh, with ``lines()``; None leaves it out.
+    """
     css, js = (template("vamgpu.printing", name) for name in ("report.css", "report.js"))
-    return filled("vamgpu.printing", "report.html", css=css, js=js, **_content(proof, plan))
+    first = opening(proof, judged(proof) if judgement is None else judgement, surface)
+    return filled("vamgpu.printing", "report.html", css=css, js=js, **first, **_content(proof, plan))
 
 
 def _content(proof: Proof, plan: Any) -> dict[str, Any]:
@@ -113,21 +126,30 @@ def _verdict(proof: Proof) -> str:
     if proof.perfect:
         return f"All {total:,} judged voxels print right."
     wrong = scores.missing + scores.excess
-    return f"{wrong:,} of {total:,} judged voxels print wrong: {scores.missing:,} missing, {scores.excess:,} excess."
+    parts = [f"{wrong:,} of {total:,} judged voxels print wrong: {scores.missing:,} missing, {scores.excess:,} excess."]
+    if proof.outer_share >= 1.0:
+        parts.append("Resin beyond the judged cylinder prints too.")
+    return " ".join(parts)
 
 
 def _tiles(proof: Proof) -> list[dict[str, str]]:
+    """Scores, and what became of the light, each with what it means."""
     scores = proof.scores
+    share, meaning = f"{proof.part_share:.3g} mm", "mean path of light in the part"
+    if absorbs(proof.operator):
+        share, meaning = f"{100 * proof.part_share:.2g} %", "of the light sent is absorbed in the part"
+    outside = f"{proof.outside_over_inside:.3f}"
     tiles = [
-        ("process window", f"{scores.window:+.3f}".replace("-", "−")),
-        ("IoU", f"{scores.iou:.4f}"),
-        ("VER", _power(scores.error_rate)),
-        ("IPDR", f"{scores.dose_range:.3f}"),
-        ("light efficiency", f"{100 * proof.light_efficiency:.2g} %"),
+        ("IoU", f"{scores.iou:.4f}", "intersection over union at the threshold"),
+        ("VER", _power(scores.error_rate), "voxels on the wrong side of the threshold"),
+        ("IPDR", f"{scores.dose_range:.3f}", "range of the dose in the part, over the greatest"),
+        ("light efficiency", f"{100 * proof.light_efficiency:.2g} %", "mean pixel over full-on, wherever it goes"),
+        ("share of the part", share, meaning),
+        ("dose outside over inside", outside, "mean dose outside the part over the mean in it"),
     ]
     if proof.seconds is not None:
-        tiles.append(("predicted exposure", f"{proof.seconds:.3g} s"))
-    return [{"name": name, "value": value} for name, value in tiles]
+        tiles.append(("predicted exposure", f"{proof.seconds:.3g} s", "until the threshold is solid"))
+    return [{"name": name, "value": value, "meaning": meaning} for name, value, meaning in tiles]
 
 
 def _power(value: float) -> str:

@@ -1,0 +1,141 @@
+"""The window over tolerance of doses that are known functions of the depth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from vamgpu import Grid
+from vamgpu.errors import BadInput
+from vamgpu.metrics.tolerance import ToleranceWindow, depth_of_fractions, depth_of_target, tolerance_window
+
+GRID = Grid((28, 26, 24), 0.1)
+FINE = 0.05
+RADIUS = 0.8
+
+
+@dataclass
+class FineSlab:
+    dose: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+
+
+def positions() -> list[np.ndarray]:
+    """Of voxels half as wide, moved by a quarter of the part's own."""
+    return [axis + 0.025 for axis in Grid((56, 52, 48), FINE).axes()]
+
+
+def ball(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Depth in a ball [mm]."""
+    return RADIUS - np.sqrt((x[:, None, None] - 0.03) ** 2 + (y[None, :, None] + 0.02) ** 2 + z[None, None, :] ** 2)
+
+
+def slabs(dose: np.ndarray, thick: int = 11) -> Iterator[FineSlab]:
+    x, y, z = positions()
+    for start in range(0, len(z), thick):
+        yield FineSlab(dose[:, :, start : start + thick], x, y, z[start : start + thick])
+
+
+def soft(depth: np.ndarray) -> np.ndarray:
+    """A dose that rises through the surface over 0.2 mm."""
+    return np.clip(0.5 + 2.5 * depth, 0.1, 0.9)
+
+
+def test_a_soft_edge_gives_the_window_it_must() -> None:
+    dose = soft(ball(*positions()))
+    found = tolerance_window(slabs(dose), ball, GRID.pitch)
+    assert found.distance[0] == 0 and found.distance[-1] == pytest.approx(0.2)
+    for distance in (0.0, 0.025, 0.05, 0.1, 0.15, 0.2):
+        wanted = (min(0.5 + 2.5 * distance, 0.9) - max(0.5 - 2.5 * distance, 0.1)) / 0.9
+        assert found.at(distance) == pytest.approx(wanted, abs=0.02)
+        assert found.at(distance) >= wanted - 1e-4
+    assert found.half_voxel == found.at(0.05)
+    assert (np.diff(found.window) >= 0).all()
+    assert found.judged_at(0.0) == 1 and found.judged_at(0.1) == pytest.approx((0.7 / 0.8) ** 3, rel=0.01)
+
+
+def test_the_thickness_of_slabs_does_not_matter() -> None:
+    dose = soft(ball(*positions())) + 0.05 * np.random.default_rng(0).random((56, 52, 48))
+    one, many = (tolerance_window(slabs(dose, n), ball, GRID.pitch) for n in (48, 5))
+    assert np.array_equal(one.window, many.window) and np.array_equal(one.judged, many.judged)
+
+
+def test_the_curve_is_the_definition() -> None:
+    """Against every voxel counted at once, with a dose that is noise."""
+    dose, depth = np.random.default_rng(1).random((56, 52, 48)), ball(*positions())
+    found = tolerance_window(slabs(dose), ball, GRID.pitch, radius=1.1)
+    x, y, _ = positions()
+    disc = np.broadcast_to((x[:, None] ** 2 + y[None, :] ** 2 <= 1.1**2)[:, :, None], dose.shape)
+    for distance, window in zip(found.distance[::7], found.window[::7], strict=True):
+        inside, outside = disc & (depth >= max(distance, 0)), disc & (depth < 0) & (-depth >= distance)
+        wanted = (dose[inside].min() - dose[outside].max(initial=0.0)) / dose[disc].max()
+        assert window == pytest.approx(wanted, abs=1e-12)
+
+
+def test_depths_of_coarse_fractions_serve_a_fine_dose() -> None:
+    moves = np.stack(np.meshgrid(*[np.linspace(-0.04, 0.04, 5)] * 3), -1).reshape(-1, 3)
+    filled = [ball(*(a + d for a, d in zip(GRID.axes(), move, strict=True))) > 0 for move in moves]
+    depth, axes = depth_of_fractions(np.mean(filled, axis=0), GRID), positions()
+    true = ball(*axes)
+    near = np.abs(true) < 0.18
+    assert np.sqrt(np.mean((depth(*axes) - true)[near] ** 2)) < 0.06 * GRID.pitch
+    dose = soft(true)
+    exact, found = (tolerance_window(slabs(dose), d, GRID.pitch) for d in (ball, depth))
+    assert found.half_voxel == pytest.approx(exact.half_voxel, abs=0.06)
+
+
+def test_depths_of_a_part_that_is_sampled_again() -> None:
+    def resampled(grid: Grid, shift: tuple[float, float, float] = (0, 0, 0)) -> SimpleNamespace:
+        axes = [axis + move for axis, move in zip(grid.axes(), shift, strict=True)]
+        return SimpleNamespace(numpy=lambda: np.clip(ball(*axes) / grid.pitch + 0.5, 0, 1))
+
+    depth = depth_of_target(SimpleNamespace(resampled=resampled), FINE, GRID.pitch)  # type: ignore[arg-type]
+    x, y, z = positions()
+    for part in (slice(0, 9), slice(20, 31), slice(47, 48)):
+        true, found = ball(x, y, z[part]), depth(x, y, z[part])
+        assert found.shape == true.shape
+        assert np.abs(found - true)[np.abs(true) < 0.19].max(initial=0.0) < 0.4 * FINE
+
+
+def test_what_lies_beyond_the_own_grid_is_outside() -> None:
+    depth = depth_of_fractions(np.ones((4, 4, 4)), Grid((4, 4, 4), 0.1))
+    at = np.array([-0.4, -0.25, 0.0, 0.25, 0.4])
+    found = depth(at, np.zeros(1), np.zeros(1)).ravel()
+    assert found == pytest.approx([-0.2, -0.05, 0.15, -0.05, -0.2], abs=0.02)  # as deep as the deepest centers
+
+
+def test_a_part_thinner_than_the_tolerance_has_no_window_there() -> None:
+    def sheet(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.broadcast_to((0.04 - np.abs(x))[:, None, None], (len(x), len(y), len(z)))
+
+    found = tolerance_window(slabs(np.ones((56, 52, 48))), sheet, GRID.pitch)
+    assert found.at(0.0) == 0 and np.isnan(found.half_voxel) and found.judged_at(0.05) == 0
+
+
+def test_the_peak_is_the_greatest_dose_of_all() -> None:
+    dose = soft(ball(*positions()))
+    dose[28, 26, 24] = 3.0
+    assert tolerance_window(slabs(dose), ball, GRID.pitch).peak == 3.0
+
+
+def test_wrong_input_is_refused() -> None:
+    dose = soft(ball(*positions()))
+    found = tolerance_window(slabs(dose), ball, GRID.pitch)
+    for distance in (-0.01, 0.3, np.nan):
+        with pytest.raises(BadInput, match=r"expected 0\.\.0\.2 mm"):
+            found.at(distance)
+    with pytest.raises(BadInput, match="holds NaN"):
+        tolerance_window(slabs(np.where(dose > 0.85, np.nan, dose)), ball, GRID.pitch)
+    with pytest.raises(BadInput, match="no voxel of the part"):
+        tolerance_window(slabs(dose), lambda *axes: -np.ones_like(ball(*axes)), GRID.pitch)
+    with pytest.raises(BadInput, match="voxel"):
+        tolerance_window(slabs(dose), ball, 0.0)
+    with pytest.raises(BadInput, match="a slab's dose has shape"):
+        tolerance_window([FineSlab(dose[:-1], *positions())], ball, GRID.pitch)
+    assert isinstance(found, ToleranceWindow)

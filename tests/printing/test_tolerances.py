@@ -1,0 +1,205 @@
+"""The tolerance table against doses exposed by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vamgpu import Beam, Grid, Projection, Turntable, Vat, Vial
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.metrics import score
+from vamgpu.optics.beams import Aimed
+from vamgpu.optimize import optimize
+from vamgpu.printing.scenarios import SCENARIOS, Scenario, SofterBeam, clouded, displaced, softer
+from vamgpu.printing.tolerances import Row, ToleranceTable, tolerance_table
+
+GRID = Grid((28, 28, 4), 0.2)
+BEAM = Beam((32, 4), 0.2)
+VIAL = Vial(radius=4.0, wall=0.2, resin_index=1.45, wall_index=1.47, bath_index=1.45, absorption=0.2)
+DOSE = SCENARIOS[3]
+
+
+def bar() -> np.ndarray:
+    fraction = np.zeros(GRID.shape)
+    fraction[9:20, 11:17] = 1.0
+    return fraction
+
+
+class Print:
+    """A bar, its light, and the dose of any operator."""
+
+    def __init__(self, vessel: Vial | Vat | None) -> None:
+        self.A = Projection(GRID, BEAM, Turntable(36), vessel, "numpy")
+        self.light = optimize(self.A, bar(), iterations=20).sinogram
+        self.fraction = self.A.device.upload(bar())
+        self.table = tolerance_table(self.A, self.light, self.fraction)
+
+    def dose(self, operator: Projection | None = None) -> DeviceArray:
+        return (operator or self.A).T(self.light)
+
+
+@pytest.fixture(scope="module")
+def printed() -> Print:
+    return Print(VIAL)
+
+
+def only(table: ToleranceTable, name: str, change: str) -> Row:
+    (row,) = [row for row in table.rows if (row.name, row.change) == (name, change)]
+    return row
+
+
+def half_voxel(dose: DeviceArray) -> float:
+    """W at half a voxel of the bar, whose surface lies on faces of voxels: every center counts."""
+    values, inside, disc = dose.numpy(), bar() > 0, np.broadcast_to(GRID.cylinder()[..., None], GRID.shape)
+    return (values[inside & disc].min() - values[~inside & disc].max()) / values[disc].max()
+
+
+def test_the_nominal_row_is_the_print_itself(printed: Print) -> None:
+    scores = score(printed.dose(), printed.fraction)
+    nominal = printed.table.nominal
+    assert scores.window > 0.02 and nominal.window == pytest.approx(scores.window, abs=1e-6)
+    assert nominal.half_voxel >= nominal.window - 1e-6
+    assert nominal.wrong == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "vessel"),
+    [
+        ("absorption", "−10 %", replace(VIAL, absorption=0.18)),
+        ("absorption", "+10 %", replace(VIAL, absorption=0.22)),
+        ("axis of rotation", "+0.5 pixel", Aimed(VIAL, 0.1)),
+        ("axis of rotation", "−0.25 pixel", Aimed(VIAL, -0.05)),
+    ],
+)
+def test_a_row_is_the_same_light_through_what_it_names(printed: Print, name: str, change: str, vessel: object) -> None:
+    scores = score(printed.dose(), printed.fraction)
+    other = Projection(GRID, BEAM, Turntable(36), vessel, "numpy")  # type: ignore[arg-type]
+    wanted = score(printed.dose(other), printed.fraction, threshold=scores.threshold)
+    row = only(printed.table, name, change)
+    assert row.half_voxel == pytest.approx(half_voxel(printed.dose(other)), abs=1e-6)
+    assert row.window == pytest.approx(wanted.window, abs=1e-6)
+    assert (row.missing, row.excess) == (wanted.missing, wanted.excess)
+    assert abs(row.window - scores.window) > 1e-5
+
+
+@pytest.mark.parametrize(("change", "times"), [("−30 %", 0.7), ("−5 %", 0.95), ("+5 %", 1.05), ("+40 %", 1.4)])
+def test_more_and_less_dose_keep_the_window_and_cost_voxels(printed: Print, change: str, times: float) -> None:
+    doses = (replace(DOSE, amounts=(-0.3, -0.05, 0.05, 0.4)),)
+    table = tolerance_table(printed.A, printed.light, printed.fraction, scenarios=doses)
+    scores, row = score(printed.dose(), printed.fraction), only(table, "dose", change)
+    wanted = score(printed.dose(), printed.fraction, threshold=scores.threshold / times)
+    assert row.window == pytest.approx(scores.window, abs=1e-6)
+    assert (row.missing, row.excess) == (wanted.missing, wanted.excess)
+    assert row.wrong > 0 or abs(times - 1) < 0.1
+
+
+def test_the_first_wrong_voxel_is_where_the_print_changes(printed: Print) -> None:
+    """Just before every limit no voxel is wrong, just beyond it one is."""
+    threshold = score(printed.dose(), printed.fraction).threshold
+    seen = 0
+    for scenario in SCENARIOS[1:3]:
+        for first in printed.table.limits(scenario.name):
+            assert first.text and scenario.off is not None
+            if np.isnan(first.amount):
+                operator = scenario.off(printed.A, first.farthest)
+                assert score(printed.dose(operator), printed.fraction, threshold=threshold).iou == 1
+                continue
+            before, beyond = (
+                score(printed.dose(scenario.off(printed.A, k * first.amount)), printed.fraction, threshold=threshold)
+                for k in (0.93, 1.07)
+            )
+            assert before.missing + before.excess == 0 < beyond.missing + beyond.excess
+            seen += 1
+    assert seen >= 2
+    for first in printed.table.limits("dose"):
+        before, beyond = (
+            score(printed.dose(), printed.fraction, threshold=threshold / (1 + k * first.amount)) for k in (0.99, 1.01)
+        )
+        assert before.missing + before.excess == 0 < beyond.missing + beyond.excess
+
+
+def test_a_voxel_that_prints_outside_is_found_as_well(printed: Print) -> None:
+    """With a threshold just above what lies outside, excess comes first."""
+    own = score(printed.dose(), printed.fraction)
+    at = own.greatest_out + 0.05 * own.window * own.peak
+    off = next(scenario for scenario in SCENARIOS if scenario.name == "axis of rotation")
+    table = tolerance_table(printed.A, printed.light, printed.fraction, threshold=at, scenarios=(off,))
+    for first in table.limits(off.name):
+        before, beyond = (
+            score(printed.dose(displaced(printed.A, k * first.amount)), printed.fraction, threshold=at)
+            for k in (0.85, 1.15)
+        )
+        assert before.excess == 0 < beyond.excess and before.missing == 0
+
+
+def test_exposures_are_counted_and_bounded(printed: Print) -> None:
+    rows = sum(len(scenario.amounts) for scenario in SCENARIOS if scenario.off)
+    assert 1 + rows <= printed.table.exposures <= 1 + rows + 3 * 5
+
+
+def test_changes_are_added_to_what_was_proved(printed: Print) -> None:
+    rng, own = np.random.default_rng(0), printed.dose().numpy()
+    dose = own * (1 + 0.02 * rng.random(GRID.shape))
+    proved = printed.A.device.upload(dose)
+    at = 1.02 * score(proved, printed.fraction).threshold
+    table = tolerance_table(
+        printed.A, printed.light, printed.fraction, proved=proved, threshold=at, half_voxel=0.5,
+    )  # fmt: skip
+    as_proved = score(proved, printed.fraction, threshold=at)
+    assert table.nominal.window == pytest.approx(as_proved.window, abs=1e-6) and table.nominal.half_voxel == 0.5
+    for change, vessel in (("+0.5 pixel", Aimed(VIAL, 0.1)), ("−0.5 pixel", Aimed(VIAL, -0.1))):
+        other = Projection(GRID, BEAM, Turntable(36), vessel, "numpy")
+        changed = printed.A.device.upload(dose + printed.dose(other).numpy() - own)
+        wanted = score(changed, printed.fraction, threshold=at)
+        row = only(table, "axis of rotation", change)
+        assert row.window == pytest.approx(wanted.window, abs=1e-6)
+        assert (row.missing, row.excess) == (wanted.missing, wanted.excess)
+        assert row.half_voxel - 0.5 == pytest.approx(half_voxel(changed) - half_voxel(proved), abs=1e-6)
+    below, above = table.limits("dose")
+    assert below.amount == pytest.approx(at / as_proved.least_in - 1, rel=1e-5)
+    assert above.amount == pytest.approx(at / as_proved.greatest_out - 1, rel=1e-5)
+
+
+def test_what_does_not_apply_says_why() -> None:
+    straight = Print(None).table
+    assert {row.note for row in straight.rows if row.name == "absorption"} == {"the light passes without absorption"}
+    assert not straight.limits("absorption") and straight.limits("axis of rotation")
+    square = Print(Vat(width=8.0, absorption=0.05))
+    notes = {row.note for row in square.table.rows if row.name == "axis of rotation"}
+    assert notes == {"a Vat that is off the axis looks different at every angle"}
+
+
+def test_an_operator_that_is_no_plain_projection_keeps_the_rows_of_the_dose(printed: Print) -> None:
+    class Other:
+        T = printed.A.T
+
+    table = tolerance_table(Other(), printed.light, printed.fraction)  # type: ignore[arg-type]
+    notes = {row.name: row.note for row in table.rows}
+    assert notes.pop("dose") == "" and table.exposures == 1 and len(table.first_wrong) == 2
+    assert set(notes.values()) == {"Other is exposed as it is; only a plain Projection is varied"}
+
+
+def test_a_print_that_is_wrong_already_says_so(printed: Print) -> None:
+    high = 0.99 * score(printed.dose(), printed.fraction).peak
+    table = tolerance_table(printed.A, printed.light, printed.fraction, threshold=high, scenarios=(DOSE,))
+    assert table.nominal.missing > 0 and {first.text for first in table.first_wrong} == {"wrong already"}
+    assert table.exposures == 1
+
+
+def test_scenarios_change_one_thing() -> None:
+    A = Projection(GRID, BEAM, Turntable(4), VIAL, "numpy")
+    soft = softer(A, 0.25)
+    assert isinstance(soft.beam, SofterBeam) and soft.vessel == VIAL
+    assert soft.beam.blur() == pytest.approx((0.75, 0.75)) and soft.beam.pixels == BEAM.pixels
+    assert softer(soft, 0.5).beam.blur() == pytest.approx((1.25, 1.25))
+    assert replace(BEAM, spread=0.1).blur(0.1) == (1.0, 0.5)
+    assert SofterBeam((4, 4), 0.2, spread=0.1, more=0.5).blur(0.1) == (1.5, 1.0)
+    assert displaced(displaced(A, 0.5), -0.25).vessel == Aimed(VIAL, 0.05)
+    thin = clouded(displaced(A, 0.5), -0.1).vessel
+    assert isinstance(thin, Aimed) and thin.offset == pytest.approx(0.1) and thin.absorption == pytest.approx(0.18)
+    with pytest.raises(BadInput, match="without absorption"):
+        clouded(Projection(GRID, BEAM, Turntable(4), device="numpy"), 0.1)
+    assert Scenario("x", "%", (-0.1, 0.1), 0.5, None).written(-0.05) == "−5 %"

@@ -1,0 +1,229 @@
+"""The process window as a function of the tolerance that a print is allowed.
+
+W(δ) = (least dose at least δ deep in the part − greatest dose at least δ outside of it) / greatest dose. W(0) judges
+every point of the resin; W at a tolerance does not ask what happens nearer to the surface than that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from math import ceil
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Grid, positive
+from vamgpu.metrics.depth import signed_depth
+
+Array = npt.NDArray[np.floating]
+Depth = Callable[[Array, Array, Array], Array]
+"""Signed depth [mm] in the part, > 0 inside, at the points of three axes [mm], [x, y, z]."""
+
+WIDEST = 2.0
+"""Tolerances are drawn from 0 to this many voxels."""
+BINS = 128
+"""Steps of the curve; an even number puts half a voxel on one of them."""
+SLICES = 32
+"""Of a slab that are judged at once: what is at work beside the dose itself stays small."""
+_ROUNDING = 1e-4
+"""Voxels by which a depth may miss a step and still count as being there."""
+
+
+class Slab(Protocol):
+    """A dose between two heights: dose [x, y, z], on a device or not, and where its voxels are along the axes [mm]."""
+
+    @property
+    def dose(self) -> Array | DeviceArray: ...
+    @property
+    def x(self) -> Array: ...
+    @property
+    def y(self) -> Array: ...
+    @property
+    def z(self) -> Array: ...
+
+
+class Part(Protocol):
+    """A part that can be asked for its fractions on other voxels; a `Target` is one."""
+
+    def resampled(self, grid: Grid, shift: tuple[float, float, float] = ...) -> Any:
+        """Field [x, y, z] with the filled part of every voxel of ``grid`` once its middle is moved by ``shift``."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ToleranceWindow:
+    """The process window over the tolerance.
+
+    Args:
+        voxel: edge of the part's own voxels [mm].
+        distance: the tolerances [mm], from 0 to two voxels, even steps.
+        least_in: least dose at least that deep in the part; infinite where no voxel is.
+        greatest_out: greatest dose at least that far outside; 0 where no voxel is.
+        judged: share of the part's volume that is at least that deep, 0..1.
+        peak: greatest dose of all.
+    """
+
+    voxel: float
+    distance: Array
+    least_in: Array
+    greatest_out: Array
+    judged: Array
+    peak: float
+
+    @property
+    def window(self) -> Array:
+        """W at every tolerance; NaN where nothing of the part lies that deep."""
+        least = np.where(np.isfinite(self.least_in), self.least_in, np.nan)
+        return (least - self.greatest_out) / (self.peak or 1.0)
+
+    @property
+    def half_voxel(self) -> float:
+        """W at half a voxel; NaN where the part is nowhere as thick as one voxel."""
+        return self.at(0.5 * self.voxel)
+
+    def at(self, distance: float) -> float:
+        """W at a tolerance [mm], at the next smaller step of the curve. Raises `BadInput` beyond two voxels."""
+        return float(self.window[self._step(distance)])
+
+    def judged_at(self, distance: float) -> float:
+        """Share of the part's volume that W at a tolerance [mm] judges. Raises `BadInput` beyond two voxels."""
+        return float(self.judged[self._step(distance)])
+
+    def _step(self, distance: float) -> int:
+        last = float(self.distance[-1])
+        if not 0.0 <= distance <= last * (1.0 + 1e-9):
+            raise BadInput(f"the tolerance is {distance!r} mm; expected 0..{last:g} mm, {WIDEST:g} voxels")
+        return int(distance / last * (len(self.distance) - 1) + 1e-6)
+
+
+def tolerance_window(
+    slabs: Iterable[Slab], depth: Depth, voxel: float, *, radius: float | None = None, bins: int = BINS
+) -> ToleranceWindow:
+    """Judge a dose that comes slab by slab; memory is that of a slab and a few of its slices.
+
+    Args:
+        slabs: the dose, every voxel once.
+        depth: of a point in the part, e.g. `depth_of_fractions` or `depth_of_target`.
+        voxel: edge of the part's own voxels [mm], which tolerances are counted in.
+        radius: of the judged cylinder about the axis [mm]; everything by default.
+        bins: steps of the curve.
+
+    Raises:
+        BadInput: no voxel of the part is among the slabs, a dose is not finite, or a value is out of its range.
+    """
+    tally = _Tally(positive("voxel [mm]", voxel), int(positive("bins", bins)))
+    for slab in slabs:
+        dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
+        if dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
+            raise BadInput(f"a slab's dose has shape {dose.shape}; expected one voxel a place of its axes, [x, y, z]")
+        disc = None if radius is None else np.hypot(slab.x[:, None], slab.y[None, :]) <= radius * (1.0 + 1e-9)
+        for first in range(0, len(slab.z), SLICES):
+            some = slice(first, first + SLICES)
+            tally.add(dose[:, :, some], depth(slab.x, slab.y, slab.z[some]), disc)
+    return tally.result()
+
+
+class _Tally:
+    """Least and greatest doses by distance from the surface, over all slabs so far."""
+
+    def __init__(self, voxel: float, bins: int) -> None:
+        self.voxel, self.width, self.bins = voxel, WIDEST * voxel / bins, bins
+        self.least = np.full(bins + 1, np.inf)
+        self.greatest = np.full(bins + 1, -np.inf)
+        self.count = np.zeros(bins + 1, np.int64)
+        self.peak = 0.0
+
+    def add(self, dose: Array, depth: Array, disc: npt.NDArray[np.bool_] | None) -> None:
+        """Doses [x, y, z] and the depths [mm] where they are; disc: [x, y], what counts, or None for everything."""
+        if not np.isfinite(dose).all():
+            raise BadInput("a slab's dose holds NaN or infinity; expected finite numbers")
+        if disc is not None:
+            dose, depth = dose[disc], depth[disc]
+        self.peak = max(self.peak, float(dose.max(initial=0.0)))
+        inside = depth >= 0
+        value, step = self._binned(dose[inside], depth[inside])
+        np.minimum.at(self.least, step, value)
+        self.count += np.bincount(step, minlength=self.bins + 1)
+        value, step = self._binned(dose[~inside], -depth[~inside])
+        np.maximum.at(self.greatest, step, value)
+
+    def _binned(self, dose: Array, distance: Array) -> tuple[Array, npt.NDArray[np.int64]]:
+        """Doses as float64, and the last step of the curve that each distance reaches."""
+        step = (distance / self.width + _ROUNDING * self.voxel / self.width).astype(np.int64)
+        return dose.astype(np.float64), np.minimum(step, self.bins)
+
+    def result(self) -> ToleranceWindow:
+        if not self.count.any():
+            raise BadInput("no voxel of the part is among the slabs; expected a dose of the resin that holds the part")
+        deeper = np.cumsum(self.count[::-1])[::-1]
+        return ToleranceWindow(
+            voxel=self.voxel,
+            distance=np.arange(self.bins + 1) * self.width,
+            least_in=np.minimum.accumulate(self.least[::-1])[::-1],
+            greatest_out=np.maximum(np.maximum.accumulate(self.greatest[::-1])[::-1], 0.0),
+            judged=deeper / deeper[0],
+            peak=self.peak,
+        )
+
+
+# ---- where the surface is -------------------------------------------------------------------------------------------
+def depth_of_target(target: Part, pitch: float, voxel: float) -> Depth:
+    """Depths from the part's own surface, sampled on voxels of ``pitch`` [mm] wherever it is asked.
+
+    Args:
+        target: the part; one that keeps its solid is voxelized again, so that what a voxel hides is seen.
+        pitch: distance of the positions that will be asked for [mm], the same along all axes.
+        voxel: edge of the part's own voxels [mm]; depths are exact up to two of them.
+    """
+    reach = WIDEST * voxel / pitch + 0.5
+    halo = ceil(reach) + 2
+
+    def depth(x: Array, y: Array, z: Array) -> Array:
+        middle = (_middle(x), _middle(y), _middle(z))
+        grid = Grid((len(x), len(y), len(z) + 2 * halo), pitch)
+        fraction = target.resampled(grid, middle).numpy()
+        return signed_depth(fraction, reach)[:, :, halo:-halo] * np.float32(pitch)
+
+    return depth
+
+
+def _middle(axis: Array) -> float:
+    return 0.5 * (float(axis[0]) + float(axis[-1]))
+
+
+def depth_of_fractions(fraction: npt.ArrayLike, grid: Grid) -> Depth:
+    """Depths from the fractions of the part's own voxels, interpolated linearly between their centers.
+
+    Midway between two surfaces that is up to half a voxel less than the true depth.
+
+    Args:
+        fraction: filled part of every voxel of ``grid`` [x, y, z].
+        grid: the part's own voxels; outside of them there is nothing of the part.
+    """
+    reach = WIDEST + 1.0
+    margin = ceil(reach) + 1
+    known = signed_depth(np.pad(np.asarray(fraction, np.float32), margin), reach) * np.float32(grid.pitch)
+    first = [axis[0] - margin * grid.pitch for axis in grid.axes()]
+
+    def depth(x: Array, y: Array, z: Array) -> Array:
+        found = known
+        for axis, points in ((2, z), (1, y), (0, x)):
+            found = _along(found, (np.asarray(points) - first[axis]) / grid.pitch, axis)
+        return found
+
+    return depth
+
+
+def _along(values: Array, at: Array, axis: int) -> Array:
+    """Values between samples along an axis, linearly; those at the ends beyond them."""
+    at = np.clip(at, 0.0, values.shape[axis] - 1.0)
+    low = np.minimum(at.astype(np.int64), max(values.shape[axis] - 2, 0))
+    high = np.minimum(low + 1, values.shape[axis] - 1)
+    shape = [1, 1, 1]
+    shape[axis] = len(at)
+    part = (at - low).astype(np.float32).reshape(shape)
+    return values.take(low, axis) * (1 - part) + values.take(high, axis) * part

@@ -1,0 +1,110 @@
+"""What can be off in a machine by a little, and the operator that exposes the same frames through it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Beam
+from vamgpu.operators.projection import Projection
+from vamgpu.optics.beams import Aimed
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One thing that may be off.
+
+    Args:
+        name: of the thing.
+        unit: of the amounts: "pixel", or "%".
+        amounts: by how much it is off in the table, in pixels or as a share.
+        farthest: amount up to which the first wrong voxel is searched for.
+        off: the operator of a machine that is off by an amount; raises `BadInput` where that means nothing. None
+            where the dose is only scaled.
+    """
+
+    name: str
+    unit: str
+    amounts: tuple[float, ...]
+    farthest: float
+    off: Callable[[Projection, float], Projection] | None
+
+    @property
+    def signs(self) -> tuple[int, ...]:
+        """Directions: -1 where amounts below 0 exist, and 1."""
+        return (-1, 1) if min(self.amounts) < 0 else (1,)
+
+    def written(self, amount: float, digits: int = 3) -> str:
+        """An amount with its sign and unit."""
+        value = 100 * amount if self.unit == "%" else amount
+        return f"{value:+.{digits}g} {self.unit}".replace("-", "−")
+
+
+@dataclass(frozen=True)
+class SofterBeam(Beam):
+    """A beam whose point spread is wider than it should be.
+
+    Args:
+        more: pixels that are added to both standard deviations, in columns and in rows.
+    """
+
+    more: float = 0.0
+
+    def blur(self, column: float | None = None) -> tuple[float, float]:
+        """Standard deviations of the point spread, in columns and in rows."""
+        across, along = super().blur(column)
+        return across + self.more, along + self.more
+
+
+def softer(A: Projection, pixels: float) -> Projection:
+    """The same light through a lens whose point spread is wider by a number of pixels (added to its σ)."""
+    known = {field.name: getattr(A.beam, field.name) for field in fields(Beam)}
+    return _varied(A, SofterBeam(**known, more=getattr(A.beam, "more", 0.0) + pixels), A.vessel)
+
+
+def displaced(A: Projection, pixels: float) -> Projection:
+    """The axis of rotation beside the middle of the columns, by a number of pixels towards +r. Raises `BadInput`."""
+    offset = pixels * A.beam.pitch
+    if isinstance(A.vessel, Aimed):
+        return _varied(A, A.beam, replace(A.vessel, offset=A.vessel.offset + offset))
+    try:
+        vessel = Aimed(A.vessel, offset)
+    except BadInput as error:
+        raise BadInput(f"a {type(A.vessel).__name__} that is off the axis looks different at every angle") from error
+    return _varied(A, A.beam, vessel)
+
+
+def clouded(A: Projection, share: float) -> Projection:
+    """Resin that absorbs more or less than it should, by a share. Raises `BadInput` where nothing is absorbed."""
+    return _varied(A, A.beam, _absorbing(A.vessel, 1.0 + share))
+
+
+def _absorbing(vessel: Any, factor: float) -> Any:
+    if vessel is None or vessel.absorption == 0:
+        raise BadInput("the light passes without absorption")
+    names = _fields(vessel)
+    if "absorption" in names:
+        return replace(vessel, absorption=factor * vessel.absorption)
+    if "vessel" in names:
+        return replace(vessel, vessel=_absorbing(vessel.vessel, factor))
+    raise BadInput(f"the absorption of a {type(vessel).__name__} is not one number")
+
+
+def _fields(value: Any) -> set[str]:
+    """Names of the fields of a dataclass; none of anything else."""
+    return {field.name for field in fields(value)} if is_dataclass(value) else set()
+
+
+def _varied(A: Projection, beam: Beam, vessel: Any) -> Projection:
+    return Projection(A.grid, beam, A.motion, vessel, device=A.device)
+
+
+SCENARIOS = (
+    Scenario("point spread", "pixel", (0.25, 0.5, 1.0), 2.0, softer),
+    Scenario("axis of rotation", "pixel", (-0.5, -0.25, 0.25, 0.5), 2.0, displaced),
+    Scenario("absorption", "%", (-0.1, 0.1), 0.5, clouded),
+    Scenario("dose", "%", (-0.1, -0.05, 0.05, 0.1), 1.0, None),
+)
+"""What the tolerance table of a report asks about."""
