@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -89,9 +90,10 @@ class Unjudged:
 def unjudged(fraction: npt.ArrayLike, grid: Grid, solid: Solid | None = None) -> Unjudged:
     """Find what the voxels of a target do not show.
 
-    With a mesh: walls whose middle lies in a voxel that counts as outside, because walls thinner than about a voxel
-    fill none to a half. Every wall of a voxel or more along an axis is judged. Without one: partly filled voxels with
-    no neighbor in the part, which thin walls leave behind in the fractions.
+    With a mesh: walls whose middle has no voxel of the part around it, because walls thinner than about a voxel fill
+    none to a half. Walls of a voxel or more are always judged. Without a mesh: partly filled voxels with no neighbor in
+    the part, which thin walls leave behind in the fractions. A thin wall less than a voxel beside a thick one is found
+    by neither.
 
     Args:
         fraction: filled share [x, y, z] of the voxels, 0..1.
@@ -117,11 +119,11 @@ def _in_mesh(part: np.ndarray, grid: Grid, solid: Solid) -> list[ThinRegion]:
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     # Half a voxel below the surface of a part thick enough, every voxel is filled to a half: the others are looked at.
-    doubtful = ~_shown(part, grid, points - 0.5 * grid.pitch * normals)
+    doubtful = ~_shown(part, grid, points - 0.5 * grid.pitch * normals, around=False)
     if not doubtful.any():
         return []
     found = walls(TriangleSearch(corners, 0.5 * grid.pitch), points[doubtful], normals[doubtful], _WIDEST * grid.pitch)
-    lost = found.is_wall & ~_shown(part, grid, found.center)
+    lost = found.is_wall & ~_shown(part, grid, found.center, around=True)
     return _regions(found.center[lost], found.thickness[lost], part, grid)
 
 
@@ -172,20 +174,18 @@ def _in_voxels(part: np.ndarray, grid: Grid) -> list[ThinRegion]:
     return regions
 
 
-def _shown(part: np.ndarray, grid: Grid, points: Array) -> npt.NDArray[np.bool_]:
-    """Whether points lie in a voxel of the part, or inside the surface that its fractions describe.
+def _shown(part: np.ndarray, grid: Grid, points: Array, around: bool) -> npt.NDArray[np.bool_]:
+    """Whether the voxel that each point lies in counts as in the part; ``around``: or any of its 26 neighbors.
 
-    The second saves oblique walls thicker than a voxel, whose middle may lie in the corner of a voxel that they miss.
+    The middle of an oblique wall, thick enough, may lie in the corner of a voxel that the wall misses; and the rim of
+    every wall ends between voxels.
     """
-    from scipy.ndimage import map_coordinates
-
     at = points / grid.pitch + 0.5 * np.asarray(grid.shape)
-    index = np.floor(at).astype(np.int64)
-    inside = ((index >= 0) & (index < grid.shape)).all(axis=1)
     shown = np.zeros(len(points), bool)
-    shown[inside] = part[tuple(index[inside].T)] >= IN_THE_PART
-    left = ~shown
-    shown[left] = map_coordinates(part, at[left].T - 0.5, order=1, mode="grid-constant") >= IN_THE_PART
+    for step in product((-1, 0, 1), repeat=3) if around else [(0, 0, 0)]:
+        index = np.floor(at).astype(np.int64) + step
+        inside = ((index >= 0) & (index < grid.shape)).all(axis=1)
+        shown[inside] |= part[tuple(index[inside].T)] >= IN_THE_PART
     return shown
 
 
