@@ -87,15 +87,35 @@ def print_to_print(prints: Sequence[Solid], *, aligned: bool = True, samples: in
 def drawn(solid: Solid, samples: int = POINTS) -> Array:
     """Points (samples, 3) [mm] on a surface, as many on every mm², with a fixed seed."""
     number = counts("samples", (samples,), 1)[0]
-    a, b, c = np.moveaxis(solid.vertices[solid.faces], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).cumsum()
-    if not area[-1] > 0:
+    corners = solid.vertices[solid.faces]
+    if not double_areas(corners).sum() > 0:
         raise EmptyMesh(f"{solid.name}: its {len(solid.faces)} triangles have no area; export the part again")
+    return drawn_on(corners, number)[0]
+
+
+def drawn_on(corners: Array, samples: int) -> tuple[Array, npt.NDArray[np.int64]]:
+    """Points on triangles, as many on every mm², with a fixed seed.
+
+    Args:
+        corners: (m, 3, 3) [mm]; some of them have an area.
+        samples: how many points.
+
+    Returns:
+        The points (samples, 3) [mm] and the triangle (samples,) that each lies on.
+    """
+    area = double_areas(corners).cumsum()
     random = np.random.default_rng(0)
     # One point in each equal share of the area: no patch is left out.
-    face = np.searchsorted(area, (np.arange(number) + random.random(number)) * (area[-1] / number)).clip(max=len(a) - 1)
-    root, other = np.sqrt(random.random((number, 1))), random.random((number, 1))
-    return (1.0 - root) * a[face] + root * (1.0 - other) * b[face] + root * other * c[face]
+    at = (np.arange(samples) + random.random(samples)) * (area[-1] / samples)
+    face = np.searchsorted(area, at).clip(max=len(corners) - 1)
+    root, other = np.sqrt(random.random((samples, 1))), random.random((samples, 1))
+    a, b, c = np.moveaxis(corners[face], 1, 0)
+    return (1.0 - root) * a + root * (1.0 - other) * b + root * other * c, face
+
+
+def double_areas(corners: Array) -> Array:
+    """Twice the area [mm²] of each triangle (m, 3, 3)."""
+    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
 
 def iso_solid(

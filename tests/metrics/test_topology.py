@@ -1,0 +1,51 @@
+"""Bodies, holes and cavities of shapes whose numbers are known."""
+
+from __future__ import annotations
+
+import numpy as np
+from skimage.measure import euler_number
+
+from vamgpu.metrics.body_changes import body_changes
+from vamgpu.metrics.topology import topology
+
+X, Y, Z = np.mgrid[:70, :40, :40] - np.array([34.5, 19.5, 19.5])[:, None, None, None]
+
+
+def test_a_ring_has_a_hole_and_a_shell_a_cavity() -> None:
+    ring = topology(np.hypot(np.hypot(X, Y) - 13, Z) < 4)
+    assert (ring.bodies, ring.holes.tolist(), ring.cavities) == (1, [1], 0)
+    r = np.sqrt(X**2 + Y**2 + Z**2)
+    nested = topology(((r < 18) & (r > 12)) | (r < 6))
+    assert (nested.bodies, nested.holes.tolist(), nested.cavities) == (2, [0, 0], 1)
+    assert nested.cavity_size.tolist() == [np.count_nonzero((r <= 12) & (r >= 6))]
+
+
+def test_holes_belong_to_the_body_that_has_them() -> None:
+    """Across the planes where slabs meet."""
+    bar = (np.abs(Y) < 8) & (np.abs(Z) < 4)
+    for x in (-24, -2.5, 24):
+        bar &= np.hypot(X - x, Y) >= 3
+    found = topology(bar & (np.abs(X - 10) > 2))
+    assert found.bodies == 2 and found.holes.tolist() == [2, 1]
+
+
+def test_noise_agrees_with_the_euler_number_of_scikit_image() -> None:
+    mask = np.random.default_rng(0).random((40, 21, 22)) > 0.5
+    found = topology(mask)
+    assert found.bodies - found.holes.sum() + found.cavities == euler_number(mask, connectivity=1)
+    assert (found.holes >= 0).all() and found.size.sum() == mask.sum()
+
+
+def test_a_body_that_grazes_another_is_not_merged_with_it() -> None:
+    """One print is too wide by a voxel and touches the other body's place, not its print."""
+    part, printed = (np.zeros((20, 9, 9), bool) for _ in range(2))
+    part[2:8, 2:7, 2:7] = part[9:15, 2:7, 2:7] = True
+    printed[2:10, 2:7, 2:7] = printed[11:15, 2:7, 2:7] = True
+    found = body_changes(topology(part), topology(printed), 1.0)
+    assert (found.bodies_lost, found.bodies_merged, found.bodies_broken, found.bodies_extra) == (0, 0, 0, 0)
+    assert not body_changes(topology(part), topology(part & False), 1.0).none
+
+
+def test_an_empty_volume_has_nothing() -> None:
+    found = topology(np.zeros((4, 4, 4), bool))
+    assert (found.bodies, found.cavities, found.holes.size) == (0, 0, 0)

@@ -1,0 +1,129 @@
+"""Which bodies, holes and cavities of a part its print has lost, joined or gained."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.metrics.topology import Labels, Topology
+
+_LOST = 0.5
+"""A body or a cavity of which less than this share is left is lost."""
+
+
+@dataclass(frozen=True)
+class BodyChanges:
+    """Bodies, holes and cavities of a part and of its print, counted on one grid.
+
+    Attributes:
+        bodies: of the part.
+        bodies_lost: less than half of them is printed.
+        bodies_merged: bodies joined to another one: two balls printed as one are one merged.
+        bodies_broken: printed in more than one piece.
+        bodies_extra: bodies of the print that share no voxel with the part.
+        extra_volume: of all of those [mm³].
+        holes: through holes of the part.
+        holes_closed, holes_opened: through holes missing from, or added to, what is printed of each body. They are
+            counted, not matched: where a body loses one and gains another, neither shows.
+        cavities: closed voids of the part.
+        cavities_filled: less than half of them is empty.
+        cavities_extra: closed voids of the print that share no voxel with one of the part, such as a pore, or the
+            inside of a hole whose mouths are closed.
+    """
+
+    bodies: int
+    bodies_lost: int
+    bodies_merged: int
+    bodies_broken: int
+    bodies_extra: int
+    extra_volume: float
+    holes: int
+    holes_closed: int
+    holes_opened: int
+    cavities: int
+    cavities_filled: int
+    cavities_extra: int
+
+    @property
+    def none(self) -> bool:
+        """Whether the print is made of what the part is made of."""
+        kinds = ("lost", "merged", "broken", "extra")
+        changed = [getattr(self, f"bodies_{kind}") for kind in kinds]
+        return not any((*changed, self.holes_closed, self.holes_opened, self.cavities_filled, self.cavities_extra))
+
+
+def body_changes(part: Topology, printed: Topology, voxel_volume: float) -> BodyChanges:
+    """Compare a part and its print, labeled on one grid.
+
+    Args:
+        part: of the part's voxels.
+        printed: of the print's voxels.
+        voxel_volume: of one voxel of that grid [mm³].
+    """
+    table = _shared(part.body, printed.body)
+    one, other, shared = table
+    printed_share = np.bincount(one, shared, part.bodies + 1)[1:] / np.maximum(part.size, 1)
+    lost = printed_share < _LOST
+    touched = np.zeros(printed.bodies + 1, bool)
+    touched[other] = True
+    main = _main(table, part.bodies)[~lost]
+    pieces = np.bincount(_main((other, one, shared), printed.bodies), minlength=part.bodies + 1)[1:]
+    closed, opened = _holes(part, printed, table, lost)
+    filled, extra = _cavities(part, printed)
+    return BodyChanges(
+        bodies=part.bodies,
+        bodies_lost=int(lost.sum()),
+        bodies_merged=int((~lost).sum() - len(np.unique(main))),
+        bodies_broken=int((pieces[~lost] > 1).sum()),
+        bodies_extra=int((~touched[1:]).sum()),
+        extra_volume=float(printed.size[~touched[1:]].sum()) * voxel_volume,
+        holes=int(part.holes.sum()),
+        holes_closed=closed,
+        holes_opened=opened,
+        cavities=part.cavities,
+        cavities_filled=filled,
+        cavities_extra=extra,
+    )
+
+
+_Table = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]
+
+
+def _shared(a: Labels, b: Labels) -> _Table:
+    """Pairs of labels that share voxels, and how many."""
+    both = (a > 0) & (b > 0)
+    width = int(b.max(initial=0)) + 1
+    pair, count = np.unique(a[both].astype(np.int64) * width + b[both], return_counts=True)
+    return pair // width, pair % width, count
+
+
+def _main(table: _Table, number: int) -> npt.NDArray[np.int64]:
+    """The second label that shares most voxels with each first one, (number,); 0 where there is none."""
+    one, other, shared = table
+    order = np.argsort(shared, kind="stable")  # the greatest is written last
+    main = np.zeros(number + 1, np.int64)
+    main[one[order]] = other[order]
+    return main[1:]
+
+
+def _holes(part: Topology, printed: Topology, table: _Table, lost: npt.NDArray[np.bool_]) -> tuple[int, int]:
+    """Holes closed and opened, by groups of bodies whose prints hang together."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    size = part.bodies + printed.bodies
+    ends = table[0] - 1, table[1] - 1 + part.bodies
+    _, group = connected_components(coo_array((np.ones(len(ends[0]), np.int8), ends), (size, size)), directed=False)
+    counted = np.where(lost, 0, part.holes)
+    change = np.bincount(group, np.concatenate([-counted, printed.holes])).astype(np.int64)
+    return int(-change[change < 0].sum()), int(change[change > 0].sum())
+
+
+def _cavities(part: Topology, printed: Topology) -> tuple[int, int]:
+    """Cavities of the part that are filled, and those of the print that are new."""
+    within = part.cavity > 0
+    empty = np.bincount(part.cavity[within & (printed.body == 0)], minlength=part.cavities + 1)[1:]
+    shared = np.unique(printed.cavity[within & (printed.cavity > 0)])
+    return int((empty < _LOST * part.cavity_size).sum()), printed.cavities - len(shared)

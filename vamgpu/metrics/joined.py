@@ -1,0 +1,71 @@
+"""Bodies of a mesh that overlap, joined, so that no surface is left inside the part."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vamgpu.targets.repair import repaired
+from vamgpu.targets.solid import Solid
+
+
+def joined(solid: Solid) -> Solid:
+    """The outer surface of a mesh, and the surfaces of its cavities.
+
+    Programs export assemblies as bodies that overlap. What lies inside another body is not a surface of the part.
+
+    Args:
+        solid: a mesh [mm], repaired where it does not close.
+
+    Returns:
+        The union of its bodies in the same place; the same object where no two of them can overlap, or where the mesh
+        is no manifold and cannot be joined.
+
+    Raises:
+        NotWatertight, MeshError: as `repaired` does.
+    """
+    from manifold3d import Error
+
+    from vamgpu.targets.shapes.csg import from_triangles, union
+
+    solid = repaired(solid)
+    if not _several(solid):
+        return solid
+    whole = from_triangles(solid.vertices, solid.faces)
+    if whole.status() != Error.NoError:
+        return solid
+    parts = whole.decompose()
+    bodies = [part for part in parts if part.volume() > 0]
+    boxes = np.array([body.bounding_box() for body in bodies]).reshape(-1, 2, 3)
+    if not _overlap(boxes):
+        return solid
+    for cavity in (part for part in parts if part.volume() < 0):
+        low, high = np.array(cavity.bounding_box()).reshape(2, 3)
+        around = np.flatnonzero((boxes[:, 0] <= low).all(axis=1) & (boxes[:, 1] >= high).all(axis=1))
+        if around.size:
+            owner = int(around[np.prod(np.ptp(boxes[around], axis=1), axis=1).argmin()])
+            mesh = cavity.to_mesh64()
+            faces = np.asarray(mesh.tri_verts)[:, ::-1]
+            bodies[owner] -= from_triangles(np.asarray(mesh.vert_properties)[:, :3], faces)
+    mesh = union(bodies).to_mesh64()
+    return Solid(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts), solid.name)
+
+
+def _several(solid: Solid) -> bool:
+    """Whether the mesh has more than one connected surface."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    a, b, c = solid.faces.T
+    size = len(solid.vertices)
+    ends = np.concatenate([a, b]), np.concatenate([b, c])
+    _, label = connected_components(coo_array((np.ones(2 * len(a), np.int8), ends), (size, size)))
+    return bool((label[a] != label[a[0]]).any())
+
+
+def _overlap(boxes: np.ndarray) -> bool:
+    """Whether any two boxes (n, low and high, 3) do."""
+    for i, (low, high) in enumerate(boxes[:-1]):
+        others = boxes[i + 1 :]
+        if ((others[:, 0] <= high) & (others[:, 1] >= low)).all(axis=1).any():
+            return True
+    return False

@@ -1,0 +1,223 @@
+"""A print judged against the mesh it was made from: distances of surfaces, walls, bodies, holes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import isnan, nan
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.geometry import Grid, counts
+from vamgpu.metrics.body_changes import BodyChanges, body_changes
+from vamgpu.metrics.joined import joined
+from vamgpu.metrics.line import Line
+from vamgpu.metrics.mesh_mask import mesh_mask
+from vamgpu.metrics.nearest import Nearest
+from vamgpu.metrics.printed_field import PrintedField, printed_field
+from vamgpu.metrics.surface_distance import double_areas, drawn_on, iso_solid
+from vamgpu.metrics.topology import topology
+from vamgpu.metrics.triangle_search import Array, TriangleSearch
+from vamgpu.metrics.unjudged import IN_THE_PART, Unjudged, unjudged
+from vamgpu.metrics.walls import walls
+from vamgpu.targets.solid import Solid
+
+SAMPLES = 10_000
+"""Points drawn on each of the two surfaces for the mean, RMS and 95 %, and on the part for its walls."""
+_DENSE = 300_000
+"""Points on each surface, at most, among which the greatest distances are looked for."""
+_PER_VOXEL_FACE = 1.0
+_CANDIDATES = 500
+_PIECES = 128
+"""Pieces of triangles that a point is compared with, at most: enough for all but points as far from all of a part."""
+_WIDEST = 4.0
+"""Voxels of the part; what is thicker is no wall."""
+
+
+@dataclass(frozen=True)
+class WallChanges:
+    """Walls of a part that its print has and has not, by thickness [mm]; NaN where there are none of a kind.
+
+    A wall is thinner than four of the part's voxels. It is lost where the dose in its middle stays below the
+    threshold. A sharp edge is a wall too, and ends thin.
+
+    Attributes:
+        share_lost: of the area of all walls, 0..1.
+        thinnest_lost, thickest_lost: of those that are lost.
+        thinnest_printed: of those that are printed.
+    """
+
+    share_lost: float
+    thinnest_lost: float
+    thickest_lost: float
+    thinnest_printed: float
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceJudgement:
+    """How a print differs from its part in space.
+
+    Distances are signed, > 0 where the print is too thick. Those of the print's surface from the part and those of the
+    part's surface from the print count alike: without the second a fin that is missing would not show. All are NaN
+    where nothing prints.
+
+    Attributes:
+        distances: of points of the print's surface, then of as many of the part's, (2 n,) [mm].
+        greatest_excess: farthest that the print is too thick [mm], ≥ 0.
+        greatest_lack: farthest that it is too thin, or that a part of it is missing [mm], ≥ 0.
+        walls: which walls of the part were lost.
+        changes: which bodies, holes and cavities were lost, joined or gained.
+        unjudged: what was too thin for the part's voxels.
+    """
+
+    distances: Array = field(repr=False)
+    greatest_excess: float
+    greatest_lack: float
+    walls: WallChanges
+    changes: BodyChanges
+    unjudged: Unjudged
+
+    @property
+    def mean(self) -> float:
+        """Mean signed distance [mm]."""
+        return float(self.distances.mean()) if self.distances.size else nan
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the distances [mm]."""
+        return float(np.sqrt(np.mean(self.distances**2))) if self.distances.size else nan
+
+    @property
+    def p95(self) -> float:
+        """The distance [mm] that 95 % of the points stay below."""
+        return float(np.quantile(np.abs(self.distances), 0.95)) if self.distances.size else nan
+
+    @property
+    def greatest(self) -> float:
+        """The greatest distance [mm], with its sign."""
+        return self.greatest_excess if self.greatest_excess >= self.greatest_lack else -self.greatest_lack
+
+    def lines(self) -> tuple[Line, ...]:
+        """Every number with its meaning."""
+        w, c = self.walls, self.changes
+        greatest = "nothing prints" if isnan(self.mean) else f"+{_um(self.greatest_excess)} −{_um(self.greatest_lack)}"
+        lost = f"{_um(w.thinnest_lost)}–{_um(w.thickest_lost)}, {100 * w.share_lost:.2g} %" if w.share_lost else "none"
+        bodies = f"{c.bodies_lost} + {c.bodies_merged} + {c.bodies_broken} + {c.bodies_extra} of {c.bodies}"
+        thin = "none"
+        if self.unjudged:
+            thick = "" if self.unjudged.thickness is None else f", up to {_um(self.unjudged.thickness)} thick"
+            thin = f"{len(self.unjudged.regions)}, {self.unjudged.volume:.3g} mm³{thick}"
+        return (
+            Line("surface distance, mean", _um(self.mean, "+"), "of print and part, > 0 where the print is too thick"),
+            Line("surface distance, RMS", _um(self.rms), "both ways: print to part, and part to print"),
+            Line("surface distance, 95 %", _um(self.p95), "95 % of both surfaces lie closer"),
+            Line("surface distance, greatest", greatest, "farthest too thick, farthest too thin or missing"),
+            Line("walls lost", lost, "thinnest and thickest whose middle did not print, share of all walls' area"),
+            Line("thinnest wall printed", _um(w.thinnest_printed), "along the normal of its surface"),
+            Line("bodies changed", bodies, "lost + merged + broken + extra, of the bodies of the part"),
+            Line("holes changed", f"{c.holes_closed} + {c.holes_opened} of {c.holes}", "through holes closed + opened"),
+            Line("cavities changed", f"{c.cavities_filled} + {c.cavities_extra} of {c.cavities}", "filled + extra"),
+            Line("too thin to be judged", thin, "parts of the target that fill no voxel to a half"),
+        )
+
+
+def judge_surface(
+    dose: npt.ArrayLike, origin: npt.ArrayLike, pitch: float, threshold: float, fraction: npt.ArrayLike, grid: Grid,
+    solid: Solid | None = None, *, samples: int = SAMPLES,
+) -> SurfaceJudgement:  # fmt: skip
+    """Compare the surface at which a dose reaches the threshold with a part.
+
+    Distances are those between the triangles of both surfaces, no sample of them. Bodies, holes and cavities are those
+    of voxels of the dose's grid: what is thinner than these is not compared, and `unjudged` tells of what is thinner
+    than the part's.
+
+    Args:
+        dose: [x, y, z], in any unit, best on voxels finer than the part's.
+        origin: center of its first voxel [mm], (3,).
+        pitch: its voxel edge [mm].
+        threshold: printed from this dose on, in the unit of the dose.
+        fraction: filled share [x, y, z] of the part's own voxels, 0..1.
+        grid: where those lie.
+        solid: the mesh, in the same place. Without it the part is the surface at which its fractions reach a half.
+        samples: points on each surface for the mean, RMS, 95 % and walls.
+
+    Raises:
+        BadInput, ShapeMismatch: a value is none of these.
+        EmptyMesh: no fraction exceeds a half, and there is no mesh.
+        NotWatertight, MeshError: the mesh does not close.
+    """
+    number = counts("samples", (samples,), 1)[0]
+    part = iso_solid(fraction, grid.pitch, IN_THE_PART) if solid is None else joined(solid)
+    thin = unjudged(fraction, grid, None if solid is None else part)
+    near = Nearest(part, 0.5 * grid.pitch)
+    corners = near.search.corners
+    around = printed_field(dose, origin, pitch, threshold, part.bounds)
+    inside = mesh_mask(part, around.origin, around.pitch, around.values.shape)  # type: ignore[arg-type]
+    changes = body_changes(topology(inside), topology(around.mask), around.pitch**3)
+    points, face = drawn_on(corners, number)
+    lost_walls = _walls(near, points, face, around, _WIDEST * grid.pitch)
+    triangles = around.triangles()
+    if not len(triangles):
+        return SurfaceJudgement(np.zeros(0), nan, nan, lost_walls, changes, thin)
+    printed = TriangleSearch(triangles, 0.5 * around.pitch)
+
+    def of_part(at: Array) -> Array:
+        return np.where(around.printed(at), 1.0, -1.0) * printed(at, most=_PIECES)[0]
+
+    def of_print(at: Array) -> Array:
+        return near(at, most=_PIECES).distance
+
+    dense_part, dense_print = _dense(corners, around.pitch), _dense(triangles, around.pitch)
+    ways = (
+        (of_print, near.search, drawn_on(triangles, number)[0], dense_print, ~_masked(inside, around, dense_print)),
+        (of_part, printed, points, dense_part, around.printed(dense_part)),
+    )
+    distances = np.concatenate([measured(cloud) for measured, _, cloud, _, _ in ways])
+    most = np.concatenate(
+        [distances, *(measured(_far(search, dense, thick)) for measured, search, _, dense, thick in ways)]
+    )
+    return SurfaceJudgement(
+        distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0), lost_walls, changes, thin
+    )  # fmt: skip
+
+
+def _walls(
+    near: Nearest, points: Array, face: npt.NDArray[np.int64], around: PrintedField, widest: float
+) -> WallChanges:
+    """Thickness of the part at points of its surface, split by whether its middle prints there."""
+    found = walls(near.search, points, near.normals[face], widest)
+    printed = around.printed(found.center)
+    lost, kept = found.thickness[found.is_wall & ~printed], found.thickness[found.is_wall & printed]
+    return WallChanges(
+        share_lost=len(lost) / max(len(lost) + len(kept), 1),
+        thinnest_lost=float(lost.min(initial=np.inf)) if lost.size else nan,
+        thickest_lost=float(lost.max(initial=0.0)) if lost.size else nan,
+        thinnest_printed=float(kept.min(initial=np.inf)) if kept.size else nan,
+    )
+
+
+def _dense(corners: Array, pitch: float) -> Array:
+    """Points as dense as the voxels' faces."""
+    area = 0.5 * float(double_areas(corners).sum())
+    return drawn_on(corners, int(np.clip(_PER_VOXEL_FACE * area / pitch**2, 1_000, _DENSE)))[0]
+
+
+def _masked(inside: npt.NDArray[np.bool_], around: PrintedField, points: Array) -> npt.NDArray[np.bool_]:
+    """Whether the voxel that each point lies in is inside the part."""
+    index = np.rint((points - around.origin) / around.pitch).astype(np.int64)
+    return inside[tuple(np.clip(index, 0, np.array(inside.shape) - 1).T)]
+
+
+def _far(search: TriangleSearch, points: Array, thick: npt.NDArray[np.bool_]) -> Array:
+    """The points that may be farthest from a surface, of those where the print is too thick and of the others."""
+    low, high = search.bounds(points)
+    chosen = []
+    for side in (np.flatnonzero(thick), np.flatnonzero(~thick)):
+        if side.size:
+            side = side[high[side] >= low[side].max()]
+            chosen.append(side[np.argsort(-high[side], kind="stable")[:_CANDIDATES]])
+    return points[np.concatenate(chosen)]
+
+
+def _um(length: float, sign: str = "") -> str:
+    return "none" if isnan(length) else f"{1e3 * length:{sign}.3g} µm"

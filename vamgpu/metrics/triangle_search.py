@@ -1,0 +1,178 @@
+"""The nearest of many triangles, exactly."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+_FIRST, _GROWTH = 8, 4
+"""Pieces looked at for a point, and how many times as many where a nearer one cannot be ruled out yet."""
+_SURE = 2
+"""The nearest pieces, whose distance is computed at once; it rules out most others."""
+_ROUGH = 0.01
+"""Share of a distance that a quick search may be wrong by: at a ball's center all pieces are about equally near, and
+an exact one would visit each."""
+_LEAF = 32
+_BATCH = 1 << 18
+"""Pairs of a point and a piece held in memory at once."""
+_PIECES = 100_000
+"""Long triangles are cut until pieces are about as small as this many equal ones would be."""
+
+
+class TriangleSearch:
+    """Search over triangles that need not close; build once, ask often.
+
+    Args:
+        corners: (m, 3, 3) [mm]; triangles without area are left out.
+        longest: triangles with shorter edges [mm] need not be cut; small parts would be cut into dust otherwise.
+
+    Attributes:
+        kept: which of the triangles have an area, boolean (m,).
+        corners: of those, (k, 3, 3) [mm].
+        reach: a piece of a triangle reaches no farther from its middle [mm].
+    """
+
+    def __init__(self, corners: Array, longest: float = 0.0) -> None:
+        from scipy.spatial import KDTree
+
+        double = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        self.kept = double > 0
+        self.corners = corners[self.kept]
+        pieces, self._parent = _pieces(self.corners, max(longest, float(np.sqrt(2.0 * double.sum() / _PIECES))))
+        self._middles = (pieces[:, 0] + pieces[:, 1] + pieces[:, 2]) / 3.0
+        self._reaches = np.max([_length(pieces[:, k] - self._middles) for k in range(3)], axis=0)
+        self.reach = float(self._reaches.max())
+        self._tree = KDTree(self._middles, leafsize=_LEAF)
+
+    def __call__(self, points: Array, *, exact: bool = True, most: int | None = None) -> tuple[Array, Array, Indices]:
+        """Nearest points of the triangles.
+
+        Args:
+            points: (n, 3) [mm].
+            exact: False looks at a few pieces of each point's neighborhood only, which is faster and almost right.
+            most: pieces looked at for one point, at most; all by default. Points about as far from all of a surface,
+                such as the center of a ball, would otherwise ask for all of it.
+
+        Returns:
+            Distance [mm] (n,), barycentric weights (n, 3) of the nearest point, and its triangle (n,) in `corners`.
+        """
+        best, weight = np.full(len(points), np.inf), np.zeros((len(points), 3))
+        face = np.zeros(len(points), np.int64)
+        open_points, count = np.arange(len(points)), _FIRST
+        while open_points.size:
+            count = min(count, len(self._parent))
+            sure = np.zeros(open_points.size, bool)
+            step = max(1, _BATCH // count)
+            nearest: Any = np.arange(1, count + 1)
+            for first in range(0, open_points.size, step):
+                chosen = open_points[first : first + step]
+                query: Any = self._tree.query
+                far, piece = query(points[chosen], k=nearest, eps=0.0 if exact else _ROUGH)
+                best[chosen], weight[chosen], face[chosen] = self._closest(points[chosen], far, piece)
+                sure[first : first + step] = far[:, -1] - self.reach >= best[chosen]
+            if count >= min(len(self._parent), most or len(self._parent)) or not exact:
+                break
+            open_points, count = open_points[~sure], count * _GROWTH
+        return best, weight, face
+
+    def bounds(self, points: Array) -> tuple[Array, Array]:
+        """Between which lengths the distances [mm] of points (n, 3) lie; several times faster than the distances."""
+        far, piece = self._tree.query(points)
+        # The nearest middle is at least `far` away, so no piece comes nearer than that less its reach.
+        del piece
+        return np.maximum(far - self.reach, 0.0), far
+
+    def near_segments(self, starts: Array, ends: Array) -> tuple[Indices, Indices]:
+        """Triangles that may meet straight segments between points (n, 3) [mm]: pairs of a segment and a triangle."""
+        middle = 0.5 * (starts + ends)
+        around = 0.5 * _length(ends - starts) + self.reach
+        found: Any = self._tree.query_ball_point(middle, around)
+        number = np.array([len(some) for some in found])
+        segment = np.repeat(np.arange(len(starts)), number)
+        piece = np.concatenate([np.asarray(some, np.int64) for some in found])
+        if not piece.size:
+            return segment, piece
+        # What lies beside the segment by more than its reach cannot meet it: most of the ball.
+        way = (ends - starts)[segment]
+        offset = self._middles[piece] - starts[segment]
+        share = np.clip(np.einsum("ij,ij->i", offset, way) / np.einsum("ij,ij->i", way, way), 0.0, 1.0)
+        close = _length(offset - share[:, None] * way) <= self._reaches[piece]
+        return segment[close], self._parent[piece[close]]
+
+    def _closest(self, points: Array, far: Array, piece: Indices) -> tuple[Array, Array, Indices]:
+        """The nearest of some pieces (n, k), by distance of their middles, to each point."""
+        apart = np.full(piece.shape, np.inf)
+        weight = np.zeros((*piece.shape, 3))
+        looked = np.zeros(piece.shape, bool)
+        looked[:, :_SURE] = True
+        self._measure(points, piece, looked, apart, weight)
+        best = apart.min(axis=1)
+        self._measure(points, piece, ~looked & (far - self._reaches[piece] < best[:, None]), apart, weight)
+        at, row = apart.argmin(axis=1), np.arange(len(points))
+        return apart[row, at], weight[row, at], self._parent[piece[row, at]]
+
+    def _measure(self, points: Array, piece: Indices, pairs: Any, apart: Array, weight: Array) -> None:
+        """Fill in distances and weights of chosen pairs of a point and a piece."""
+        row, column = np.nonzero(pairs)
+        if not row.size:
+            return
+        asked, corners = points[row], self.corners[self._parent[piece[row, column]]]
+        found = barycentric(asked, corners)
+        apart[row, column] = _length(asked - np.einsum("nk,nki->ni", found, corners))
+        weight[row, column] = found
+
+
+def barycentric(points: Array, corners: Array) -> Array:
+    """Weights (n, 3) of the corners (n, 3, 3) of each triangle that make its point nearest to each point (n, 3).
+
+    On an edge one weight, at a corner two are exactly 0.
+    """
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    normal = np.cross(b - a, c - a)
+    area = np.einsum("ni,ni->n", normal, normal)
+    weight = np.stack([np.einsum("ni,ni->n", np.cross(q - p, points - p), normal) / area
+                       for p, q in ((b, c), (c, a), (a, b))], axis=1)  # fmt: skip
+    outside = np.flatnonzero((weight <= 0).any(axis=1))
+    best = np.full(outside.size, np.inf)
+    for k in range(3):  # the edge opposite to corner k
+        p, q = corners[outside, (k + 1) % 3], corners[outside, (k + 2) % 3]
+        way, start = q - p, points[outside] - p
+        t = np.clip(np.einsum("ni,ni->n", start, way) / np.einsum("ni,ni->n", way, way), 0.0, 1.0)
+        apart = ((start - t[:, None] * way) ** 2).sum(axis=1)
+        nearer = apart < best
+        best[nearer] = apart[nearer]
+        row = outside[nearer]
+        weight[row, k], weight[row, (k + 1) % 3], weight[row, (k + 2) % 3] = 0.0, 1.0 - t[nearer], t[nearer]
+    return weight
+
+
+def _pieces(corners: Array, limit: float) -> tuple[Array, Indices]:
+    """Triangles cut at the middle of their longest edge until all are short, and the triangle each came from."""
+    done, parents = [], []
+    left, parent = corners, np.arange(len(corners))
+    while len(left):
+        edges = _edges(left)
+        short = edges.max(axis=1) <= limit
+        done.append(left[short])
+        parents.append(parent[short])
+        left, parent, longest = left[~short], parent[~short], edges[~short].argmax(axis=1)
+        row = np.arange(len(left))
+        a, b, c = (left[row, (longest + k) % 3] for k in range(3))
+        middle = 0.5 * (a + b)
+        left = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+        parent = np.concatenate([parent, parent])
+    return np.concatenate(done), np.concatenate(parents)
+
+
+def _edges(corners: Array) -> Array:
+    """Lengths (m, 3) of the edges that start at each corner."""
+    return np.stack([_length(corners[:, k] - corners[:, (k + 1) % 3]) for k in range(3)], axis=1)
+
+
+def _length(vectors: Array) -> Array:
+    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))

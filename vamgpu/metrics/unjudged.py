@@ -1,0 +1,198 @@
+"""Parts of a target that are too thin for its voxels: no voxel stands for them, so none can print wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.errors import ShapeMismatch
+from vamgpu.geometry import Grid
+from vamgpu.metrics.surface_distance import double_areas, drawn_on
+from vamgpu.metrics.triangle_search import Array, TriangleSearch
+from vamgpu.metrics.walls import walls
+from vamgpu.targets.solid import Solid
+
+IN_THE_PART = 0.5
+"""Filled share from which a voxel counts as in the part, as in `Parts`."""
+_PER_VOXEL_FACE, _LEAST, _MOST = 2.0, 5_000, 400_000
+"""Points looked at on the surface: for each voxel face, at least, at most."""
+_WIDEST = 2.0
+"""Voxels; walls as thick as this are shown, whatever their place."""
+_SMALLEST = 0.5
+"""Voxels; regions that hold less would not fill a voxel even if they lay in one."""
+
+
+@dataclass(frozen=True)
+class ThinRegion:
+    """A connected part of the target that its voxels do not show.
+
+    Attributes:
+        low, high: corners of the box around it [mm].
+        volume: what fills its voxels [mm³].
+        thickness: its greatest wall thickness [mm]; None where voxels alone, no mesh, tell of it.
+    """
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    volume: float
+    thickness: float | None
+
+    @property
+    def center(self) -> tuple[float, float, float]:
+        """Middle of the box [mm]."""
+        x, y, z = (0.5 * (a + b) for a, b in zip(self.low, self.high, strict=True))
+        return x, y, z
+
+
+@dataclass(frozen=True)
+class Unjudged:
+    """All that is too thin to be judged on a grid, the largest region first; false where there is none.
+
+    Attributes:
+        regions: what was found.
+        pitch: of the grid [mm].
+    """
+
+    regions: tuple[ThinRegion, ...]
+    pitch: float
+
+    def __bool__(self) -> bool:
+        return bool(self.regions)
+
+    @property
+    def volume(self) -> float:
+        """Of all regions [mm³]."""
+        return sum(region.volume for region in self.regions)
+
+    @property
+    def thickness(self) -> float | None:
+        """Greatest wall thickness of all regions [mm]; None where there are none, or no mesh tells of it."""
+        return max((region.thickness for region in self.regions if region.thickness is not None), default=None)
+
+    def reason(self) -> str:
+        """One sentence: what was not judged, where, and what to do; empty where everything was."""
+        if not self.regions:
+            return ""
+        first = self.regions[0]
+        thick = "" if self.thickness is None else f", up to {1e3 * self.thickness:.0f} µm thick"
+        where = ", ".join(f"{value:.2f}" for value in first.center)
+        number = f"{len(self.regions)} part{'s' if len(self.regions) > 1 else ''} of the target"
+        return (
+            f"{number} ({self.volume:.3g} mm³{thick}; the largest about ({where}) mm) filled no voxel of "
+            f"{1e3 * self.pitch:.0f} µm to a half and could not be judged; use smaller voxels or thicker walls"
+        )
+
+
+def unjudged(fraction: npt.ArrayLike, grid: Grid, solid: Solid | None = None) -> Unjudged:
+    """Find what the voxels of a target do not show.
+
+    With a mesh: walls whose middle has no voxel of the part around it, because walls thinner than about a voxel fill
+    none to a half. Walls of a voxel or more are always judged. Without a mesh: partly filled voxels with no neighbor in
+    the part, which thin walls leave behind in the fractions. A thin wall less than a voxel beside a thick one is found
+    by neither.
+
+    Args:
+        fraction: filled share [x, y, z] of the voxels, 0..1.
+        grid: where they lie.
+        solid: the mesh that they were made of, in the same place; best without overlapping bodies (`joined`).
+
+    Raises:
+        ShapeMismatch: the fractions are not on the grid.
+    """
+    part = np.asarray(fraction)
+    if part.shape != grid.shape:
+        raise ShapeMismatch(f"the fractions have shape {part.shape}, the grid {grid.shape}; expected the same")
+    regions = _in_voxels(part, grid) if solid is None else _in_mesh(part, grid, solid)
+    return Unjudged(tuple(sorted(regions, key=lambda region: -region.volume)), grid.pitch)
+
+
+def _in_mesh(part: np.ndarray, grid: Grid, solid: Solid) -> list[ThinRegion]:
+    corners = solid.vertices[solid.faces]
+    area = 0.5 * float(double_areas(corners).sum())
+    number = int(np.clip(_PER_VOXEL_FACE * area / grid.pitch**2, _LEAST, _MOST))
+    points, face = drawn_on(corners, number)
+    a, b, c = np.moveaxis(corners[face], 1, 0)
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    # Half a voxel below the surface of a part thick enough, every voxel is filled to a half: the others are looked at.
+    doubtful = ~_shown(part, grid, points - 0.5 * grid.pitch * normals, around=False)
+    if not doubtful.any():
+        return []
+    found = walls(TriangleSearch(corners, 0.5 * grid.pitch), points[doubtful], normals[doubtful], _WIDEST * grid.pitch)
+    lost = found.is_wall & ~_shown(part, grid, found.center, around=True)
+    return _regions(found.center[lost], found.thickness[lost], part, grid)
+
+
+def _regions(center: Array, thickness: Array, part: np.ndarray, grid: Grid) -> list[ThinRegion]:
+    """Points whose voxels touch, or have one voxel between them, belong together, with what fills voxels there."""
+    from scipy.ndimage import binary_dilation, label
+
+    index = np.floor(center / grid.pitch + 0.5 * np.asarray(grid.shape)).astype(np.int64)
+    on_grid = ((index >= 0) & (index < grid.shape)).all(axis=1)
+    index, center, thickness = index[on_grid], center[on_grid], thickness[on_grid]
+    if not len(center):
+        return []
+    first = np.maximum(index.min(axis=0) - 1, 0)
+    share = np.asarray(part[tuple(slice(a, b) for a, b in zip(first, index.max(axis=0) + 2, strict=True))])
+    index -= first
+    marked = np.zeros(share.shape, bool)
+    marked[tuple(index.T)] = True
+    cube = np.ones((3, 3, 3))
+    labels: Any = label(binary_dilation(marked, cube), cube)
+    filled = np.where(share < IN_THE_PART, share, 0.0)
+    volume = np.bincount(labels[0].ravel(), filled.ravel()) * grid.voxel_volume
+    number = labels[0][tuple(index.T)]
+    regions = []
+    for one in np.unique(number).tolist():
+        if volume[one] >= _SMALLEST * grid.voxel_volume:
+            rows = number == one
+            low, high = center[rows].min(axis=0), center[rows].max(axis=0)
+            thick = float(thickness[rows].max())
+            regions.append(ThinRegion(tuple(low.tolist()), tuple(high.tolist()), float(volume[one]), thick))
+    return regions
+
+
+def _in_voxels(part: np.ndarray, grid: Grid) -> list[ThinRegion]:
+    from scipy.ndimage import binary_dilation, find_objects, label
+
+    cube = np.ones((3, 3, 3))
+    part, first = _cropped(part)
+    alone = (part > 0) & np.logical_not(binary_dilation(part >= IN_THE_PART, cube))
+    labels: Any = label(alone, cube)
+    volume = np.bincount(labels[0].ravel(), part.ravel())[1:] * grid.voxel_volume
+    axes, edge = [axis[start:] for axis, start in zip(grid.axes(), first, strict=True)], 0.5 * grid.pitch
+    regions = []
+    for box, total in zip(find_objects(labels[0]), volume.tolist(), strict=True):
+        if total >= _SMALLEST * grid.voxel_volume:
+            low = tuple(float(axis[cut.start]) - edge for axis, cut in zip(axes, box, strict=True))
+            high = tuple(float(axis[cut.stop - 1]) + edge for axis, cut in zip(axes, box, strict=True))
+            regions.append(ThinRegion(low, high, total, None))  # type: ignore[arg-type]
+    return regions
+
+
+def _shown(part: np.ndarray, grid: Grid, points: Array, around: bool) -> npt.NDArray[np.bool_]:
+    """Whether the voxel that each point lies in counts as in the part; ``around``: or any of its 26 neighbors.
+
+    The middle of an oblique wall, thick enough, may lie in the corner of a voxel that the wall misses; and the rim of
+    every wall ends between voxels.
+    """
+    at = points / grid.pitch + 0.5 * np.asarray(grid.shape)
+    shown = np.zeros(len(points), bool)
+    for step in product((-1, 0, 1), repeat=3) if around else [(0, 0, 0)]:
+        index = np.floor(at).astype(np.int64) + step
+        inside = ((index >= 0) & (index < grid.shape)).all(axis=1)
+        shown[inside] |= part[tuple(index[inside].T)] >= IN_THE_PART
+    return shown
+
+
+def _cropped(part: np.ndarray) -> tuple[np.ndarray, list[int]]:
+    """The voxels around all that are filled at all, and the index of the first."""
+    cut = []
+    for axis in range(3):
+        along = np.flatnonzero(part.any(axis=tuple(k for k in range(3) if k != axis)))
+        cut.append(slice(int(along[0]), int(along[-1]) + 1) if along.size else slice(0, 1))
+    return part[tuple(cut)], [one.start for one in cut]
