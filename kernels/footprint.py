@@ -1,10 +1,11 @@
 """Forward and back projection with exact footprints: an entry is the mean, over a voxel's box, of a pixel's light.
 
-A pixel lights a box of ``fill`` columns, blurred by a Gaussian of ``sigma`` columns. A voxel, seen along the light, is a
-trapezoid: its square's two edges, laid along the gradient of the column map, are two boxes of widths a and b. The mean of
-the light over the voxel is therefore the convolution of three boxes with a Gaussian, which has a closed form: a sum of
-the third integral of the Gaussian over the eight corners of the boxes. Straight light is the map whose gradient is the
-same everywhere; bent light looks column, strength and gradient up in a map of one pose, made once.
+A pixel lights a box of ``fill`` columns, blurred by a Gaussian of ``sigma`` columns. A voxel, seen along the light, is
+a trapezoid: its square's two edges, laid along the gradient of the column map, are two boxes of widths a and b. The
+mean of the light over the voxel is therefore the convolution of three boxes with a Gaussian, which has a closed form: a
+sum of the third integral of the Gaussian over the eight corners of the boxes. Straight light is the map
+whose gradient is the same everywhere; bent light looks column, strength and gradient up in a map of one pose, made
+once.
 
 Lengths are in voxels, columns count from 0.
 """
@@ -31,7 +32,7 @@ THINNEST = 0.05
 GPU = {"WINDOW": 10, "SLOTS": 128}
 """Samples of a row that a tile looks at together; tiles × poses whose weights a group keeps at a time."""
 TAIL_SERIES = (9.973836443e-02, 2.202380776e-02, 3.491863407e-03, 2.423642034e-04, 7.122526186e-05)
-"""Third integral of the unit Gaussian's tail: 0.25 / (1 + Σ c_k t^k)^16, right to 3.1e-7 (fitted to the closed form)."""
+"""Third integral of the unit Gaussian's tail: 0.25 / (1 + Σ c_k t^k)^16, fitted to the closed form to 3.1e-7."""
 
 
 def third_integral(x: np.ndarray, sigma: float) -> np.ndarray:
@@ -53,7 +54,7 @@ def sides(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def share(distance: np.ndarray, a: np.ndarray, b: np.ndarray, fill: float, sigma: float) -> np.ndarray:
-    """Mean of a pixel's light over a voxel whose middle is ``distance`` columns from the pixel's; sums to 1 over pixels.
+    """Mean over a voxel of the light of a pixel that is ``distance`` columns off; sums to 1 over pixels.
 
     Args:
         distance: column of the voxel's middle − column of the pixel.
@@ -138,9 +139,9 @@ def back_footprint(
 ) -> None:  # fmt: skip
     """volume[x, y, z] = Σ over poses and columns of the mean over the voxel of the column's light × the sinogram there.
 
-    bent: 0 for straight light, of ``ratio`` columns a voxel and of ``strength`` everywhere; 1 for light whose column and
-    strength are looked up in ``light``.  fill, sigma: of a pixel and of its point spread [columns].  Voxels beyond
-    ``radius`` voxels from the axis get nothing.  taps: columns that light a voxel, at most.
+    bent: 0 for straight light, of ``ratio`` columns a voxel and of ``strength`` everywhere; 1 for light that is looked
+    up in ``light``, of at most ``ratio`` columns a voxel.  fill, sigma: of a pixel and of its point spread [columns].
+    Voxels beyond ``radius`` voxels from the axis get nothing.  taps: columns that light a voxel, at most.
     """
     volume[...] = 0.0
     for angle, direction in enumerate(directions):

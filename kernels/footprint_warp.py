@@ -1,7 +1,8 @@
 """Warp siblings of `footprint`; a thread owns four lanes in each of two slabs of a tile of four samples.
 
-Footprints cost more than the lanes they serve: on a GPU the threads of a block that share a tile and differ in z alone work
-out those of the next poses (or planes) together, and all read them from shared memory. Fields come flat per slab."""
+Footprints cost more than the lanes they serve: on a GPU the threads of a block that share a tile and differ in z alone
+work out those of the next poses (or planes) together, and all read them from shared memory. Fields come flat per slab.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ WINDOW = wp.constant(10)  # samples of a row that a tile looks at together
 TAIL = wp.constant(2.75)
 THINNEST = wp.constant(0.05)
 
-Place = wp.types.vector(length=6, dtype=int)  # block of slabs, major tile, minor tile, lane; member and tile of the block
+Place = wp.types.vector(length=6, dtype=int)  # block of slabs, major and minor tile, lane; member and tile in the block
 Ray = wp.types.vector(length=5, dtype=float)  # column; half sum and half difference of the boxes; gain; reach
 
 
@@ -330,7 +331,9 @@ def forward_footprint(
     s = directions[angle, 1]
     final_r = wp.min(r + 3, n_r - 1)
     # the chord's own direction decides which planes it crosses most steeply
-    along_y = wp.where(wp.abs(s * edges[near_r, 1] + c * edges[near_r, 2]) > wp.abs(c * edges[near_r, 1] - s * edges[near_r, 2]), 1, 0)
+    cos_d = edges[near_r, 1]
+    sin_d = edges[near_r, 2]
+    along_y = wp.where(wp.abs(s * cos_d + c * sin_d) > wp.abs(c * cos_d - s * sin_d), 1, 0)
     planes = wp.where(along_y == 1, n_y, n_x)
     row_cells = wp.where(along_y == 1, n_x, n_y)
     low = line(edges, near_r, 0, c, s, along_y, 0.5 * float(planes - 1), 0.5 * float(row_cells - 1))

@@ -95,9 +95,11 @@ class Beam:
         pixels: columns along r, rows along z.
         pitch: pixel edge [mm], measured in air.
         fill: share of a pixel's area that is lit (the fill factor of the mirrors), above 0, at most 1.
-        spread: standard deviation of the point spread in the resin [mm], or what was measured of it (anything with a
-            ``width`` [mm], such as the `EdgeResponse` of `vam calibrate mtf`). None, the default, is a projector in
-            focus: half a pixel, along columns and along rows. 0 is a perfect lens, which no machine has.
+        spread: standard deviation of the point spread [mm], measured where the pitch is, in place of the vial;
+            refraction narrows columns and their blur alike. A number, or what `vam calibrate mtf` measured, read by
+            `vamgpu.calibration.pointspread.PointSpread`. None, the default, is a projector in focus: half a pixel. 0 is
+            a perfect lens, which no machine has. A beam of a single row stands for a print that is the same at every
+            height: its light does not spread along z.
 
     Raises:
         BadInput: a value is out of its range.
@@ -106,7 +108,7 @@ class Beam:
     pixels: tuple[int, int]
     pitch: float
     fill: float = 1.0
-    spread: float | None = None
+    spread: Any = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", counts("Beam pixels", self.pixels, 2))
@@ -127,15 +129,10 @@ class Beam:
         """Offsets r [mm] of the columns from the axis."""
         return centers(self.pixels[0], self.pitch)
 
-    def blur(self, column: float | None = None) -> tuple[float, float]:
-        """Standard deviations of the point spread, in columns and in rows.
-
-        Args:
-            column: width of a column in the resin on the axis [mm], where refraction makes it another than the pitch.
-        """
-        if self.spread is None:
-            return HALF_A_PIXEL, HALF_A_PIXEL
-        return self.spread / (self.pitch if column is None else column), self.spread / self.pitch
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the point spread [pixels], along columns and along rows."""
+        return HALF_A_PIXEL if self.spread is None else self.spread / self.pitch
 
 
 @dataclass(frozen=True, init=False, repr=False)

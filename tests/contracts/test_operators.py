@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, DeviceError, KernelError, ShapeMismatch, TransferForbidden
 
-GLASS = {"wall": 0.08, "resin_index": 1.49962, "wall_index": 1.473}
+GLASS: dict[str, Any] = {"wall": 0.08, "resin_index": 1.49962, "wall_index": 1.473}
 
 
 def glass_vial(absorption: float = 0.5) -> vam.Vial:

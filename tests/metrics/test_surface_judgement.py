@@ -27,7 +27,7 @@ FINE, START = 0.5 * PITCH, np.array([-3.3, -3.3, -3.3]) + 0.25 * 0.5 * PITCH
 def solid_of(*meshes: Any) -> Solid:
     import trimesh
 
-    mesh = trimesh.util.concatenate(meshes)
+    mesh: Any = trimesh.util.concatenate(meshes)
     return Solid(np.asarray(mesh.vertices), np.asarray(mesh.faces), "part")
 
 

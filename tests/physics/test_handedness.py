@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from vamgpu.backend.device import Device
 N, PITCH = 80, 0.1
 X0, Y0, A0, B0, TILT = 1.5, 0.7, 0.9, 0.4, 0.5
 ALPHA = 0.3
-MATCHED = {"resin_index": 1.5, "wall_index": 1.5, "bath_index": 1.5}
+MATCHED: dict[str, Any] = {"resin_index": 1.5, "wall_index": 1.5, "bath_index": 1.5}
 VESSELS = {
     "vial": vam.Vial(radius=4.5, wall=0.3, absorption=ALPHA, **MATCHED),
     "vat": vam.Vat(width=8.4, absorption=ALPHA),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ BLOBS = (  # x, y, z [mm], σ across and along [mm], tilt, height: no symmetry t
     (-1.1, 2.1, -0.1, 0.6, 0.8, 1.1, 0.7),
     (-0.6, -1.7, 0.2, 1.0, 0.65, 2.3, 0.9),
 )
-GLASS = {"wall": 1.0, "resin_index": 1.49962, "wall_index": 1.473}
+GLASS: dict[str, Any] = {"wall": 1.0, "resin_index": 1.49962, "wall_index": 1.473}
 
 
 def phantom(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:

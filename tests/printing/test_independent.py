@@ -56,7 +56,7 @@ def test_one_pixel_is_a_box_under_a_gaussian(fill: float, spread: float | None) 
     light[0, 12, 6] = 1.0
     slab = next(IndependentExposure(A).fine(A.device.upload(light)))
     got = slab.dose.numpy().astype(float)[slab.x.size // 2]  # [y, z]: r is y
-    sigma = beam.blur()[0] * pitch
+    sigma = beam.sigma * pitch
 
     def mean(place: np.ndarray) -> np.ndarray:
         """Of the pixel's profile over a voxel about each place, by 2000 points."""

@@ -101,7 +101,7 @@ def blocks(page: str) -> list[str]:
 
 def test_the_page_opens_with_what_is_proved_and_what_the_print_bears(proof: Proof) -> None:
     judgement, lines = judged(proof), (Line("surface distance, mean", "+3 µm", "of print and part"),)
-    page = report.render(proof, None, judgement, SimpleNamespace(lines=lambda: lines))
+    page = report.render(proof, None, replace(judgement, surface=SimpleNamespace(lines=lambda: lines)))
     assert blocks(page)[:4] == [
         "Window over tolerance", "What the print bears", "Surface of the print against the mesh", "Printed part",
     ]  # fmt: skip

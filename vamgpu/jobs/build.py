@@ -140,8 +140,8 @@ def _with_optics(beam: dict[str, Any]) -> dict[str, Any]:
     if set(OPTICS) <= set(beam):
         return dict(beam)
     warnings.warn(
-        "the folder says nothing of the beam's fill and point spread: it was solved for pixels lit all over and a perfect "
-        "lens, and is read so (fill 1, spread 0); solve it again for the light that a lens makes",
+        "the folder says nothing of the beam's fill and point spread: it was solved for pixels lit all over and a "
+        "perfect lens, and is read so (fill 1, spread 0); solve it again for the light that a lens makes",
         OpticsWarning, stacklevel=3,
     )  # fmt: skip
     return OPTICS | beam

@@ -88,7 +88,7 @@ def prove(path: str | Path, device: str | None = None) -> Proven:
     except (KeyError, TypeError) as error:
         raise StorageError(f"{str(path)!r} lacks {error} in its manifest; write it with `vam solve`") from error
     A = projection_from(geometry, place)
-    target = Target(A.grid, name, folder.array("target"), **facts)
+    target = Target(A.grid, name, folder.array("target"), facts["radius"], facts["volume"], facts["height"])
     proof = simulate(A, load_frames(path, place), target, **(exposure or {}))
     return Proven(proof, PlanRecord.read(plan))
 

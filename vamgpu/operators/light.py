@@ -41,7 +41,8 @@ class OpenAir:
 class Light:
     """Tables of one pose; lengths in voxels, columns counted from 0.
 
-    map: (n, n, 4) column, strength, and the columns a voxel across and along the light.  edges: (columns, 8), chords either side of a column's light, and slack.
+    map: (n, n, 4) column, strength, and the columns a voxel across and along the light.
+    edges: (columns, 8), chords either side of a column's light, and slack.
     radius: of the lit disc in voxels.  width: of a voxel on the axis in columns.  steepest: columns a voxel, at most.
     fill, sigma: of a pixel's box and of its point spread in columns.
     """
@@ -83,7 +84,7 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None) 
     column = u / beam.pitch + 0.5 * (columns - 1)
     strength = weight * grid.pitch**2 / beam.pitch  # so that a row of the operator sums to the length of its ray
     in_resin = column_in_resin(beam, vessel)
-    fill, sigma = sqrt(beam.fill), beam.blur(in_resin)[0]
+    fill, sigma = sqrt(beam.fill), beam.sigma
     reaches = _reaches(column, columns, radius, fill, sigma) if half is None else np.full(columns, half)
     rays = _Rays(grid, beam, vessel, reaches)
     table = np.stack([column, strength, *np.gradient(column)], axis=-1)

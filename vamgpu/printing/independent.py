@@ -95,7 +95,7 @@ class IndependentExposure:
         self.corner = hypot(*(0.5 * n * A.grid.pitch for n in A.grid.shape[:2]))
         wall = resin_radius(A.vessel)
         self.radius = self.corner if wall == inf else wall
-        self._spread = spread_of(A.beam, A.vessel)
+        self._spread = spread_of(A.beam)
         self._discs: dict[tuple[float, float], _Disc] = {}
 
     # ---- what is asked ----------------------------------------------------------------------------------------------

@@ -28,15 +28,15 @@ class Figure(NamedTuple):
     meaning: str
 
 
-def opening(proof: Proof, judgement: Judgement, surface: Any = None) -> dict[str, Any]:
-    """What the template's first blocks show; surface: with ``lines()``, or None."""
+def opening(proof: Proof, judgement: Judgement) -> dict[str, Any]:
+    """What the template's first blocks show."""
     return {
         "headline": headline(proof, judgement),
         "tolerance_chart": charts.tolerance_chart(judgement.over_tolerance),
         "tolerance_note": _chart_note(proof),
         "tolerances": table(judgement.table),
         "tolerances_note": _table_note(judgement.table),
-        "surface_lines": () if surface is None else surface.lines(),
+        "surface_lines": judgement.surface.lines(),
     }
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,7 +14,10 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.metrics import Parts, Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram, histogram
+from vamgpu.metrics.joined import joined
 from vamgpu.metrics.light import outside_over_inside
+from vamgpu.metrics.line import Line
+from vamgpu.metrics.unjudged import Unjudged, unjudged
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.dose import absorbs
 from vamgpu.printing.exposure import Exposure
@@ -21,14 +25,7 @@ from vamgpu.printing.independent import FineSlab, IndependentExposure, Outer
 
 if TYPE_CHECKING:
     from vamgpu.printing.judgement import Judgement
-
-
-class Line(NamedTuple):
-    """One number of a proof, ready to be read."""
-
-    name: str
-    value: str
-    meaning: str
+    from vamgpu.targets.solid import Solid
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +48,7 @@ class Proof:
         independent: whether the dose is by rays traced apart from the operator, on finer voxels; else it is the
             operator's own.
         exposure: predicted times, where irradiance and critical dose were given.
+        solid: the mesh that the target was made of, in the same place; None where it came from an array or a folder.
     """
 
     operator: Projection
@@ -66,6 +64,7 @@ class Proof:
     outer: Outer | None = None
     independent: bool = False
     exposure: Exposure | None = None
+    solid: Solid | None = None
 
     @property
     def seconds(self) -> float | None:
@@ -100,10 +99,16 @@ class Proof:
         light = self.frames.irradiance(self.operator.device)
         return IndependentExposure(self.operator).fine(light, reach)
 
+    @cached_property
+    def unjudged(self) -> Unjudged:
+        """What of the part is too thin for any voxel to stand for it, and so for any score to miss it."""
+        return unjudged(self.target.numpy(), self.operator.grid, joined(self.solid) if self.solid else None)
+
     @property
     def perfect(self) -> bool:
-        """Whether every judged voxel is printed right, and nothing beyond the judged cylinder is printed."""
-        return self.scores.missing == 0 and self.scores.excess == 0 and self.outer_share < 1.0
+        """Whether every voxel is printed right, nothing beyond the judged cylinder, and no part was left unjudged."""
+        right = self.scores.missing == 0 and self.scores.excess == 0 and self.outer_share < 1.0
+        return right and not self.unjudged
 
     @property
     def outside_over_inside(self) -> float:
@@ -138,6 +143,7 @@ class Proof:
             Line("threshold", f"{s.threshold / (s.peak or 1.0):.4f}", "printed from this dose on, over peak"),
             Line("wrong voxels", f"{s.missing:,} + {s.excess:,}", "missing in the part + excess outside"),
             Line("judged voxels", f"{s.in_voxels:,} + {s.out_voxels:,}", "in the part + outside, in the cylinder"),
+            *([Line("not judged", f"{self.unjudged.volume:.3g} mm³", self.unjudged.reason())] if self.unjudged else []),
             Line("light efficiency", f"{100 * self.light_efficiency:.3g} %", bright),
             Line("share of the part", _share(self), share),
             Line("dose outside over inside", f"{self.outside_over_inside:.3f}", outside),
@@ -145,22 +151,21 @@ class Proof:
         return (*found, *(_times(self.exposure) if self.exposure else ()))
 
     def report(
-        self, path: str | Path, plan: Any = None, judgement: Judgement | None = None, surface: Any = None
+        self, path: str | Path, plan: Any = None, judgement: Judgement | None = None
     ) -> Path:
         """Write one self-contained HTML page with pictures.
 
         Args:
             path: of the page.
             plan: adds its convergence and its papers.
-            judgement: window over tolerance and tolerance table; found by default, see `judged` for what it costs.
-            surface: what was found about the print's surface against the mesh, with ``lines()``; None leaves it out.
+            judgement: window over tolerance, tolerance table and surface; found by default, see `judged` for the cost.
 
         Raises:
             StorageError: the page cannot be written.
         """
         from vamgpu.printing.report import write_report
 
-        return write_report(self, path, plan, judgement, surface)
+        return write_report(self, path, plan, judgement)
 
 
 def _judged(proof: Proof) -> Iterator[Line]:

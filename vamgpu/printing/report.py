@@ -28,11 +28,11 @@ JOSEPH = "P. M. Joseph, An improved algorithm for reprojecting rays through pixe
 
 
 def write_report(
-    proof: Proof, path: str | Path, plan: Any = None, judgement: Judgement | None = None, surface: Any = None
+    proof: Proof, path: str | Path, plan: Any = None, judgement: Judgement | None = None
 ) -> Path:
     """Write the page of a proof; arguments as for `render`. Raises `StorageError`."""
     target = Path(path)
-    page = render(proof, plan, judgement, surface)
+    page = render(proof, plan, judgement)
     partial = target.with_name(target.name + ".part")
     try:
         partial.write_text(page, encoding="utf-8")
@@ -43,17 +43,16 @@ def write_report(
     return target
 
 
-def render(proof: Proof, plan: Any = None, judgement: Judgement | None = None, surface: Any = None) -> str:
+def render(proof: Proof, plan: Any = None, judgement: Judgement | None = None) -> str:
     """The page as text.
 
     Args:
         proof: what to show.
         plan: adds convergence, method and papers.
         judgement: window over tolerance and tolerance table; found here by default.
-        surface: what was found about the print's surface against the mesh, with ``lines()``; None leaves it out.
     """
     css, js = (template("vamgpu.printing", name) for name in ("report.css", "report.js"))
-    first = opening(proof, judged(proof) if judgement is None else judgement, surface)
+    first = opening(proof, judged(proof) if judgement is None else judgement)
     return filled("vamgpu.printing", "report.html", css=css, js=js, **first, **_content(proof, plan))
 
 

@@ -42,26 +42,9 @@ class Scenario:
         return f"{value:+.{digits}g} {self.unit}".replace("-", "−")
 
 
-@dataclass(frozen=True)
-class SofterBeam(Beam):
-    """A beam whose point spread is wider than it should be.
-
-    Args:
-        more: pixels that are added to both standard deviations, in columns and in rows.
-    """
-
-    more: float = 0.0
-
-    def blur(self, column: float | None = None) -> tuple[float, float]:
-        """Standard deviations of the point spread, in columns and in rows."""
-        across, along = super().blur(column)
-        return across + self.more, along + self.more
-
-
 def softer(A: Projection, pixels: float) -> Projection:
     """The same light through a lens whose point spread is wider by a number of pixels (added to its σ)."""
-    known = {field.name: getattr(A.beam, field.name) for field in fields(Beam)}
-    return _varied(A, SofterBeam(**known, more=getattr(A.beam, "more", 0.0) + pixels), A.vessel)
+    return _varied(A, replace(A.beam, spread=(A.beam.sigma + pixels) * A.beam.pitch), A.vessel)
 
 
 def displaced(A: Projection, pixels: float) -> Projection:
@@ -98,7 +81,7 @@ def _fields(value: Any) -> set[str]:
 
 
 def _varied(A: Projection, beam: Beam, vessel: Any) -> Projection:
-    return Projection(A.grid, beam, A.motion, vessel, device=A.device)
+    return Projection(A.grid, beam, A.motion, vessel, device=A.device, footprint=A.footprint)
 
 
 SCENARIOS = (

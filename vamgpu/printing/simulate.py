@@ -98,6 +98,7 @@ def simulate(
         claimed=claimed,
         outer=outer,
         independent=isinstance(judge, IndependentExposure),
+        solid=getattr(target, "solid", None),
         light_efficiency=light_efficiency(shone, frames.scale),
         part_share=scores.total_in / sent if sent > 0 else 0.0,
         exposure=None if irradiance is None else expose(A, scores, sent, frames.scale, **given),  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vamgpu.geometry import Beam, Vessel
+from vamgpu.geometry import Beam
 from vamgpu.optics.traced_rays import Rays
 
 TAIL = 4.5
@@ -52,13 +52,9 @@ class RowShares(NamedTuple):
     span: np.ndarray
 
 
-def spread_of(beam: Beam, vessel: Vessel | None) -> Spread:
-    """The light of a beam's pixel in a vessel. Sharp light takes finer bins."""
-    width = beam.pitch
-    if vessel is not None:
-        p = vessel.chords(np.array([-1e-3, 1e-3]) * beam.pitch).p
-        width *= abs(float(p[1] - p[0])) / (2e-3 * beam.pitch)
-    column, row = beam.blur(width)
+def spread_of(beam: Beam) -> Spread:
+    """The light of a beam's pixel. Sharp light takes finer bins; a single row is even along z."""
+    column, row = beam.sigma, 0.0 if beam.pixels[1] == 1 else beam.sigma
     return Spread(sqrt(beam.fill), column, row, 3 if column >= 0.4 else 5 if column >= 0.2 else 8)
 
 
@@ -89,12 +85,12 @@ def row_shares(spread: Spread, beam: Beam, z: np.ndarray, height: float, multipl
     """Mean light of slices ``height`` [mm] high about ``z`` [mm], per light of rows; padded to a multiple of slices."""
     rows = beam.pixels[1]
     center = z / beam.pitch + 0.5 * (rows - 1)
-    half = 0.5 * height / beam.pitch
-    reach = half + 0.5 * spread.side + TAIL * spread.row
+    half, side = 0.5 * height / beam.pitch, 1.0 if rows == 1 else spread.side
+    reach = half + 0.5 * side + TAIL * spread.row
     row = np.arange(rows)[:, None]
     shares = np.zeros((rows, -(-z.size // multiple) * multiple))
     shares[:, : z.size] = np.where(
-        np.abs(row - center) <= reach, _mean(center - half - row, center + half - row, spread.side, spread.row), 0.0
+        np.abs(row - center) <= reach, _mean(center - half - row, center + half - row, side, spread.row), 0.0
     )
     span = np.stack([np.ceil(center - reach), np.floor(center + reach) + 1], axis=1)
     span = np.clip(span, 0, rows).astype(int)
