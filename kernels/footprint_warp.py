@@ -63,7 +63,7 @@ def place(size: wp.vec3i, lanes: int, majors: int, minors: int, here: wp.vec4i):
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    __shared__ float table[12 * 128 * 4];  // [row][tile and turn][component]
+    __shared__ __align__(16) float table[12 * 128 * 4];  // [row][tile and turn][component]
     float* at = table + (row * 128 + slot) * 4;
     if (component >= 0) {
         at[component] = value[0];

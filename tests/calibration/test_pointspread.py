@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,8 +27,8 @@ def seen(sigma: float, fill: float) -> np.ndarray:
     row, column = (np.arange(count) - 0.5 * (count - 1) for count in (ROWS, 40))
     on = column[None, :] > np.tan(np.radians(5.0)) * row[:, None]
     inside = np.abs((np.arange(n) + 0.5) / n - 0.5) < 0.5 * np.sqrt(fill)
-    light = np.kron(on, np.outer(inside, inside)).astype(float)
-    blurred = gaussian_filter(light, sigma / (PIXEL / SAMPLES), mode="reflect")
+    light: Any = np.kron(on, np.outer(inside, inside)).astype(float)
+    blurred: Any = gaussian_filter(light, sigma / (PIXEL / SAMPLES), mode="reflect")
     shape = (blurred.shape[0] // SAMPLES, SAMPLES, blurred.shape[1] // SAMPLES, SAMPLES)
     return blurred.reshape(shape).mean(axis=(1, 3))
 

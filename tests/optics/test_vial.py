@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -252,8 +253,9 @@ def test_dim_edges_warn_with_the_radius() -> None:
     ({"radius": math.nan}, "nan"), ({"radius": -1.0}, "-1"), ({"wall": 12.4}, "12.4"), ({"wall": -0.1}, "-0.1"),
     ({"resin_index": 0.5}, "0.5"), ({"bath_index": math.inf}, "inf"), ({"absorption": -0.05}, "-0.05"),
 ])
-def test_wrong_values_are_named(change: dict[str, float], number: str) -> None:
-    good = {"radius": 12.4, "wall": 1.0, "resin_index": 1.5, "wall_index": 1.47, "bath_index": 1.0, "absorption": 0.1}
+def test_wrong_values_are_named(change: dict[str, Any], number: str) -> None:
+    good: dict[str, Any] = {"radius": 12.4, "wall": 1.0, "resin_index": 1.5, "wall_index": 1.47, "bath_index": 1.0}
+    good["absorption"] = 0.1
     with pytest.raises(BadInput, match=number):
         Vial(**{**good, **change})
 

@@ -24,7 +24,7 @@ def operator(case: str, device: Device) -> vam.Projection:
     width = 25.0 if vessel is not WATER else 16.1
     pixels = (int(width / column), int(SLICES * pitch / column) + 2)
     grid, motion = vam.Grid((N, N, SLICES), pitch), vam.Turntable(POSES)
-    return vam.Projection(grid, vam.Beam(pixels, column), motion, vessel, device)
+    return vam.Projection(grid, vam.Beam(pixels, column, spread=0), motion, vessel, device)
 
 
 def irradiance(angle: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.ndarray:

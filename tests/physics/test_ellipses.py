@@ -80,7 +80,7 @@ def pictures(n: int) -> tuple[np.ndarray, np.ndarray]:
 def errors(device: Device, n: int) -> np.ndarray:
     """Relative L2 error of the sinogram of each ellipse."""
     volume, wanted = pictures(n)
-    grid, beam = vam.Grid((n, n, volume.shape[2]), 1 / n), vam.Beam((n, volume.shape[2]), 1 / n)
+    grid, beam = vam.Grid((n, n, volume.shape[2]), 1 / n), vam.Beam((n, volume.shape[2]), 1 / n, spread=0)
     A = vam.Projection(grid, beam, vam.Turntable(ANGLES), None, device)
     return np.linalg.norm(A(volume) - wanted, axis=(0, 1)) / np.linalg.norm(wanted, axis=(0, 1))
 

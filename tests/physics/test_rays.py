@@ -65,7 +65,7 @@ every_case = pytest.mark.parametrize("case", CASES)
 def operator(case: str, device: Device | str, angles: int) -> vam.Projection:
     vessel, pixels, pitch, *_ = CASES[case]
     grid = vam.Grid((N, N, SLICES), PITCH)
-    return vam.Projection(grid, vam.Beam(pixels, pitch), vam.Turntable(angles), vessel, device)
+    return vam.Projection(grid, vam.Beam(pixels, pitch, spread=0), vam.Turntable(angles), vessel, device)
 
 
 def some_voxels() -> tuple[np.ndarray, np.ndarray]:
@@ -88,10 +88,30 @@ def traced_light(case: str) -> np.ndarray:
     (i, j), (x, y, z) = some_voxels(), A.grid.axes()
     angles = A.range.angles
     vessel = CASES[case][0]
-    limit = 0.999 * vessel.aperture if vessel else 12.0
+    if vessel is None:
+        return _straight_light(A, x[i], y[j], _shown_at(A, z)[1:-1]) * A.grid.voxel_volume / A.beam.pixel_area
+    limit = 0.999 * vessel.aperture
     offset, share = ray_to(vessel, angles[:, None], x[i], y[j], limit)
-    per_ray = sinogram(angles[:, None, None], offset[..., None], z[1:-1], 6.0) * share[..., None]
+    per_ray = sinogram(angles[:, None, None], offset[..., None], _shown_at(A, z)[1:-1], 6.0) * share[..., None]
     return per_ray.sum(axis=0) * A.grid.voxel_volume / A.beam.pixel_area
+
+
+def _straight_light(A: vam.Projection, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Mean over 20 × 20 places of each voxel of the light of the pixels there, over all angles; (voxels, z)."""
+    within, total = ((np.arange(20) + 0.5) / 20 - 0.5) * A.grid.pitch, np.zeros((x.size, z.size))
+    for angle in A.range.angles:
+        u = (y[:, None] + within)[:, None, :] * np.cos(angle) - (x[:, None] + within)[:, :, None] * np.sin(angle)
+        columns = A.beam.pixels[0]
+        shown = (np.floor(u / A.beam.pitch + 0.5 * columns) + 0.5 - 0.5 * columns) * A.beam.pitch
+        total += sinogram(angle, shown[..., None], z, 6.0).mean(axis=(1, 2))
+    return total
+
+
+def _shown_at(A: vam.Projection, z: np.ndarray) -> np.ndarray:
+    """Mean over each slice of the heights of the rows that light it: a pixel is a box, and the light is linear in z."""
+    pitch, rows = A.beam.pitch, A.beam.pixels[1]
+    inside = z[:, None] + ((np.arange(1200) + 0.5) / 1200 - 0.5) * A.grid.pitch
+    return ((np.floor(inside / pitch + 0.5 * rows) + 0.5 - 0.5 * rows) * pitch).mean(axis=1)
 
 
 def apart(got: np.ndarray, wanted: np.ndarray) -> float:
