@@ -51,10 +51,11 @@ def test_a_fan_and_a_cone_sum_along_every_ray(fast_device: Device, rises: bool) 
     throw, sigma, offset = 40.0, 0.5, 0.37
     center = (1.0, -0.8, 0.3)
     grid, beam, motion = vam.Grid((120, 120, 90), 0.5 * PITCH), vam.Beam((72, 44), PITCH), vam.Turntable(6)
+    sharp = vam.Beam((72, 44), PITCH, spread=0)
     if rises:
         A = Oblique(grid, beam, motion, Cone(throw=throw, offset=offset), device=fast_device)
     else:
-        A = vam.Projection(grid, beam, motion, Fan(throw=throw, offset=offset), fast_device)
+        A = vam.Projection(grid, sharp, motion, Fan(throw=throw, offset=offset), fast_device)
     got = A(blob(grid, center, sigma))
     u, w = np.meshgrid(beam.columns(), (np.arange(44) - 21.5) * PITCH, indexing="ij")
     start = np.stack([np.zeros_like(u) - offset, np.full_like(u, -throw), np.zeros_like(u) if rises else w], axis=-1)
@@ -94,11 +95,11 @@ def test_a_fan_into_a_vial_is_the_inverse_of_its_chords() -> None:
     Inclined(vam.Vat(width=30.0, absorption=0.1), elevation=0.0),
 ])  # fmt: skip
 def test_what_is_ideal_is_the_plain_projector(light: Any) -> None:
-    grid, beam, motion = vam.Grid((14, 14, 5), 1.4), vam.Beam((16, 5), 1.4), vam.Turntable(7)
+    grid, beam, motion = vam.Grid((14, 14, 5), 1.4), vam.Beam((16, 5), 1.4, spread=0), vam.Turntable(7)
     plain = getattr(getattr(light, "plane", light), "vessel", getattr(light, "plane", None)) or OpenAir()
     wanted = vam.Projection(grid, beam, motion, plain, "numpy")(blob(grid, (1.0, 2.0, 0.0), 3.0))
-    A = Oblique(grid, beam, motion, light, device="numpy")
-    assert np.abs(A(blob(grid, (1.0, 2.0, 0.0), 3.0)) - wanted).max() <= 1e-6 * wanted.max()
+    A = Oblique(grid, vam.Beam((16, 5), 1.4), motion, light, device="numpy")
+    assert np.abs(A(blob(grid, (1.0, 2.0, 0.0), 3.0)) - wanted).max() <= 2e-3 * wanted.max()  # one ray a pixel instead of its area
 
 
 def test_an_offset_is_found_again_and_a_tilt_is_a_turn(fast_device: Device) -> None:
@@ -119,9 +120,9 @@ def test_a_wobble_of_whole_pixels_is_a_shifted_sinogram(fast_device: Device) -> 
     plain = vam.Projection(grid, beam, motion, device=fast_device)
     wanted = np.stack([np.roll(image, k, axis=0) for image, k in zip(plain(x), columns, strict=True)])
     assert np.array_equal(Wobbled(plain, wobble)(x), wanted)
-    mapped = vam.Projection(grid, beam, motion, OpenAir(), fast_device)(x)
+    mapped = vam.Projection(grid, vam.Beam((40, 6), PITCH, spread=0), motion, OpenAir(), fast_device)(x)
     wanted = np.stack([np.roll(image, k, axis=0) for image, k in zip(mapped, columns, strict=True)])
-    assert np.abs(Oblique(grid, beam, motion, None, wobble, fast_device)(x) - wanted).max() <= 1e-5 * wanted.max()
+    assert np.abs(Oblique(grid, beam, motion, None, wobble, fast_device)(x) - wanted).max() <= 2e-3 * wanted.max()
 
 
 def test_an_axis_off_center_wobbles_in_a_circle() -> None:
@@ -213,7 +214,7 @@ def test_taps_are_as_wide_as_asked() -> None:
 
 
 def test_tiles_share_their_overlap_without_a_seam(fast_device: Device) -> None:
-    grid, tall, motion = vam.Grid((12, 12, 40), PITCH), vam.Beam((14, 40), PITCH), vam.Turntable(6)
+    grid, tall, motion = vam.Grid((12, 12, 40), PITCH), vam.Beam((14, 40), PITCH, spread=0), vam.Turntable(6)
     A = vam.Projection(grid, tall, motion, device=fast_device)
     light = np.random.default_rng(0).random(A.range.shape)
     tiles = Tiles(A, rows=17, overlap=5)
@@ -226,7 +227,7 @@ def test_tiles_share_their_overlap_without_a_seam(fast_device: Device) -> None:
 def test_a_tile_set_down_off_its_place_leaves_a_seam_as_strong_as_its_overlap_is_short(
     rows: int, center: float, seam: float
 ) -> None:
-    grid, tall, motion = vam.Grid((12, 12, 40), PITCH), vam.Beam((14, 40), PITCH), vam.Turntable(6)
+    grid, tall, motion = vam.Grid((12, 12, 40), PITCH), vam.Beam((14, 40), PITCH, spread=0), vam.Turntable(6)
     A = vam.Projection(grid, tall, motion, device=FAST)
     meant, real = Tiles(A, rows, 0, [-center, center]), Tiles(A, rows, 0, [-center, center - 0.04])
     even = np.ones(A.range.shape)

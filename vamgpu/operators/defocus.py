@@ -128,8 +128,7 @@ class Defocused(Derived):
         self.domain, self.range, self.device = operator.domain, operator.range, operator.device
         inherit(self, operator)
         self.nodes = self._chosen(positive("tolerance", tolerance))
-        blurs = (self._blur(node) for node in self.nodes)
-        self._sum = Sum([Composed(blur, self._part(k)) for k, blur in enumerate(blurs)])
+        self._sum = Sum([self._part(k) for k in range(len(self.nodes))])
         self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
@@ -177,13 +176,21 @@ class Defocused(Derived):
 
         plane = Graded(self._plane, share)
         if isinstance(A, Projection):
-            return Projection(A.grid, replace(A.beam, spread=0.0), A.motion, plane, A.device)
+            beam = replace(A.beam, spread=self._spread(nodes[k]))
+            part = Projection(A.grid, beam, A.motion, plane, A.device)
+            part.range = self.range  # the same images, whatever lens each part of their light goes through
+            return part
         rows = getattr(A.light, "rows", None)
         light = plane if rows is None else _GradedRows(plane, rows)
-        return Oblique(A.grid, A.beam, A.motion, light, A.wobble, A.device)
+        return Composed(self._blur(nodes[k]), Oblique(A.grid, A.beam, A.motion, light, A.wobble, A.device))
+
+    def _spread(self, variance: float) -> float:
+        """Standard deviation [mm] that makes pixels and voxels, boxes both, as wide as a node says; 0 where they are."""
+        beam, ratio = self.operator.beam, self.operator.grid.pitch / self.operator.beam.pitch
+        return sqrt(max(variance - (beam.fill + ratio**2) * beam.pitch**2 / 12.0, 0.0))
 
     def _blur(self, variance: float) -> Blur:
-        """The blur of a node."""
+        """The blur of a node, for images whose pixels are not blurred otherwise."""
         ratio = self.operator.grid.pitch / self.operator.beam.pitch
         taps = gaussian(sqrt(variance) / TO_SIGMA / self.operator.beam.pitch, 1.0 if ratio <= EQUAL else ratio)
         return Blur(self.range, self.device, taps, taps)
