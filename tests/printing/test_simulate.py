@@ -54,8 +54,8 @@ def test_calibrated_dose_follows_the_equation(device: Device) -> None:
 
 
 def test_energy_absorbed_is_the_energy_sent_times_the_absorbed_share() -> None:
-    """Of every ray through a vial in its own liquid 1 − exp(−αL) is absorbed: to 1e-3 on a grid of 121 voxels."""
-    grid, beam = Grid((121, 121, 3), 0.05), Beam((121, 3), 0.05)
+    """Of every ray of a sharp beam in a vial of one index 1 − exp(−αL) is absorbed: to 1e-3 on 121 voxels."""
+    grid, beam = Grid((121, 121, 3), 0.05), Beam((121, 3), 0.05, spread=0.0)
     vial = Vial(radius=2.8, wall=0.0, resin_index=1.33, wall_index=1.33, bath_index=1.33, absorption=0.2)
     A = Projection(grid, beam, Turntable(37), vial, "numpy")
     u = beam.columns()

@@ -30,9 +30,9 @@ HEIGHT = 0.45
 def claimed(
     device: Device, quick: bool = False, pitch: float = 0.15, angles: int = 360, iterations: int = 40
 ) -> Picture:
-    """The boat in the vial in air, solved by both operators with the default method, proved by traced rays."""
+    """The boat in straight light, solved by both operators with the default method, proved by traced rays."""
     target = scene.boat(device, 0.6 if quick else pitch)
-    given = scene.in_vial(target, 24 if quick else int(angles), device)
+    given = scene.straight(target, 24 if quick else int(angles), device)
     proofs = {name: _proved(given, target, name, 4 if quick else int(iterations)) for name in FOOTPRINTS}
     curves = {name: _over_tolerance(proof) for name, proof in proofs.items()}
     figure, axes = style.sheet([["a", "b", "e"], ["c", "d", "f"]], 6.6, width_ratios=[1, 1, 1.15])
@@ -52,8 +52,8 @@ def claimed(
         if isfinite(proof.ratio)  # where a window is claimed at all
     )
     caption = (
-        "The boat, 11.5 mm high, in a vial that turns in air, solved twice with the same method and as many steps. The "
-        "operator of interpolated rays knows one point in the middle of a voxel: light can be striped so that these "
+        "The boat, 11.5 mm high, in a vat of the resin's index, solved twice with the same method and as many steps. "
+        "The operator of interpolated rays knows one point in the middle of a voxel: light can be striped so that these "
         "points are right and everything between them is not. The operator of exact footprints takes the mean over the "
         "voxel's box of a pixel's box behind the lens. Claimed is what each says of its own frames; proved is what "
         "rays traced without either's tables say, on voxels half as wide, shifted by a quarter."
@@ -62,7 +62,7 @@ def claimed(
 
 
 def _proved(given: Projection, target: Target, footprint: str, iterations: int) -> Proof:
-    A = Projection(given.grid, given.beam, given.motion, given.vessel, device=given.device, footprint=footprint)
+    A = Projection(given.grid, given.beam, given.motion, device=given.device, footprint=footprint)
     return simulate(A, pack(optimize(A, target, iterations=iterations)), target)
 
 
