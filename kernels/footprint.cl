@@ -213,6 +213,7 @@ FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global co
             for (int work = SHARER; work < 4 * poses; work += SHARERS) {
                 const int i = work % 4, slot = SLOT(work / 4);
                 const int2 window = window_of(lit[slot], skip, n_r);
+                if (window.y == 0) continue;
                 const float x = row + i / 2 - 0.5f * (n_x - 1), y = column + i % 2 - 0.5f * (n_y - 1);
                 float u;
                 const Foot foot = footprint(light, n_across, n_along, n_r, directions[round + work / 4], x, y, bent, ratio,

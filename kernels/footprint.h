@@ -6,6 +6,7 @@
 #endif
 #define TAIL 2.75f
 #define THINNEST 0.05f
+#define BLURRED 0.2f
 
 // Third integral of a Gaussian about 0; with sigma 0, of a point.
 static inline Real third_integral(Real x, float sigma, float inverse_sigma) {
@@ -32,8 +33,9 @@ typedef struct {
 } Foot;
 
 static inline Foot foot_of(Real a, Real b, Real strength, float fill, float sigma) {
-    const Real thin = fmax(fmin(a, b), THINNEST);
-    const Real wide = sqrt(fmax(a * a + b * b - thin * thin, THINNEST * THINNEST));
+    const float least = THINNEST + BLURRED * sigma;
+    const Real thin = fmax(fmin(a, b), least);
+    const Real wide = sqrt(fmax(a * a + b * b - thin * thin, least * least));
     Foot foot;
     foot.outer = 0.5f * (wide + thin);
     foot.inner = 0.5f * (wide - thin);

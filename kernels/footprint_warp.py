@@ -15,6 +15,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 WINDOW = wp.constant(10)  # samples of a row that a tile looks at together
 TAIL = wp.constant(2.75)
 THINNEST = wp.constant(0.05)
+BLURRED = wp.constant(0.2)
 
 Place = wp.types.vector(length=6, dtype=int)  # block of slabs, major and minor tile, lane; member and tile in the block
 Ray = wp.types.vector(length=5, dtype=float)  # column; half sum and half difference of the boxes; gain; reach
@@ -176,8 +177,9 @@ def footprint(
         by_along = ray[3]
     a = wp.abs(by_across * s + by_along * c)
     b = wp.abs(by_across * c - by_along * s)
-    thin = wp.max(wp.min(a, b), THINNEST)
-    wide = wp.sqrt(wp.max(a * a + b * b - thin * thin, THINNEST * THINNEST))
+    least = THINNEST + BLURRED * sigma
+    thin = wp.max(wp.min(a, b), least)
+    wide = wp.sqrt(wp.max(a * a + b * b - thin * thin, least * least))
     outer = 0.5 * (wide + thin)
     return Ray(u, outer, 0.5 * (wide - thin), gain / (wide * thin * fill), outer + 0.5 * fill + TAIL * sigma)
 
@@ -244,27 +246,29 @@ def back_footprint(
                 i = work % 4
                 turn = work // 4
                 window = columns_of(first_slot + turn, skip, n_r)
-                first = load(WINDOW, first_slot + turn)[i]
-                final = load(WINDOW + 1, first_slot + turn)[i]
-                ray = footprint(
-                    light, n_across, n_along, n_r, directions[first_pose + turn, 0], directions[first_pose + turn, 1],
-                    voxel(row + i // 2, n_x), voxel(column + i % 2, n_y), bent, ratio, strength, fill, sigma,
-                )  # fmt: skip
-                above = float(0.0)
-                fresh = int(1)  # whether the integral up to this column's upper edge is yet to be found
-                for k in range(window[1]):
-                    at = float(window[0] + k)
-                    distance = ray[0] - at
-                    weight = float(0.0)
-                    if at >= first and at <= final:
-                        if fresh == 1:
-                            above = edge(distance + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
-                        below = edge(distance - 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
-                        if wp.abs(distance) < ray[4]:
-                            weight = ray[3] * wp.max(above - below, 0.0)
-                        above = below
-                        fresh = wp.where(fill != 1.0, 1, 0)
-                    store(k, first_slot + turn, i, weight)
+                if window[1] > 0:
+                    first = load(WINDOW, first_slot + turn)[i]
+                    final = load(WINDOW + 1, first_slot + turn)[i]
+                    pose = first_pose + turn
+                    ray = footprint(
+                        light, n_across, n_along, n_r, directions[pose, 0], directions[pose, 1],
+                        voxel(row + i // 2, n_x), voxel(column + i % 2, n_y), bent, ratio, strength, fill, sigma,
+                    )  # fmt: skip
+                    above = float(0.0)
+                    fresh = int(1)  # whether the integral up to this column's upper edge is yet to be found
+                    for k in range(window[1]):
+                        at = float(window[0] + k)
+                        distance = ray[0] - at
+                        weight = float(0.0)
+                        if at >= first and at <= final:
+                            if fresh == 1:
+                                above = edge(distance + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
+                            below = edge(distance - 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
+                            if wp.abs(distance) < ray[4]:
+                                weight = ray[3] * wp.max(above - below, 0.0)
+                            above = below
+                            fresh = wp.where(fill != 1.0, 1, 0)
+                        store(k, first_slot + turn, i, weight)
             synchronize()
             for turn in range(poses):
                 window = columns_of(first_slot + turn, skip, n_r)
