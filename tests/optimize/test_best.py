@@ -103,7 +103,8 @@ def test_where_the_last_light_is_worse_the_best_is_returned() -> None:
         plan = optimize(operator(), part(), Recipe(), 40)
     windows = [step.window for step in plan.history]
     assert plan.best_iteration == 1 + int(np.argmax(windows)) < 40
-    assert plan.window == pytest.approx(max(windows), abs=1e-12) and plan.window > windows[-1] + 0.1
+    assert plan.window == pytest.approx(max(windows), abs=1e-12)
+    assert plan.window > 0.0 > windows[-1] + 0.05  # the best light prints, the last one does not
     again = optimize(operator(), part(), Recipe(), plan.best_iteration)
     assert np.array_equal(plan.sinogram.numpy(), again.sinogram.numpy())
 
@@ -121,7 +122,7 @@ def test_a_resumed_run_knows_the_best_of_before(method: Any) -> None:
 
 @untold
 @each_method
-def test_choosing_costs_one_back_projection_at_the_end(method: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_looking_costs_one_pair_and_choosing_one_back_projection(method: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
     for name in ("forward", "transposed"):
         plain = getattr(Projection, name)
@@ -129,7 +130,8 @@ def test_choosing_costs_one_back_projection_at_the_end(method: Any, monkeypatch:
             Projection, name, lambda self, x, out, plain=plain, name=name: (calls.append(name), plain(self, x, out))[1]
         )
     plan = optimize(operator(), part(), method, 6)
-    assert len(calls) == 2 * plan.pairs + 1
+    assert calls[:2] == ["forward", "transposed"] and calls[-1] == "transposed"
+    assert len(calls) == 2 + 2 * plan.pairs + 1  # whether light reaches the part, the run, the choice
 
 
 # ---- divergence -------------------------------------------------------------------------------------------------

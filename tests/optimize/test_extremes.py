@@ -40,14 +40,14 @@ def test_a_target_that_is_no_fraction_is_refused(device: Device, value: float) -
     target[5, 5, 1] = value
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with pytest.raises(BadInput, match="reaches from|not a number"):
+        with pytest.raises(BadInput, match="the target reaches from"):
             optimize(operator(device), target, iterations=1)
 
 
 def test_a_target_on_the_device_that_is_no_number_is_refused(device: Device) -> None:
     target = device.upload(block())
     device.launch(linear, a=np.inf, x=target, b=1.0, y=target, floor=-3e38, out=target)  # 0 · ∞ in the void
-    with pytest.raises(BadInput, match="not a number|reaches from"):
+    with pytest.raises(BadInput, match="the target holds NaN or infinity"):
         optimize(operator(device), target, iterations=1)
 
 
@@ -59,10 +59,10 @@ def test_a_weight_that_cannot_be_used_is_refused(device: Device, value: float) -
         optimize(operator(device), block(), BCLP(weight=weight), 2)
 
 
-@pytest.mark.parametrize("weight", [np.zeros(SHAPE), np.full(SHAPE, 1e-320)])
-def test_a_weight_of_nothing_is_refused(fast_device: Device, weight: np.ndarray) -> None:
-    with pytest.raises(BadInput, match="some above 0"):
-        optimize(operator(fast_device), block(), BCLP(weight=weight), 2)
+@pytest.mark.parametrize(("value", "told"), [(0.0, "some above 0"), (1e-320, "float32 takes for nothing")])
+def test_a_weight_of_nothing_is_refused(fast_device: Device, value: float, told: str) -> None:
+    with pytest.raises(BadInput, match=told):
+        optimize(operator(fast_device), block(), BCLP(weight=np.full(SHAPE, value)), 2)
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def test_responses_follow_their_formulas() -> None:
 
 def test_the_ramp_inverts_a_projection(fast_device: Device) -> None:
     n = 64
-    operator = Projection(Grid((n, n, 1), 0.3), Beam((n, 1), 0.3), Turntable(180), device=fast_device)
+    operator = Projection(Grid((n, n, 1), 0.3), Beam((n, 1), 0.3, spread=0.0), Turntable(180), device=fast_device)
     x, y, _ = np.meshgrid(*operator.grid.axes(), indexing="ij")
     blob = np.exp(-((x - 1.0) ** 2 + (y + 2.0) ** 2) / 2.0)
     work = Work(operator, fast_device.upload(blob), {})

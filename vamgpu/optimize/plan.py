@@ -43,7 +43,8 @@ class Plan:
         method: What made it.
         history: One `Step` an iteration.
         window: Strict process window of this very light.
-        pairs: Projector pairs spent.
+        pairs: Projector pairs that the method spent. Whether light reaches the part is asked before, in one pair, and
+            the light is chosen after, in half a pair; neither is counted, as no method has a say in them.
         papers: What the method relies on.
         seconds: Of the run.
         target_name: Of what it prints.

@@ -22,7 +22,7 @@ that take a hundred times as much of it."""
 def check_reach(operator: Any, fractions: DeviceArray) -> None:
     """Refuse a part that stays in the dark whatever the light, and warn of one that light hardly gets to.
 
-    Voxels out of the cylinder that is judged do not count. Costs two half projector evaluations.
+    Voxels out of the cylinder that is judged do not count. Costs one projector pair, no part of a run's.
 
     Args:
         operator: a projector of a volume that turns.

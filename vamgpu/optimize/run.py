@@ -71,7 +71,8 @@ def optimize(
         cancel: Asked before each iteration.
         resume: A plan of the same operator and method to go on from; it stays as it is.
         pairs: Projector pairs that may be spent in all, those of ``resume`` included: stop before the iteration that
-            would exceed them. Compares methods at equal cost. The first iteration is always made.
+            would exceed them. Compares methods at equal cost. The first iteration is always made; what every method
+            spends alike before and after (see `Plan.pairs`) is not counted.
 
     Raises:
         BadInput: For a target, a method or a number that cannot be used (also as `ShapeMismatch`, `EmptyMesh`,
