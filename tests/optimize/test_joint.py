@@ -33,8 +33,8 @@ RATES = Rates(k_a=1 / 30, k_b=0.2138 / 30, k_c=1 / 30, k_2=0.43, supply=5.0)
 
 
 def both(shape: tuple[int, int, int], poses: int, device: str | Device) -> tuple[Projection, Projection]:
-    """Operators of both colors in a vat that absorbs them unlike."""
-    beam, radius = Beam((shape[0], shape[2]), PITCH), 0.5 * shape[0] * PITCH
+    """Operators of both colors in a vat that absorbs them unlike; a sharp lens keeps light within few slices."""
+    beam, radius = Beam((shape[0], shape[2]), PITCH, spread=0.0), 0.5 * shape[0] * PITCH
     vats = (Vat(2.0 * radius, radius=radius, absorption=mu) for mu in (0.05, 0.1))
     visible, ultraviolet = (Projection(Grid(shape, PITCH), beam, Turntable(poses), vat, device) for vat in vats)
     return visible, ultraviolet
