@@ -149,17 +149,17 @@ def test_a_stream_yields_before_it_has_seen_the_end() -> None:
 
 def test_the_recipe_makes_up_for_diffusion() -> None:
     part, grid = gyroid(32), Grid((32, 32, 32), 0.1)
-    A = Projection(grid, Beam((48, 32), 0.1), Turntable(48), device="numpy")
+    A = Projection(grid, Beam((48, 32), 0.1, spread=0.0), Turntable(48), device=open_device())
     diffusion = Diffusion(1e-4, 80.0)
-    spread = Spread(grid, diffusion, "numpy")
+    spread = Spread(grid, diffusion, A.device)
     strict = []
     for method in (Recipe(), Recipe(diffusion=diffusion)):
-        plan = optimize(A, part, method, 3)
+        plan = optimize(A, part, method, 8)
         felt = spread(A.T(plan.sinogram))
         least, leak, most = window(felt, A.device.upload(part), 16.0)
         strict.append((least - leak) / most)
         assert plan.sinogram.numpy().min() >= 0.0
-    assert strict[1] > strict[0] + 0.02
+    assert strict[1] > strict[0] + 0.05
     assert plan.history[-1].window == pytest.approx(strict[1], abs=1e-6)
 
 
