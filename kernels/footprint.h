@@ -5,6 +5,7 @@
 #define DIVIDE(a, b) ((a) / (b))
 #endif
 #define TAIL 2.75f
+#define FAR 4.0f
 #define THINNEST 0.05f
 #define BLURRED 0.2f
 
@@ -40,7 +41,7 @@ static inline Foot foot_of(Real a, Real b, Real strength, float fill, float sigm
     foot.outer = 0.5f * (wide + thin);
     foot.inner = 0.5f * (wide - thin);
     foot.gain = strength / (wide * thin * fill);
-    foot.reach = foot.outer + (0.5f * fill + TAIL * sigma);
+    foot.reach = fmax(foot.outer + (0.5f * fill + TAIL * sigma), (Real)(FAR * sigma));
     return foot;
 }
 

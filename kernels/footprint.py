@@ -25,8 +25,8 @@ Map = Annotated[np.ndarray, Table("float32", ("across", "along", "4"))]
 Edges = Annotated[np.ndarray, Table("float32", ("r", "8"))]
 """p, cos d, sin d, slack of the two chords between which a column's light falls."""
 
-TAIL = 2.75
-"""Standard deviations of the point spread beyond which its light, less than 5e-5 of a pixel's, is left out."""
+TAIL, FAR = 2.75, 4.0
+"""σ beyond the boxes, and from the middle at least, beyond which the light, about 1e-4 of a pixel's, is left out."""
 THINNEST, BLURRED = 0.05, 0.2
 """Columns + share of sigma: a narrower side of the trapezoid is widened to this, the other narrowed to the same variance.
 
@@ -78,7 +78,7 @@ def share(distance: np.ndarray, a: np.ndarray, b: np.ndarray, fill: float, sigma
 
 def half_support(a: np.ndarray, b: np.ndarray, fill: float, sigma: float) -> np.ndarray:
     """Columns from a voxel's middle to the farthest pixel that lights it."""
-    return 0.5 * (a + b + fill) + TAIL * sigma
+    return np.maximum(0.5 * (a + b + fill) + TAIL * sigma, FAR * sigma)
 
 
 def _lit(

@@ -14,6 +14,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 WINDOW = wp.constant(10)  # samples of a row that a tile looks at together
 TAIL = wp.constant(2.75)
+FAR = wp.constant(4.0)
 THINNEST = wp.constant(0.05)
 BLURRED = wp.constant(0.2)
 
@@ -181,7 +182,8 @@ def footprint(
     thin = wp.max(wp.min(a, b), least)
     wide = wp.sqrt(wp.max(a * a + b * b - thin * thin, least * least))
     outer = 0.5 * (wide + thin)
-    return Ray(u, outer, 0.5 * (wide - thin), gain / (wide * thin * fill), outer + 0.5 * fill + TAIL * sigma)
+    reach = wp.max(outer + 0.5 * fill + TAIL * sigma, FAR * sigma)
+    return Ray(u, outer, 0.5 * (wide - thin), gain / (wide * thin * fill), reach)
 
 
 @wp.func

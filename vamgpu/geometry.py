@@ -135,6 +135,13 @@ class Beam:
         return HALF_A_PIXEL if self.spread is None else self.spread / self.pitch
 
 
+def one_ray_a_pixel(operator: str, beam: Beam) -> None:
+    """Raise `BadInput` if ``beam`` says what its pixels look like, which ``operator`` would ignore."""
+    if beam.fill != 1.0 or beam.spread:
+        raise BadInput(f"got {beam!r}, expected no fill below 1 and no spread: {operator} traces one ray a pixel and "
+                       "knows no point spread; leave fill and spread out")  # fmt: skip
+
+
 @dataclass(frozen=True, init=False, repr=False)
 class Turntable:
     """A resin container turning about z. A turn shows every pose once, in order.

@@ -73,7 +73,8 @@ def around(dose: np.ndarray, place: np.ndarray) -> float:
 
 @every_vessel
 def test_dose_falls_along_the_light(device: Device, vessel: str) -> None:
-    A = vam.Projection(vam.Grid((N, N, 1), PITCH), vam.Beam((N, 1), PITCH, spread=0), vam.Turntable(4), VESSELS[vessel], device)
+    grid, beam = vam.Grid((N, N, 1), PITCH), vam.Beam((N, 1), PITCH, spread=0)
+    A = vam.Projection(grid, beam, vam.Turntable(4), VESSELS[vessel], device)
     source, side = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)]), np.array([(0, 1), (-1, 0), (0, -1), (1, 0)])
     for pose in range(4):
         light = np.zeros(A.range.shape)

@@ -185,7 +185,7 @@ class Defocused(Derived):
         return Composed(self._blur(nodes[k]), Oblique(A.grid, A.beam, A.motion, light, A.wobble, A.device))
 
     def _spread(self, variance: float) -> float:
-        """Standard deviation [mm] that makes pixels and voxels, boxes both, as wide as a node says; 0 where they are."""
+        """Standard deviation [mm] that makes pixels and voxels, boxes both, as wide as a node says; 0 if they are."""
         beam, ratio = self.operator.beam, self.operator.grid.pitch / self.operator.beam.pitch
         return sqrt(max(variance - (beam.fill + ratio**2) * beam.pitch**2 / 12.0, 0.0))
 

@@ -58,7 +58,7 @@ class Light:
     @property
     def taps(self) -> int:
         """Columns that light one voxel, at most."""
-        return int(2.0 * float(half_support(*_widest(self.steepest), self.fill, self.sigma))) + 1
+        return int(2.0 * float(half_support(*_widest(self.steepest, self.sigma), self.fill, self.sigma))) + 1
 
     @property
     def cells(self) -> int:
@@ -98,10 +98,10 @@ def column_in_resin(beam: Beam, vessel: Vessel) -> float:
     return float(center[1] - center[0]) / 2e-3
 
 
-def _widest(gradient: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _widest(gradient: float | np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
     """The two boxes of a voxel seen along its diagonal."""
     side = np.sqrt(0.5) * np.asarray(gradient)
-    return sides(side, side)
+    return sides(side, side, sigma)
 
 
 def _gradient(column: np.ndarray) -> np.ndarray:
@@ -126,11 +126,11 @@ def _reaches(column: np.ndarray, columns: int, radius: float, fill: float, sigma
     place = np.clip(0.5 * (column[:-1, :-1] + column[1:, 1:])[near], 0, columns - 1).astype(int)
     steep = np.zeros(columns)
     np.maximum.at(steep, place, gradient[near])
-    most = float(half_support(*_widest(float(gradient[near].max())), fill, sigma))
+    most = float(half_support(*_widest(float(gradient[near].max()), sigma), fill, sigma))
     around = int(np.ceil(most)) + 2
     padded = np.pad(steep, around, mode="edge")
     steep = np.max([padded[k : k + columns] for k in range(2 * around + 1)], axis=0)
-    return half_support(*_widest(steep), fill, sigma)
+    return half_support(*_widest(steep, sigma), fill, sigma)
 
 
 def _continued(

@@ -11,7 +11,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Beam, Grid, Turntable, Vessel
+from vamgpu.geometry import Beam, Grid, Turntable, Vessel, one_ray_a_pixel
 from vamgpu.kernels.oblique import back_oblique, forward_oblique
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.light import EQUAL, OpenAir, column_in_resin, tabulate
@@ -43,6 +43,8 @@ class Oblique(LinearOperator):
     the pose's time over the mean. One kernel follows every ray through the slices, so a cone's rows spread with depth
     exactly as its columns do.
 
+    A pixel is one ray, without point spread: a beam must leave ``fill`` and ``spread`` out.
+
     grid, beam, motion: the geometry.  light: a `Cone`, an `Inclined`, or any vessel (None for air), whose rows are
     level.  wobble: where the axis stands at each pose; the light and all vessels stay where they are.  device: a name
     or a device.  Raises `BadInput`, `DeviceError`.
@@ -60,6 +62,7 @@ class Oblique(LinearOperator):
         for value, kind in ((grid, Grid), (beam, Beam), (motion, Turntable)):
             if not isinstance(value, kind):
                 raise BadInput(f"got {value!r} where a {kind.__name__} is wanted; Oblique(grid, beam, motion, …)")
+        one_ray_a_pixel("Oblique", beam)
         if light is not None and not isinstance(light, (Rising, Vessel)):
             raise BadInput(f"got {light!r} as light; wanted a Cone, an Inclined, a vessel, or None for straight light")
         self.grid, self.beam, self.motion, self.light, self.wobble = grid, beam, motion, light, wobble

@@ -6,7 +6,7 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.kernels.footprint import TAIL, THINNEST
+from vamgpu.kernels.footprint import FAR, TAIL, THINNEST
 from vamgpu.kernels.resample import resample
 
 
@@ -52,7 +52,7 @@ def _mean(distance: np.ndarray, height: float, fill: float, sigma: float) -> np.
     outer, inner = 0.5 * (height + fill), 0.5 * abs(height - fill)
     ends = sum(_second_integral(distance + x, sigma) for x in (outer, -outer))
     middle = sum(_second_integral(distance + x, sigma) for x in (inner, -inner))
-    inside = np.abs(distance) < outer + TAIL * sigma
+    inside = np.abs(distance) < max(outer + TAIL * sigma, FAR * sigma)
     return np.where(inside, np.maximum(ends - middle, 0.0) / (height * fill), 0.0)
 
 

@@ -11,7 +11,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OutOfMemory
-from vamgpu.geometry import Beam, Grid, Turntable, counts, positive
+from vamgpu.geometry import Beam, Grid, Turntable, counts, one_ray_a_pixel, positive
 from vamgpu.kernels.gather import gather_rows
 from vamgpu.kernels.trace import ABSORBS, back_traced, clear_volume, forward_traced, survey_rays, trace_entries
 from vamgpu.operators.bundle import RayBundle
@@ -42,6 +42,8 @@ class TracedProjection(LinearOperator):
     slices share the rays of one: they are traced once into a sparse matrix and its transpose, both on the device.
     Otherwise rays are marched in every product.
 
+    A pixel is one ray, or those of ``rays``, without point spread: a beam must leave ``fill`` and ``spread`` out.
+
     grid, beam, motion: the geometry.  carried: what turns with the resin.  rays: `RayBundle`, None for parallel light.
     device: a name or a device.  step: of a ray [voxels], at most 0.5 past thin inserts.  most_steps: after which a ray
     counts as caught.
@@ -65,6 +67,7 @@ class TracedProjection(LinearOperator):
         for value, kind in wanted:
             if not isinstance(value, kind):
                 raise BadInput(f"got {value!r} where a {kind.__name__} is wanted; TracedProjection(grid, beam, …)")
+        one_ray_a_pixel("TracedProjection", beam)
         self.grid, self.beam, self.motion, self.carried, self.rays = grid, beam, motion, carried, rays
         self.vessel = None
         self.domain, self.range = VolumeSpace(grid), SinogramSpace(beam, motion)

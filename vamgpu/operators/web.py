@@ -10,7 +10,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch
-from vamgpu.geometry import Beam
+from vamgpu.geometry import Beam, one_ray_a_pixel
 from vamgpu.kernels.unfold import mix_poses
 from vamgpu.operators.bands import Bands
 from vamgpu.operators.feed import Feed
@@ -29,6 +29,8 @@ class WebProjection(LinearOperator):
     as nothing; a window that begins between two columns interpolates linearly. The unfolded matrix of
     "Roll-to-roll tomographic volumetric additive manufacturing", section S2, is never made: memory is that of f and g,
     and with steps between columns that of one more g (a pose for every column).
+
+    A pixel is as the `Propagation` says, without point spread: a beam must leave ``fill`` and ``spread`` out.
 
     grid, beam, wrap: the web, the light and the machine that moves the web.  device: a name or a device.  poses, start:
     how many poses, from which column; by default all that see any of the web.
@@ -80,6 +82,7 @@ class WebProjection(LinearOperator):
         poses: int | None,
         start: float | None,
     ) -> None:
+        one_ray_a_pixel("WebProjection", beam)
         if light.shape[:2] != (beam.pixels[0], grid.shape[1]):
             raise ShapeMismatch(
                 f"the light has {light.shape[0]} columns and {light.shape[1]} layers; wanted {beam.pixels[0]} as "
