@@ -1,9 +1,11 @@
 """Time projector pairs on devices, and the peers beside them in the same run.
 
-Straight: Joseph in air. Refracted: a vial in air that also absorbs, columns 1.5 voxels apart in air and so one voxel
-apart in the resin, where they cover the grid's inscribed disc. "refracted" has one row of light a slice, as a sparse
-matrix has; "vial" is the whole operator, the pixels' rows resampled to slices. Peers: torch's CSR product with a
-prebuilt matrix of the same operator where a processor is timed, ASTRA's CUDA projector where a GPU is.
+All weigh light by exact footprints. "straight": light of full pixels through a perfect lens, in air. The others: a vial
+in air that also absorbs, columns 1.5 voxels apart in air and so one voxel apart in the resin, where they cover the
+grid's inscribed disc. "refracted" is a perfect lens and "blurred" the usual point spread of half a pixel, both with one
+row of light a slice, as a sparse matrix has; "vial" is the whole operator of the latter, which also spreads the pixels'
+rows over slices. Peers: torch's CSR product with a prebuilt matrix of the same operator where a processor is timed,
+ASTRA's CUDA projector where a GPU is.
 """
 
 from __future__ import annotations
@@ -19,14 +21,16 @@ from common import HERE, chosen_devices, is_gpu, machine, peer, timed, write_rec
 
 from vamgpu.backend.device import Device
 from vamgpu.geometry import Beam, Grid, Turntable
-from vamgpu.kernels.refract import back_refracted, forward_refracted
-from vamgpu.operators.light import tabulate
+from vamgpu.kernels.footprint import back_footprint, forward_footprint
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
 
 VIAL = Vial(radius=12.4, wall=1.0, resin_index=1.5, wall_index=1.473, bath_index=1.0, absorption=0.05)
 WIDTH = 14.8
 """Of the grid [mm]: its inscribed disc lies inside the printable radius of 8.27 mm."""
+
+MATRICES = ("straight", "refracted", "blurred")
+"""What is timed slice by slice, as a sparse matrix works."""
 
 Pair = tuple[Callable[[], Any], Callable[[], Any]]
 
@@ -36,39 +40,44 @@ class Bench:
 
     def __init__(self, n: int, angles: int, device: Device) -> None:
         self.device, pitch, motion = device, WIDTH / n, Turntable(angles)
-        grid, self.beam = Grid((n, n, n), pitch), Beam((n, n), 1.5 * pitch)
+        grid = Grid((n, n, n), pitch)
         rng = np.random.default_rng(0)
         self.volume = device.upload(rng.random(grid.shape, np.float32))
         self.light = device.upload(rng.random((angles, n, n), np.float32))
         self.shadow, self.dose = device.empty(self.light.shape), device.empty(self.volume.shape)
-        self.straight = Projection(grid, Beam((n, n), pitch), motion, None, device)
-        self.vial = Projection(grid, self.beam, motion, VIAL, device)
-        self.tables = tabulate(grid, self.beam, VIAL)
-        self.poses = motion.poses
+        self.operators = {
+            "straight": Projection(grid, Beam((n, n), pitch, spread=0.0), motion, None, device),
+            "refracted": Projection(grid, Beam((n, n), 1.5 * pitch, spread=0.0), motion, VIAL, device),
+            "blurred": Projection(grid, Beam((n, n), 1.5 * pitch), motion, VIAL, device),
+        }
 
     def pairs(self) -> Iterator[tuple[str, Pair]]:
         """Name, and forward and back projection without arguments."""
-        for name, A in (("straight", self.straight), ("vial", self.vial)):
-            yield name, (lambda A=A: A(self.volume, out=self.shadow), lambda A=A: A.T(self.light, out=self.dose))
-        yield "refracted", self._refracted()
+        for name in MATRICES:
+            yield name, self.slices(name)
+        A = self.operators["blurred"]
+        yield "vial", (lambda: A(self.volume, out=self.shadow), lambda: A.T(self.light, out=self.dose))
 
-    def _refracted(self) -> Pair:
-        device, tables = self.device, self.tables
-        shared = {
-            "directions": device.table(np.stack([np.cos(self.poses), np.sin(self.poses)], axis=1)),
-            "light": device.table(tables.map),
-            "width": tables.width,
-            "radius": tables.radius,
-        }
-        edges = device.table(tables.edges)
+    def slices(self, name: str) -> Pair:
+        """The kernels of an operator alone, one row of light a slice."""
+        A, launch = self.operators[name], self.device.launch
+        shared = {"directions": A._directions, **A._light}
 
         def forward() -> None:
-            device.launch(forward_refracted, volume=self.volume, edges=edges, sinogram=self.shadow, **shared)
+            launch(forward_footprint, volume=self.volume, sinogram=self.shadow, **shared, **A._gather)
 
         def back() -> None:
-            device.launch(back_refracted, sinogram=self.light, volume=self.dose, **shared)
+            launch(back_footprint, sinogram=self.light, volume=self.dose, **shared)
 
         return forward, back
+
+    def matrix(self, name: str) -> Any:
+        """What the kernels of an operator do to one slice, in CSR."""
+        from footprint_matrix import footprint_matrix  # SciPy, wanted nowhere else
+
+        A = self.operators[name]
+        light = {**A._light, "light": A._light["light"].numpy()}
+        return footprint_matrix(A.grid.shape[0], A.beam.pixels[0], A.motion.poses, light)
 
 
 def ours(n: int, angles: int, device: Device, runs: int) -> dict[str, Any]:
@@ -81,26 +90,27 @@ def ours(n: int, angles: int, device: Device, runs: int) -> dict[str, Any]:
 
 
 def csr_peers(n: int, angles: int, runs: int, device: Device) -> dict[str, Any]:
-    """torch's CSR product with the straight and with the refracted matrix of the sizes timed here.
+    """torch's CSR product with the matrices of the operators timed here.
 
     "disagreement" is how far one slice of the matrix product is from the operator on ``device``, over the maximum.
     """
-    from refracted_matrix import refracted_matrix, save_matrix  # SciPy, wanted nowhere else
+    from footprint_matrix import save_matrix
 
-    size = ("--n", n, "--angles", angles, "--runs", runs)
-    straight = peer("torch_csr.py", *size)
-    with tempfile.TemporaryDirectory() as folder:
-        bench, file = Bench(n, angles, device), Path(folder) / "refracted.npz"
-        matrix = refracted_matrix(n, n, bench.poses, bench.tables)
-        error = _disagreement(bench, matrix)
-        save_matrix(file, matrix)
-        del bench, matrix
-        refracted = peer("torch_csr.py", *size, "--matrix", file) | {"disagreement": error}
-    return {"torch CSR": {"straight": straight, "refracted": refracted, "vial": refracted}}
+    found: dict[str, Any] = {}
+    for name in MATRICES:
+        with tempfile.TemporaryDirectory() as folder:
+            bench, file = Bench(n, angles, device), Path(folder) / "matrix.npz"
+            matrix = bench.matrix(name)
+            error = _disagreement(bench, name, matrix)
+            save_matrix(file, matrix)
+            del bench, matrix
+            size = ("--n", n, "--angles", angles, "--runs", runs, "--matrix", file)
+            found[name] = peer("torch_csr.py", *size) | {"disagreement": error}
+    return {"torch CSR": {**found, "vial": found["blurred"]}}
 
 
-def _disagreement(bench: Bench, matrix: Any) -> float:
-    forward, _ = dict(bench.pairs())["refracted"]
+def _disagreement(bench: Bench, name: str, matrix: Any) -> float:
+    forward, _ = bench.slices(name)
     forward()
     found = bench.shadow.numpy()[:, :, 0]
     wanted = (matrix @ bench.volume.numpy()[:, :, 0].astype(np.float64).ravel()).reshape(found.shape)
@@ -110,7 +120,7 @@ def _disagreement(bench: Bench, matrix: Any) -> float:
 def astra_peer(n: int, angles: int, runs: int) -> dict[str, Any]:
     """ASTRA's CUDA projector: straight rays only, so it stands beside every operator."""
     record = peer("astra_cuda.py", "--n", n, "--angles", angles, "--runs", runs)
-    return {"ASTRA CUDA": dict.fromkeys(("straight", "refracted", "vial"), record)}
+    return {"ASTRA CUDA": dict.fromkeys((*MATRICES, "vial"), record)}
 
 
 def ratios(times: dict[str, Any], peers: dict[str, Any], least: bool = False) -> dict[str, Any]:
@@ -144,7 +154,7 @@ def show(record: dict[str, Any]) -> None:
             )
             print(f"  {device:18} {name:10} {cells}   {times}")
     for who, records in record["peers"].items():
-        for name in ("straight", "refracted"):
+        for name in MATRICES:
             found = records[name]
             if "missing" in found:
                 print(f"  {who:18} {name:10} missing: {found['missing']}")

@@ -53,10 +53,10 @@ def claimed(
     )
     caption = (
         "The boat, 11.5 mm high, in a vat of the resin's index, solved twice with the same method and as many steps. "
-        "The operator of interpolated rays knows one point in the middle of a voxel: light can be striped so that these "
-        "points are right and everything between them is not. The operator of exact footprints takes the mean over the "
-        "voxel's box of a pixel's box behind the lens. Claimed is what each says of its own frames; proved is what "
-        "rays traced without either's tables say, on voxels half as wide, shifted by a quarter."
+        "The operator of interpolated rays knows one point in the middle of a voxel: light can be striped so that "
+        "these points are right and everything between them is not. The operator of exact footprints takes the mean "
+        "over the voxel's box of a pixel's box behind the lens. Claimed is what each says of its own frames; "
+        "proved is what rays traced without either's tables say, on voxels half as wide, shifted by a quarter."
     )
     return Picture(figure, caption, facts, table)
 
