@@ -13,7 +13,8 @@ typedef Vector Real;            // a footprint for each of WIDTH neighbouring vo
 // quarters (folds).
 typedef struct {
     int first[ANGLES][WIDTH];               // column
-    float weight[ANGLES][TAPS][WIDTH];      // of the columns from there on
+    int taps[ANGLES];                       // columns from there on that light any of the voxels
+    float weight[ANGLES][TAPS][WIDTH];
     bool lit[WIDTH];
 } Notes;
 
@@ -44,6 +45,13 @@ static inline Foot footprints(const Scene *k, float2 direction, float x, float y
     return foot_of(VLOAD(0, a), VLOAD(0, b), VLOAD(0, strength), k->fill, k->sigma);
 }
 
+static inline float greatest(Real value) {
+    float lanes[WIDTH], most = 0.0f;
+    VSTORE(value, 0, lanes);
+    for (int lane = 0; lane < WIDTH; lane++) most = fmax(most, lanes[lane]);
+    return most;
+}
+
 // Notes columns [skip, skip + taps) of those that light voxels (row, column..), at `count` poses; false if none is lit.
 static inline bool note(const Scene *k, Notes *notes, int angle, int count, int row, int column, int skip, int taps) {
     const float x = row - 0.5f * (k->n_x - 1), y = column - 0.5f * (k->n_y - 1);
@@ -59,8 +67,10 @@ static inline bool note(const Scene *k, Notes *notes, int angle, int count, int 
         const Foot foot = footprints(k, k->directions[angle + pose], x, y, &u);
         const Real first = ceil(u - foot.reach) + skip;
         VSTORE(CONVERT_INT(first), 0, notes->first[pose]);
+        const int most = clamp((int)(2.0f * greatest(foot.reach)) + 1 - skip, 0, taps);
+        notes->taps[pose] = most;
         Real distance = u - first, above = edge(&foot, distance + 0.5f * k->fill, k->sigma, inverse_sigma);
-        for (int tap = 0; tap < taps; tap++, distance -= 1.0f) {
+        for (int tap = 0; tap < most; tap++, distance -= 1.0f) {
             const Real below = edge(&foot, distance - 0.5f * k->fill, k->sigma, inverse_sigma);
             const Real weight = foot.gain * fmax(above - below, 0.0f);
             VSTORE(fabs(distance) < foot.reach ? weight : (Real)(0.0f), 0, notes->weight[pose][tap]);
@@ -173,7 +183,7 @@ FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global co
                     EACH_VECTOR sum[v] = begin ? (Vector)(0.0f) : LOAD(out);
                     if (lit && notes.lit[lane]) for (int pose = 0; pose < count; pose++) {
                         const int first = notes.first[pose][lane];
-                        const int2 in = taps_in(first, width, n_r);
+                        const int2 in = taps_in(first, notes.taps[pose], n_r);
                         __global const float *from = sinogram + slab * from_slab + turned_row(&k, fold, block + pose);
                         for (int tap = in.x; tap < in.y; tap++) {
                             const Vector weight = (Vector)(notes.weight[pose][tap][lane]);
@@ -331,7 +341,7 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
                     EACH_VECTOR value[v] = LOAD(from);
                     for (int pose = 0; pose < count; pose++) {
                         const int first = notes.first[pose][lane];
-                        const int2 in = taps_in(first, width, n_r);
+                        const int2 in = taps_in(first, notes.taps[pose], n_r);
                         __global float *out = sinogram + slab * to_slab + turned_row(&k, fold, first_pose + pose);
                         for (int tap = in.x; tap < in.y; tap++) {
                             const Vector weight = (Vector)(notes.weight[pose][tap][lane]);

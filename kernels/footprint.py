@@ -113,7 +113,7 @@ def _lit(
     over="sinogram",
     cpu=Tiling(major=20, minor=0, slabs=4),
     gpu=Tiling(major=1, minor=4, slabs=2, group=(32, 4, 4)),
-    constants={"cpu": {"ANGLES": 6, "TAPS": 8}, "gpu": GPU},
+    constants={"cpu": {"ANGLES": 6, "TAPS": 16}, "gpu": GPU},
 )
 def forward_footprint(
     volume: Volume, directions: Directions, light: Map, edges: Edges, bent: Integer, ratio: Real, strength: Real,
@@ -135,7 +135,7 @@ def forward_footprint(
     over="volume",
     cpu=Tiling(major=16, minor=0, slabs=4),
     gpu=Tiling(major=2, minor=2, slabs=2, group=(64, 1, 4)),
-    constants={"cpu": {"ANGLES": 12, "TAPS": 8}, "gpu": GPU},
+    constants={"cpu": {"ANGLES": 12, "TAPS": 16}, "gpu": GPU},
 )
 def back_footprint(
     sinogram: Sinogram, directions: Directions, light: Map, bent: Integer, ratio: Real, strength: Real, fill: Real,
