@@ -28,7 +28,7 @@ Edges = Annotated[np.ndarray, Table("float32", ("r", "8"))]
 TAIL, FAR = 2.75, 4.0
 """σ beyond the boxes, and from the middle at least, beyond which the light, about 1e-4 of a pixel's, is left out."""
 THINNEST, BLURRED = 0.05, 0.2
-"""Columns + share of sigma: a narrower side of the trapezoid is widened to this, the other narrowed to the same variance.
+"""Columns + share of sigma: a narrower side of the trapezoid is widened to this, the other narrowed to keep variance.
 
 The corners' sum cancels where a side is thin, the more so the wider the blur that hides how thin it is. In float32
 shares are off by 2e-5 of the greatest, and widening costs 2e-3 of it with a point spread, 2e-2 at an edge without."""
