@@ -26,7 +26,9 @@ Edges = Annotated[np.ndarray, Table("float32", ("r", "8"))]
 """p, cos d, sin d, slack of the two chords between which a column's light falls."""
 
 TAIL, FAR = 2.75, 4.0
-"""σ beyond the boxes, and from the middle at least, beyond which the light, about 1e-4 of a pixel's, is left out."""
+"""σ beyond the boxes, and from the middle at least, beyond which the light, about 1e-4 of a pixel's, is left out.
+
+A share that ends there is up to 4e-4 of the greatest: rounding decides whether float32 counts it."""
 THINNEST, BLURRED = 0.05, 0.2
 """Columns + share of sigma: a narrower side of the trapezoid is widened to this, the other narrowed to keep variance.
 
