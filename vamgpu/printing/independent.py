@@ -152,7 +152,9 @@ class IndependentExposure:
     # ---- tables -----------------------------------------------------------------------------------------------------
     @cached_property
     def _rays(self) -> Rays:
-        return traced_rays(self.vessel, self._spread.reach(self.beam))
+        reach = self._spread.reach(self.beam)
+        # The few samples of straight light are joined by straight lines: they must not end where the beam does.
+        return traced_rays(self.vessel, max(reach, 4.0 * self.corner) if self.vessel is None else reach)
 
     @cached_property
     def _tables(self) -> dict[str, Any]:
