@@ -43,14 +43,13 @@ class Light:
 
     map: (n, n, 4) column, strength, and the columns a voxel across and along the light.
     edges: (columns, 8), chords either side of a column's light, and slack.
-    radius: of the lit disc in voxels.  width: of a voxel on the axis in columns.  steepest: columns a voxel, at most.
+    radius: of the lit disc in voxels.  steepest: columns a voxel, at most.
     fill, sigma: of a pixel's box and of its point spread in columns.
     """
 
     map: np.ndarray
     edges: np.ndarray
     radius: float
-    width: float
     steepest: float
     fill: float
     sigma: float
@@ -83,13 +82,12 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None) 
     u, weight = _continued(vessel, radius * grid.pitch, *np.meshgrid(position, position, indexing="ij"))
     column = u / beam.pitch + 0.5 * (columns - 1)
     strength = weight * grid.pitch**2 / beam.pitch  # so that a row of the operator sums to the length of its ray
-    in_resin = column_in_resin(beam, vessel)
     fill, sigma = sqrt(beam.fill), beam.sigma
     reaches = _reaches(column, columns, radius, fill, sigma) if half is None else np.full(columns, half)
     rays = _Rays(grid, beam, vessel, reaches)
     table = np.stack([column, strength, *np.gradient(column)], axis=-1)
     edges = rays.edges(_slack(column, radius, rays))
-    return Light(table, edges, radius, grid.pitch / in_resin, _steepest(column, radius), fill, sigma)
+    return Light(table, edges, radius, _steepest(column, radius), fill, sigma)
 
 
 def column_in_resin(beam: Beam, vessel: Vessel) -> float:
