@@ -72,8 +72,7 @@ static inline bool note(const Scene *k, Notes *notes, int angle, int count, int 
         Real distance = u - first, above = edge(&foot, distance + 0.5f * k->fill, k->sigma, inverse_sigma);
         for (int tap = 0; tap < most; tap++, distance -= 1.0f) {
             const Real below = edge(&foot, distance - 0.5f * k->fill, k->sigma, inverse_sigma);
-            const Real weight = foot.gain * fmax(above - below, 0.0f);
-            VSTORE(fabs(distance) < foot.reach ? weight : (Real)(0.0f), 0, notes->weight[pose][tap]);
+            VSTORE(faded(&foot, distance, k->sigma) * foot.gain * fmax(above - below, 0.0f), 0, notes->weight[pose][tap]);
             above = k->fill == 1.0f ? below : edge(&foot, distance - 1.0f + 0.5f * k->fill, k->sigma, inverse_sigma);
         }
     }
@@ -236,7 +235,7 @@ FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global co
                     if (window.x + k >= mine.x && window.x + k <= mine.y) {
                         if (fresh) above = edge(&foot, distance + 0.5f * fill, sigma, inverse_sigma);
                         const float below = edge(&foot, distance - 0.5f * fill, sigma, inverse_sigma);
-                        weight = fabs(distance) < foot.reach ? foot.gain * fmax(above - below, 0.0f) : 0.0f;
+                        weight = faded(&foot, distance, sigma) * foot.gain * fmax(above - below, 0.0f);
                         above = below;
                         fresh = fill != 1.0f;
                     }
@@ -380,7 +379,7 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
                 float distance = u - r, above = edge(&foot, distance + 0.5f * fill, sigma, inverse_sigma);
                 UNROLL for (int i = 0; i < 4; i++, distance -= 1.0f) {
                     const float below = edge(&foot, distance - 0.5f * fill, sigma, inverse_sigma);
-                    if (fabs(distance) < foot.reach) weight[i] = foot.gain * fmax(above - below, 0.0f);
+                    weight[i] = faded(&foot, distance, sigma) * foot.gain * fmax(above - below, 0.0f);
                     above = fill == 1.0f ? below : edge(&foot, distance - 1.0f + 0.5f * fill, sigma, inverse_sigma);
                 }
             }

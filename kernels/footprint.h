@@ -6,6 +6,8 @@
 #endif
 #define TAIL 2.75f
 #define FAR 4.0f
+#define FADE 0.25f
+#define SHARP 1e-3f
 #define THINNEST 0.05f
 #define BLURRED 0.2f
 
@@ -49,6 +51,11 @@ static inline Foot foot_of(Real a, Real b, Real strength, float fill, float sigm
 static inline Real edge(const Foot *foot, Real x, float sigma, float inverse_sigma) {
     return (third_integral(x + foot->outer, sigma, inverse_sigma) + third_integral(x - foot->outer, sigma, inverse_sigma))
          - (third_integral(x + foot->inner, sigma, inverse_sigma) + third_integral(x - foot->inner, sigma, inverse_sigma));
+}
+
+// How much of a share counts: all but near the end of its reach.
+static inline Real faded(const Foot *foot, Real distance, float sigma) {
+    return clamp((foot->reach - fabs(distance)) * (1.0f / (FADE * sigma + SHARP)), (Real)(0.0f), (Real)(1.0f));
 }
 
 // Column of the light, its strength, and the gradient of the column across and along the light, at a voxel of one pose.

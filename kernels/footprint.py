@@ -12,10 +12,10 @@ Lengths are in voxels, columns count from 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from vamgpu.kernels.project import Directions, middle
 from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, Table, Tiling, Volume, VolumeOut, kernel
@@ -26,9 +26,11 @@ Edges = Annotated[np.ndarray, Table("float32", ("r", "8"))]
 """p, cos d, sin d, slack of the two chords between which a column's light falls."""
 
 TAIL, FAR = 2.75, 4.0
-"""σ beyond the boxes, and from the middle at least, beyond which the light, about 1e-4 of a pixel's, is left out.
-
-A share that ends there is up to 4e-4 of the greatest: rounding decides whether float32 counts it."""
+"""σ beyond the boxes, and from the middle at least, beyond which the light, about 1e-4 of a pixel's, is left out."""
+FADE = 0.25
+"""σ over which a share fades before its end, so that rounding does not decide whether it counts."""
+SHARP = 1e-3
+"""Columns over which a share without blur fades, where it is nothing anyway."""
 THINNEST, BLURRED = 0.05, 0.2
 """Columns + share of sigma: a narrower side of the trapezoid is widened to this, the other narrowed to keep variance.
 
@@ -44,12 +46,8 @@ def third_integral(x: np.ndarray, sigma: float) -> np.ndarray:
     """Third integral from −∞ of a Gaussian of standard deviation ``sigma`` about 0; x₊²/2 for none."""
     if sigma == 0.0:
         return 0.5 * np.maximum(x, 0.0) ** 2
-    t = np.abs(x) / sigma
-    series = np.ones_like(t)
-    for power, c in enumerate(TAIL_SERIES, 1):
-        series = series + c * t**power
-    tail = sigma**2 * 0.25 / series**16
-    return np.where(x > 0.0, 0.5 * (x**2 + sigma**2) - tail, tail)
+    tail = sigma**2 * 0.25 / np.polynomial.polynomial.polyval(np.abs(x) / sigma, (1.0, *TAIL_SERIES)) ** 16
+    return np.where(x > 0.0, 0.5 * (x * x + sigma**2) - tail, tail)
 
 
 def sides(a: np.ndarray, b: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
@@ -74,8 +72,8 @@ def share(distance: np.ndarray, a: np.ndarray, b: np.ndarray, fill: float, sigma
         outer = third_integral(x + 0.5 * (a + b), sigma) + third_integral(x - 0.5 * (a + b), sigma)
         inner = third_integral(x + 0.5 * (a - b), sigma) + third_integral(x - 0.5 * (a - b), sigma)
         total += sign * (outer - inner)
-    reach = half_support(a, b, fill, sigma)
-    return np.where(np.abs(distance) < reach, np.maximum(total, 0.0) / (a * b * fill), 0.0)
+    faded = np.clip((half_support(a, b, fill, sigma) - np.abs(distance)) / (FADE * sigma + SHARP), 0.0, 1.0)
+    return faded * np.maximum(total, 0.0) / (a * b * fill)
 
 
 def half_support(a: np.ndarray, b: np.ndarray, fill: float, sigma: float) -> np.ndarray:
@@ -83,11 +81,11 @@ def half_support(a: np.ndarray, b: np.ndarray, fill: float, sigma: float) -> np.
     return np.maximum(0.5 * (a + b + fill) + TAIL * sigma, FAR * sigma)
 
 
-def _lit(
+def _matrix(
     shape: tuple[int, ...], columns: int, direction: np.ndarray, light: np.ndarray, bent: int, ratio: float,
     strength: float, fill: float, sigma: float, radius: float,
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
-    """(column, weight), each (nx, ny), of every column that reaches the voxels; weight 0 outside the beam."""
+) -> csr_array:  # fmt: skip
+    """Shares of columns in the voxels of a plane at one pose, (columns, nx · ny)."""
     x, y = (np.arange(n) - middle(n) for n in shape[:2])
     c, s = direction
     x, y = x[:, None], y[None, :]
@@ -105,10 +103,11 @@ def _lit(
     a, b = np.abs(g * s + h * c), np.abs(g * c - h * s)
     reach = half_support(*sides(a, b, sigma), fill, sigma)
     first = np.ceil(u - reach).astype(int)
-    for tap in range(int(np.floor(2.0 * reach.max())) + 1):
-        column = first + tap
-        inside = (column >= 0) & (column < columns)
-        yield np.clip(column, 0, columns - 1), weight * inside * share(u - column, a, b, fill, sigma)
+    column = first + np.arange(int(np.floor(2.0 * reach.max())) + 1)[:, None, None]
+    shares = weight * share(u - column, a, b, fill, sigma)
+    kept = (column >= 0) & (column < columns) & (shares != 0.0)
+    voxels = np.broadcast_to(np.arange(u.size).reshape(u.shape), kept.shape)
+    return csr_array((shares[kept], (column[kept], voxels[kept])), shape=(columns, u.size))
 
 
 @kernel(
@@ -126,11 +125,10 @@ def forward_footprint(
     edges bound where a column's light falls, so that a GPU can gather along the ray instead: ``cells`` of a plane, at
     most, for four neighboring columns.
     """
-    sinogram[...] = 0.0
+    columns, slices = sinogram.shape[1:]
     for angle, direction in enumerate(directions):
-        map_ = (light, bent, ratio, strength, fill, sigma, radius)
-        for column, weight in _lit(volume.shape, sinogram.shape[1], direction, *map_):
-            np.add.at(sinogram[angle], column, weight[..., None] * volume)
+        pose = _matrix(volume.shape, columns, direction, light, bent, ratio, strength, fill, sigma, radius)
+        sinogram[angle] = pose @ volume.reshape(-1, slices)
 
 
 @kernel(
@@ -151,6 +149,5 @@ def back_footprint(
     """
     volume[...] = 0.0
     for angle, direction in enumerate(directions):
-        map_ = (light, bent, ratio, strength, fill, sigma, radius)
-        for column, weight in _lit(volume.shape, sinogram.shape[1], direction, *map_):
-            volume += weight[..., None] * sinogram[angle, column]
+        pose = _matrix(volume.shape, sinogram.shape[1], direction, light, bent, ratio, strength, fill, sigma, radius)
+        volume += (pose.T @ sinogram[angle]).reshape(volume.shape)

@@ -15,6 +15,8 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 WINDOW = wp.constant(10)  # samples of a row that a tile looks at together
 TAIL = wp.constant(2.75)
 FAR = wp.constant(4.0)
+FADE = wp.constant(0.25)
+SHARP = wp.constant(1.0e-3)
 THINNEST = wp.constant(0.05)
 BLURRED = wp.constant(0.2)
 
@@ -187,6 +189,12 @@ def footprint(
 
 
 @wp.func
+def faded(distance: float, reach: float, sigma: float):
+    """How much of a share counts: all but near the end of its reach."""
+    return wp.clamp((reach - wp.abs(distance)) / (FADE * sigma + SHARP), 0.0, 1.0)
+
+
+@wp.func
 def rounded(n: int, multiple: int):
     return (n + multiple - 1) // multiple * multiple
 
@@ -266,8 +274,7 @@ def back_footprint(
                             if fresh == 1:
                                 above = edge(distance + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
                             below = edge(distance - 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
-                            if wp.abs(distance) < ray[4]:
-                                weight = ray[3] * wp.max(above - below, 0.0)
+                            weight = faded(distance, ray[4], sigma) * ray[3] * wp.max(above - below, 0.0)
                             above = below
                             fresh = wp.where(fill != 1.0, 1, 0)
                         store(k, first_slot + turn, i, weight)
@@ -367,9 +374,7 @@ def forward_footprint(
                     for i in range(4):
                         distance = ray[0] - float(r + i)
                         below = edge(distance - 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
-                        weight = float(0.0)
-                        if wp.abs(distance) < ray[4]:
-                            weight = gain * wp.max(above - below, 0.0)
+                        weight = faded(distance, ray[4], sigma) * gain * wp.max(above - below, 0.0)
                         store(k, first_slot + turn, i, weight)
                         above = below
                         if fill != 1.0:

@@ -151,7 +151,7 @@ def _tabulated(n: int, half: float | None) -> tuple[Any, dict[str, int]]:
     from vamgpu.operators.light import tabulate
     from vamgpu.optics.vial import Vial
 
-    pitch = min(12.0 / n, 0.5)  # so fine that rays of neighboring columns run nearly alike
+    pitch = 12.0 / n
     vial = Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, absorption=0.05)
     sizes = {**_volume(n), **_light(n)}
     light = tabulate(Grid((n, sizes["y"], 1), pitch), Beam((sizes["r"], 1), 1.2 * pitch, fill=0.9), vial, half)

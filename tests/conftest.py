@@ -79,6 +79,12 @@ def fast_device(request: pytest.FixtureRequest) -> Device:
 
 
 @pytest.fixture
+def is_quick(fast_device: Device) -> bool:
+    """Whether real sizes take seconds; neither on Warp's one thread nor in a GPU's layout on a processor."""
+    return fast_device.name != "warp:cpu" and not fast_device.name.endswith(GPU_LAYOUT)
+
+
+@pytest.fixture
 def opencl_name(request: pytest.FixtureRequest) -> str:
     """Name of every OpenCL device."""
     return open_any(request.param).name

@@ -110,6 +110,8 @@ class EmulatedController(RowPlayer):
         if not 1 <= milliseconds <= LONGEST_LEASE_MS:
             return "no range"
         self.lease_end = now + milliseconds * MILLI
+        if self.on_lease is not None:
+            self.on_lease(self.lease_end, now)
         return "ok"
 
     def _do_arm(self, now: int) -> str:

@@ -24,7 +24,8 @@ class RowPlayer:
 
     What it does to the other machines goes out through functions that are given the time [ns]: ``on_trigger(now)``,
     ``on_lens(bytes, now)`` on its second serial line, ``on_light(channels, now)`` at each change of the light,
-    ``on_close(reason, now)`` when it closes it by itself or is told to.
+    ``on_lease(until, now)`` when it is allowed for longer, ``on_close(reason, now)`` when it closes it by itself or is
+    told to.
     ``intervals`` remembers when which channels were lit with which drive, ``row_times`` when each row acted.
     """
 
@@ -33,6 +34,7 @@ class RowPlayer:
         self.on_trigger: Callable[[int], None] | None = None
         self.on_lens: Callable[[bytes, int], None] | None = None
         self.on_light: Callable[[int, int], None] | None = None
+        self.on_lease: Callable[[int, int], None] | None = None
         self.on_close: Callable[[str, int], None] | None = None
         self.interlock_closed = True
         self.powers = [65535] * channels

@@ -1,7 +1,7 @@
 """An emulated controller on a pseudo terminal until its process ends, and a log of what it did.
 
-The log has lines of JSON: ``light`` (channels that are lit from now on), ``trigger`` (how many there were), or
-``close`` (why the light was closed); ``due_ns`` when that was to happen and ``done_ns`` when it was done, both of the
+The log has lines of JSON: ``light`` (channels that are lit from now on), ``trigger`` (how many there were), ``lease``
+(until when the light may be on, of the monotonic clock) or ``close`` (why the light was closed); ``due_ns`` when that was to happen and ``done_ns`` when it was done, both of the
 monotonic clock, which all processes of a computer share. A line is written before the machine answers anything later.
 """
 
@@ -30,6 +30,7 @@ def serve(machine: EmulatedController, link: Path, log: Path) -> None:
 
         machine.on_light = lambda channels, at: note("light", channels, at)
         machine.on_trigger = lambda at: note("trigger", next(triggers), at)
+        machine.on_lease = lambda until, at: note("lease", until, at)
         machine.on_close = lambda reason, at: note("close", reason, at)
         link.unlink(missing_ok=True)
         os.symlink(server.url, link)

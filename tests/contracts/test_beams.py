@@ -23,7 +23,7 @@ from vamgpu.optics.beams import Aimed, Fan
 from vamgpu.optics.occluder import Occluded
 from vamgpu.optics.rising import Cone, Inclined
 
-POSES = 5
+POSES = 3
 GLASS = vam.Vial(radius=1.0, wall=0.08, resin_index=1.49962, wall_index=1.473, absorption=0.5)
 VAT = vam.Vat(width=2.0, radius=0.9, absorption=0.5)
 SQUARE = vam.Vat(width=2.0, absorption=0.5)
@@ -104,8 +104,8 @@ def test_devices_agree_with_the_reference(device: Device, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", LARGE)
-def test_the_dot_test_holds_at_real_size(fast_device: Device, name: str) -> None:
-    n = 64
+def test_the_dot_test_holds_at_real_size(fast_device: Device, is_quick: bool, name: str) -> None:
+    n = 64 if is_quick else 32
     grid, beam, motion = vam.Grid((n, n, n), 1.6 / n), vam.Beam((n, n), 1.7 / n), vam.Turntable(24)
     A = BEAMS[name](grid, beam, motion, fast_device)
     assert max(A.prove(seed) for seed in range(2)) <= 2e-8

@@ -25,6 +25,19 @@ def test_no_voxel_is_missed_where_columns_are_as_wide_as_voxels(fast_device: Dev
     assert Projection(Grid((n, n, 4), pitch), beam, Turntable(n), vial(1.0), fast_device).prove() < 5e-8
 
 
+@pytest.mark.parametrize(("pitch", "voxels", "columns"), [(2.5, 6, 9), (1.7, 10, 14), (0.8, 20, 30), (0.3, 40, 60)])
+def test_no_voxel_is_missed_where_columns_fan_out(device: Device, pitch: float, voxels: int, columns: int) -> None:
+    """Coarse columns, whose rays are up to tens of degrees from their neighbors': some cross, and some leave the space
+    between the first and the last of four.
+    """
+    scene = (Grid((voxels, voxels + 1, 4), pitch), Beam((columns, 4), pitch), Turntable(7), vial(1.0))
+    A, reference = Projection(*scene, device), Projection(*scene, "numpy")
+    volume = np.random.default_rng(0).random(A.domain.shape)
+    light = reference(volume)
+    assert np.abs(A(volume) - light).max() < 1e-5 * light.max()
+    assert A.prove() < 5e-8
+
+
 @pytest.mark.parametrize("bath", [1.0, 1.33, 1.45])
 def test_voxels_at_the_rim_are_lit_by_the_column_that_meets_them(device: Device, bath: float) -> None:
     """At a pose between the axes of the grid, whose voxels lie between samples of any map of the light.

@@ -23,8 +23,6 @@ from vamgpu.hosts.safety.lease import DEFAULT_LENGTH
 from vamgpu.hosts.state import State
 
 LANES, TIMES = 8, 104
-READING = 40_000_000
-"""What a busy machine may take to let the controller's process read a renewal sent just before the kill [ns]."""
 PREROLL = 2
 
 
@@ -43,10 +41,14 @@ def awaited(what: Callable[[], Any], seconds: float = 30.0) -> Any:
 
 @dataclass
 class Killed:
-    """What was seen of one host. after: from its death to the end of the light [ns].  lit: whether it died in it."""
+    """What was seen of one host. beyond: from the end of its lease to that of the light [ns].  lit: whether it died in it.
 
-    after: int
+    alone: whether the light was on after its death.
+    """
+
+    beyond: int
     lit: bool
+    alone: bool
 
 
 @dataclass
@@ -76,8 +78,8 @@ class Lane:
     def killed(self, number: int, chance: random.Random) -> Killed | None:
         """Let a host print, kill it at some moment after it was allowed light, and look at what it left.
 
-        Its folder has all pictures that it told were written down, and those triggered up to a lease before, as a host
-        that looks no more is in the dark. None for one that gave up before, as it does on a machine that is too busy.
+        Its folder has all pictures that it told were written down, and those triggered up to a lease before it was last
+        heard: who looks no more does not renew. None for one that gave up before, as it does on a machine that is too busy.
         """
         run, before, self.told = self.folder / f"{self.name}.{number}", len(self.changes()), 0
         self.hosts.write(f"{self.name} {self.folder / self.name} {self.log} {run}\n")
@@ -99,10 +101,13 @@ class Lane:
         if kept.state is not State.PRINTING:
             return None
         lit = next((channels for at, channels in reversed(light) if at <= dead), 0)
-        triggers = [change["due_ns"] for change in seen if "trigger" in change]
+        triggers = [change["done_ns"] for change in seen if "trigger" in change]
+        leases = [change for change in seen if "lease" in change]
+        heard = leases[-2]["done_ns"]  # what answered this one was awaited before the last one was asked for
         assert self.told <= len(kept.shown) <= max(len(triggers) - PREROLL, 0)
-        assert len(kept.shown) >= sum(at < dead - DEFAULT_LENGTH for at in triggers) - PREROLL
-        return Killed(light[-1][0] - dead if light else 0, bool(lit))
+        assert len(kept.shown) >= sum(at < heard - DEFAULT_LENGTH for at in triggers) - PREROLL
+        end = light[-1][0] if light else 0
+        return Killed(end - leases[-1]["lease"], bool(lit), end > dead)
 
 
 def heard(lines: Any, lanes: dict[str, Lane]) -> None:
@@ -139,8 +144,8 @@ def test_a_killed_host_leaves_no_light(tmp_path: Path) -> None:
             for done in [pool.submit(work, lane, found) for lane in lanes.values()]:
                 done.result()
     kills = [each for each in found if each is not None]
-    assert len(found) == TIMES and len(kills) >= TIMES * 3 // 4, "few gave up by themselves, for want of a processor"
-    latest = max(each.after for each in kills)
-    assert latest <= DEFAULT_LENGTH + READING, f"light {latest / 1e6:.1f} ms after the host was dead"
-    assert sum(each.lit for each in kills) >= TIMES // 3, "many died in the light"
-    assert sum(each.after > 0 for each in kills) >= TIMES // 3, "the controller went on by itself until it closed"
+    assert len(found) == TIMES and len(kills) >= TIMES // 2, "half gave up by themselves, for want of a processor"
+    latest = max(each.beyond for each in kills)
+    assert latest <= 0, f"light {latest / 1e6:.1f} ms beyond the lease of a host that was dead"
+    assert sum(each.lit for each in kills) >= len(kills) // 4, "many died in the light"
+    assert sum(each.alone for each in kills) >= len(kills) // 4, "the controller went on by itself until it closed"

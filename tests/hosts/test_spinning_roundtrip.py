@@ -49,7 +49,7 @@ def printed(path: Path, booth: Booth, pictures: VideoPictures, images: int, late
 @pytest.mark.parametrize("bits", [8, 7])
 def test_the_dose_is_the_librarys_own_and_a_shift_or_a_wrong_turn_is_seen(tmp_path: Path, bits: int) -> None:
     images, size, top = 120, (16, 32), 2**bits - 1
-    A = Projection(Grid((16, 16, 8), 0.5), Beam((16, 8), 0.5), Turntable(images), device="numpy")
+    A = Projection(Grid((16, 16, 8), 0.5), Beam((16, 8), 0.5, spread=0.0), Turntable(images), device="numpy")
     levels = np.random.default_rng(1).integers(0, top + 1, (images, 8, 16))
     bytes_ = ((levels * 255 + top // 2) // top).astype(np.uint8)
     frames = Frames.from_bytes(bytes_, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=16)

@@ -62,9 +62,9 @@ def test_every_column_leaves_its_power_in_the_resin(where: str) -> None:
     wanted = shares(A.motion, 360, voxels)
     off = np.abs(got / wanted - 1.0)
     assert wanted.min() > 0.05
-    # the outermost nine columns graze the rim, where the light's density changes within a voxel: 1.35 % there at most
-    assert off[:, 9:-9].max() < 0.01 and off.mean() < 0.001, (off[:, 9:-9].max(), off.mean())
-    assert off.max() < 0.015
+    assert off[:, 1:-1].max() < 0.005 and off.mean() < 0.0005, (off[:, 1:-1].max(), off.mean())
+    # where the outermost column leaves the vial, its light is three times as dense at one edge of a voxel as at another
+    assert off.max() < 0.025
 
 
 def test_dose_near_the_rim_is_that_of_traced_rays() -> None:
@@ -83,5 +83,6 @@ def test_dose_near_the_rim_is_that_of_traced_rays() -> None:
     _, share = ray_to(VIAL, poses, px, py, 0.9999 * VIAL.aperture)
     wanted = share.sum(axis=0) @ (0.25 * np.outer(weights, weights).ravel())
     off = dose[at[:, 0], at[:, 1]] / wanted - 1.0
-    # single voxels at the rim are off by 0.8 %: the light's density changes within them
-    assert np.abs(off).max() < 0.01 and np.abs(off).mean() < 0.0005, (off.min(), off.max(), np.abs(off).mean())
+    off, inner = np.abs(off), radius[tuple(at.T)] < 8.19
+    assert off[inner].max() < 0.0025 and off.mean() < 0.0002, (off[inner].max(), off.mean())
+    assert off.max() < 0.01  # one voxel that reaches to within 0.01 mm of the rim
