@@ -1,8 +1,9 @@
 """An emulated controller on a pseudo terminal until its process ends, and a log of what it did.
 
 The log has lines of JSON: ``light`` (channels that are lit from now on), ``trigger`` (how many there were), ``lease``
-(until when the light may be on, of the monotonic clock) or ``close`` (why the light was closed); ``due_ns`` when that was to happen and ``done_ns`` when it was done, both of the
-monotonic clock, which all processes of a computer share. A line is written before the machine answers anything later.
+(until when light is allowed), or ``close`` (why the light was closed); ``due_ns`` when that was to happen and
+``done_ns`` when it was done, all of the monotonic clock, which all processes of a computer share. A line is written
+before the machine answers anything later.
 """
 
 from __future__ import annotations

@@ -41,9 +41,10 @@ def awaited(what: Callable[[], Any], seconds: float = 30.0) -> Any:
 
 @dataclass
 class Killed:
-    """What was seen of one host. beyond: from the end of its lease to that of the light [ns].  lit: whether it died in it.
+    """What was seen of one host.
 
-    alone: whether the light was on after its death.
+    beyond: from the end of its lease to that of the light [ns].  lit: whether it died in the light.  alone: whether the
+    light was on after its death.
     """
 
     beyond: int
@@ -79,7 +80,7 @@ class Lane:
         """Let a host print, kill it at some moment after it was allowed light, and look at what it left.
 
         Its folder has all pictures that it told were written down, and those triggered up to a lease before it was last
-        heard: who looks no more does not renew. None for one that gave up before, as it does on a machine that is too busy.
+        heard: who looks no more does not renew. None for one that gave up before, as it does on a machine too busy.
         """
         run, before, self.told = self.folder / f"{self.name}.{number}", len(self.changes()), 0
         self.hosts.write(f"{self.name} {self.folder / self.name} {self.log} {run}\n")

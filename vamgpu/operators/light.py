@@ -220,7 +220,7 @@ class _Rays:
 
 
 def _bulge(p: np.ndarray, angle: np.ndarray, radius: float) -> float:
-    """How far [voxels], along a row or column of voxels, chords leave the space between the first and the last of them."""
+    """How far [voxels], along a row of voxels, chords leave the space between the first and the last of them."""
     reach = np.sqrt(np.maximum(radius**2 - p**2, 0.0))
     along = np.linspace(-1.0, 1.0, 33)[:, None] * reach
     x, y = -p * np.sin(angle) - along * np.cos(angle), p * np.cos(angle) - along * np.sin(angle)
