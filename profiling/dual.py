@@ -12,10 +12,10 @@ import time
 
 import numpy as np
 
+from profiling.gallery.dualcolor import slice_colors
 from vamgpu import Beam, Projection, Turntable, Vat, open_device
 from vamgpu.backend.device import Device
-from vamgpu.gallery.dualcolor import slice_colors
-from vamgpu.optimize.dual import Colors, Contrast, DualColor, LeastSquares, superpose
+from vamgpu.methods.dual import Colors, Contrast, DualColor, LeastSquares, superpose
 from vamgpu.targets.designs import Block, dot_array, gray_wedges, usaf
 from vamgpu.targets.target import Target
 

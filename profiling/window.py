@@ -1,7 +1,7 @@
 """Strict process window against projector pairs, every method on the Benchy at equal thresholds: plot and record.
 
 128^3 x 360, straight light, nothing absorbed. Every voxel of the inscribed cylinder counts, in the part where its
-fraction is at least 0.5, else out of it. All methods ask for the same two thresholds (`vamgpu.optimize.compare`) and
+fraction is at least 0.5, else out of it. All methods ask for the same two thresholds (`vamgpu.methods.compare`) and
 may spend the same projector pairs, warm starts included; what each returns is its best light. The curves are the best
 window of the light held up to there. The marked points and the table are the plan's light: claimed, its dose computed
 by the float64 reference, and proved, what `simulate` makes of its frames as `pack` writes them by default.
@@ -18,8 +18,8 @@ import numpy as np
 from common import HERE, MESH, benchy, machine, write_record
 
 import vamgpu
+from vamgpu.methods.compare import INSIDE, LABELS, OUTSIDE, compared
 from vamgpu.metrics import score
-from vamgpu.optimize.compare import INSIDE, LABELS, OUTSIDE, compared
 
 BUDGETS = (40, 120)
 """Projector pairs at which methods are judged."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from vamgpu.gallery import names
+from profiling.gallery import names
 
 ROOT = Path(__file__).resolve().parent.parent
 ROWS = {"R": 14, "P": 8, "A": 7, "C": 6}

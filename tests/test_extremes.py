@@ -12,7 +12,7 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, EmptyMesh, NoLight, OpticsWarning, PackWarning, TargetTooLarge
-from vamgpu.optimize import BCLP, optimize
+from vamgpu.methods import BCLP, optimize
 from vamgpu.printing.pack import FEW, pack
 from vamgpu.printing.simulate import simulate
 

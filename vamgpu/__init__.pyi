@@ -5,6 +5,36 @@ from vamgpu.backend import open_device as open_device
 from vamgpu.geometry import Beam as Beam
 from vamgpu.geometry import Grid as Grid
 from vamgpu.geometry import Turntable as Turntable
+from vamgpu.methods import (
+    BCLP as BCLP,
+)
+from vamgpu.methods import (
+    LBFGS as LBFGS,
+)
+from vamgpu.methods import (
+    OSMO as OSMO,
+)
+from vamgpu.methods import (
+    FilteredBackProjection as FilteredBackProjection,
+)
+from vamgpu.methods import (
+    GradientDescent as GradientDescent,
+)
+from vamgpu.methods import (
+    PenaltyMinimization as PenaltyMinimization,
+)
+from vamgpu.methods import (
+    Plan as Plan,
+)
+from vamgpu.methods import (
+    ProcessWindow as ProcessWindow,
+)
+from vamgpu.methods import (
+    Recipe as Recipe,
+)
+from vamgpu.methods import (
+    optimize as optimize,
+)
 from vamgpu.operators.bundle import RayBundle as RayBundle
 from vamgpu.operators.carried import Carried as Carried
 from vamgpu.operators.defocus import Defocus as Defocus
@@ -27,36 +57,6 @@ from vamgpu.optics.rising import Inclined as Inclined
 from vamgpu.optics.roller import Roller as Roller
 from vamgpu.optics.vat import Vat as Vat
 from vamgpu.optics.vial import Vial as Vial
-from vamgpu.optimize import (
-    BCLP as BCLP,
-)
-from vamgpu.optimize import (
-    LBFGS as LBFGS,
-)
-from vamgpu.optimize import (
-    OSMO as OSMO,
-)
-from vamgpu.optimize import (
-    FilteredBackProjection as FilteredBackProjection,
-)
-from vamgpu.optimize import (
-    GradientDescent as GradientDescent,
-)
-from vamgpu.optimize import (
-    PenaltyMinimization as PenaltyMinimization,
-)
-from vamgpu.optimize import (
-    Plan as Plan,
-)
-from vamgpu.optimize import (
-    ProcessWindow as ProcessWindow,
-)
-from vamgpu.optimize import (
-    Recipe as Recipe,
-)
-from vamgpu.optimize import (
-    optimize as optimize,
-)
 from vamgpu.printing.export import export as export
 from vamgpu.printing.focus import FocusMasks as FocusMasks
 from vamgpu.printing.frames import Frames as Frames

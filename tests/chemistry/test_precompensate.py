@@ -15,9 +15,9 @@ from vamgpu.chemistry.diffusion import Diffusion, Spread, heat_taps
 from vamgpu.chemistry.precompensate import Compensated, precompensate, stream
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.methods import Recipe, optimize
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import window
-from vamgpu.optimize import Recipe, optimize
 from vamgpu.web import WebGrid
 
 SMALL = Grid((8, 7, 9), 0.05)

@@ -106,17 +106,6 @@ def test_bench_keeps_a_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert {row["operator"] for row in record["timings"]} == {"straight", "vial"}
 
 
-def test_a_picture_of_the_gallery_is_drawn_with_its_parameters(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["gallery", "vial", "--quick", "--out", str(tmp_path)]
-    assert main([*command, "--set", "resin_index=1.4"]) == 0
-    assert (tmp_path / "gallery" / "vial.png").stat().st_size > 0 and (tmp_path / "gallery.md").exists()
-    assert main([*command, "--set", "nonsense=1"]) == 1
-    assert main(["gallery", "--set", "resin_index=1.4"]) == 1
-    assert "name it" in capsys.readouterr().err
-
-
 def test_used_up_memory_is_an_error_without_a_traceback(capsys, monkeypatch):
     import vamgpu.cli.commands as commands
 

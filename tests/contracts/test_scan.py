@@ -11,8 +11,8 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
+from vamgpu.methods.dual.points import PointProjection
 from vamgpu.operators.dwell import Dwell
-from vamgpu.optimize.dual.points import PointProjection
 from vamgpu.units import deg
 
 GRID, BEAM = vam.Grid((8, 8, 3), 0.1), vam.Beam((10, 3), 0.1)

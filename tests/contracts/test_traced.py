@@ -13,10 +13,10 @@ import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import centers
+from vamgpu.methods import optimize
 from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.carried import Carried
 from vamgpu.operators.traced import TracedProjection
-from vamgpu.optimize import optimize
 
 BATH = 1.5
 

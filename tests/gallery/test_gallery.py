@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from profiling.gallery import CATALOG, Fact, draw, names, parameters, write_index, write_page
+from profiling.gallery.__main__ import main
+from profiling.gallery.projection import Ellipse
+from profiling.gallery.write import _rows, contents
 from vamgpu.errors import BadInput
-from vamgpu.gallery import CATALOG, Fact, draw, names, parameters, write_index, write_page
-from vamgpu.gallery.projection import Ellipse
-from vamgpu.gallery.write import _rows, contents
 
 PAGES = Path(__file__).parents[2] / "docs"
 
@@ -91,3 +92,14 @@ def test_the_ellipse_of_the_formula_has_its_area() -> None:
     r = (np.arange(400) - 199.5) / 400
     sums = body.chords(r, 1 / 400, np.linspace(0.0, 6.0, 7)).sum(axis=1) / 400
     np.testing.assert_allclose(sums, area, rtol=1e-9)
+
+
+def test_a_picture_of_the_gallery_is_drawn_with_its_parameters(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["vial", "--quick", "--out", str(tmp_path)]
+    assert main([*command, "--set", "resin_index=1.4"]) == 0
+    assert (tmp_path / "gallery" / "vial.png").stat().st_size > 0 and (tmp_path / "gallery.md").exists()
+    assert main([*command, "--set", "nonsense=1"]) == 1
+    assert main(["all", "--set", "resin_index=1.4"]) == 1
+    assert "name it" in capsys.readouterr().err

@@ -10,9 +10,9 @@ import pytest
 from vamgpu import Beam, Grid, Projection, Turntable, Vat, Vial
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
+from vamgpu.methods import optimize
 from vamgpu.metrics import score
 from vamgpu.optics.beams import Aimed
-from vamgpu.optimize import optimize
 from vamgpu.printing.scenarios import SCENARIOS, Scenario, clouded, displaced, softer
 from vamgpu.printing.tolerances import Row, ToleranceTable, tolerance_table
 

@@ -11,13 +11,13 @@ from slanted import BEAM, EDGE, SECTION, WINDOW, Slanted, part, stream, tiled
 
 from vamgpu.errors import BadInput, ShapeMismatch, StorageError, TileError
 from vamgpu.geometry import Beam
+from vamgpu.methods import optimize
+from vamgpu.methods.bclp import BCLP
 from vamgpu.operators.web import WebProjection
 from vamgpu.optics.film import Film
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller
 from vamgpu.optics.roller_index import FilmIndex
-from vamgpu.optimize import optimize
-from vamgpu.optimize.bclp import BCLP
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.web import WebGrid
 from vamgpu.webs.describe import described

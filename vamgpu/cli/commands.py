@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -163,50 +163,9 @@ def limits(machine: Path, *, png: Path | None = None, settings: Settings = None)
     for reason in found.broken:
         screen.print(f"[yellow]cannot[/] {escape(reason)}")
     if png is not None:
-        from vamgpu.gallery.limits import draw
+        from vamgpu.webs.limits_picture import draw
 
         screen.print(f"drew [bold]{_path(draw(found, png))}[/]")
-
-
-@app.command
-def gallery(
-    name: str | None = None,
-    *,
-    out: Path = Path("docs"),
-    device: str | None = None,
-    settings: Settings = None,
-    quick: Annotated[bool, Parameter(negative="")] = False,
-) -> None:
-    """Draw the picture of one capability from parameters; list them all where no name is given.
-
-    Args:
-        name: which picture; "all" draws every one
-        out: folder of the index and of its gallery folder
-        device: where to compute; the best device here by default
-        quick: small sizes, for a fast look
-    """
-    from vamgpu import gallery as pictures
-    from vamgpu.backend import open_device
-    from vamgpu.errors import BadInput
-    from vamgpu.jobs.read import toml_value
-
-    pairs = [setting.partition("=") for setting in settings or ()]
-    if bad := [key for key, sign, _ in pairs if not sign]:
-        raise BadInput(f"--set {bad[0]}: wanted key=value")
-    if pairs and name in (None, "all"):
-        raise BadInput("--set is for one picture; name it, such as: vam gallery vial --set key=value")
-    if name is None:
-        wide = max(map(len, pictures.CATALOG)) + 2
-        for entry, title in pictures.CATALOG.items():
-            console().print(f"[bold]{entry:<{wide}}[/]{title}")
-        return
-    values = {key.strip(): toml_value(text.strip()) for key, _, text in pairs}
-    place, screen = open_device(device), console()
-    for entry in pictures.names() if name == "all" else (name,):
-        picture = pictures.draw(entry, place, quick=quick, **values)
-        image, _ = pictures.write_page(picture, entry, out, place.name, **values)
-        screen.print(f"drew [bold]{_path(image)}[/]")
-    screen.print(f"index [bold]{_path(pictures.write_index(out))}[/]")
 
 
 @app.command

@@ -17,8 +17,8 @@ from vamgpu.storage.folder import Entry, Folder
 from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:
-    from vamgpu.optimize.method import Method
-    from vamgpu.optimize.plan import Step
+    from vamgpu.methods.method import Method
+    from vamgpu.methods.plan import Step
     from vamgpu.printing.proof import Proof
 
 Told = Callable[[str, float], None]
@@ -46,7 +46,7 @@ def solve(job: Job, path: str | Path, *, overwrite: bool = False, told: Told = _
 
     Raises what the parts raise: `BadInput`, `MeshError`, `TargetTooLarge`, `DeviceError`, `StorageError`.
     """
-    from vamgpu.optimize import optimize
+    from vamgpu.methods import optimize
     from vamgpu.printing.folder import save_frames
     from vamgpu.printing.pack import pack
 
@@ -101,7 +101,7 @@ def _refuse_taken(place: Path, overwrite: bool) -> None:
 
 def _method(name: str) -> Method:
     """The method of that name with its default parameters."""
-    from vamgpu.optimize import METHODS
+    from vamgpu.methods import METHODS
 
     if name not in METHODS:
         close = get_close_matches(name, METHODS, n=1)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import vamgpu
-from vamgpu.optimize.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
+from vamgpu.methods.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
 from vamgpu.printing import charts, pictures, surface
 from vamgpu.printing.dose import absorbs
 from vamgpu.printing.judgement import Judgement, judged

@@ -9,13 +9,13 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.methods.part import on_device
 from vamgpu.metrics import light_efficiency, score, score_slices
 from vamgpu.metrics.light import light_sent
 from vamgpu.metrics.parts import Parts
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
-from vamgpu.optimize.part import on_device
 from vamgpu.printing.dark import check_dose
 from vamgpu.printing.exposure import expose
 from vamgpu.printing.independent import IndependentExposure, Outer

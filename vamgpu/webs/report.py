@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vamgpu.methods.papers import BAND, RAMP, ROLL_TO_ROLL
 from vamgpu.optics.roller import Roller
-from vamgpu.optimize.papers import BAND, RAMP, ROLL_TO_ROLL
 from vamgpu.printing import pictures, surface
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.page import filled, template

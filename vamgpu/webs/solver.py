@@ -14,13 +14,13 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, Diverged, DivergenceWarning
 from vamgpu.geometry import Beam
 from vamgpu.kernels.update import linear
+from vamgpu.methods.band import Band
+from vamgpu.methods.bclp import BCLP
+from vamgpu.methods.course import Course
+from vamgpu.methods.ramp import Taps, bar, identity, ramp
+from vamgpu.methods.work import Work
 from vamgpu.operators.rows import Rows
 from vamgpu.operators.web import WebProjection
-from vamgpu.optimize.band import Band
-from vamgpu.optimize.bclp import BCLP
-from vamgpu.optimize.course import Course
-from vamgpu.optimize.ramp import Taps, bar, identity, ramp
-from vamgpu.optimize.work import Work
 from vamgpu.web import Propagation, WebGrid
 from vamgpu.webs.layout import Layout
 

@@ -16,9 +16,9 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError, TileError
 from vamgpu.geometry import Beam, positive
+from vamgpu.methods.bclp import BCLP
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.optics.lens import TunableLens
-from vamgpu.optimize.bclp import BCLP
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import pack

@@ -1,0 +1,92 @@
+"""The entries of the gallery, and how one is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from inspect import signature
+from types import MappingProxyType
+from typing import Any
+
+from profiling.gallery.picture import Picture
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.reports.style import styled
+
+CATALOG: MappingProxyType[str, str] = MappingProxyType(
+    {
+        "vial": "Light in a vial that turns in air",
+        "beams": "Beams that are not ideal",
+        "carried": "Lenses and inserts that turn with the resin",
+        "roller": "A film that a roller carries past the light",
+        "web": "A film that passes the light, at every pose at once",
+        "eikonal": "Rays through media of varying index",
+        "shadowgram": "The shadow of a print",
+        "projection": "A projection against its formula",
+        "transpose": "The back projector is the transpose, entry by entry",
+        "targets": "The bundled parts",
+        "voxels": "Voxels that are partly filled",
+        "lattices": "Periodic solids, and one wound from film",
+        "optimizers": "Every optimizer on one part",
+        "recipe": "The recipe of automatic exposure, step by step",
+        "frames": "Frames of eight bits and of one",
+        "focus": "A focus that follows a roller",
+        "calibration": "Focus and axis from recordings with noise",
+        "webs": "An endless web without a seam",
+        "limits": "What a web machine can do, and what binds it",
+        "phase": "Two inhibitors under two colors of light",
+        "efficiency": "What a second color of light buys",
+        "transport": "Three species in a vial that turns",
+        "materials": "Resins, glasses and what diffuses in them",
+        "precompensation": "A dose that makes up for diffusing oxygen",
+        "history": "Resin that is used again and again",
+        "proof": "A print, proven from its frames",
+        "claimed": "Claimed and proved",
+        "deviation": "How far prints lie from their mesh",
+        "curethrough": "Doses that leave a feature as it should be",
+        "correction": "Slices corrected for cure-through",
+        "layerwise": "Cure-through layer by layer",
+        "contrast": "Fewer angles: frequencies, spread and contrast",
+        "exact": "A gray phantom reproduced exactly by light of both signs",
+        "dualcolor": "One color, one with a tolerance, and two",
+        "printability": "Doses of a turn, two thresholds, and the power between",
+        "joint": "Two colors found together, through the kinetics",
+        "designs": "Dots, bars, wedges and posts in one color and two",
+        "curethrough_part": "A part of bridges, corrected for cure-through",
+        "fom": "A calibration disk at five stop doses",
+        "measured": "A rig that measures itself: focus, axis, gray levels, sharpness",
+        "machines": "Prints on emulated machines, and how soon they are dark",
+    }
+)
+"""Name → title. The picture of a name is made by the function of that name in the module of that name."""
+
+
+def names() -> tuple[str, ...]:
+    """Names of the entries."""
+    return tuple(CATALOG)
+
+
+def parameters(name: str) -> dict[str, Any]:
+    """Parameters of an entry and their defaults, in mm and units made of it. Raises `BadInput`."""
+    found = signature(_entry(name)).parameters.values()
+    return {p.name: p.default for p in found if p.name not in ("device", "quick")}
+
+
+def draw(name: str, device: str | Device | None = None, *, quick: bool = False, **values: Any) -> Picture:
+    """Make the picture of an entry; ``values`` replace its parameters. quick: small sizes, for a fast look.
+
+    Raises `BadInput` for a name or a parameter that does not exist, and what the parts raise.
+    """
+    entry, known = _entry(name), parameters(name)
+    for key in values:
+        if key not in known:
+            raise BadInput(f"{name} has no parameter {key!r}; it has {', '.join(known) or 'none'}")
+    with styled():
+        return entry(open_device(device), quick, **values)
+
+
+def _entry(name: str) -> Callable[..., Picture]:
+    if name not in CATALOG:
+        raise BadInput(f"the gallery has no {name!r}; it has {', '.join(CATALOG)}")
+    return getattr(import_module(f"profiling.gallery.{name}"), name)

@@ -1,0 +1,125 @@
+"""What a projector is handed: frames of 8 bits and of 1 bit, and the gray curve between levels and light."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from profiling.gallery import scene, style
+from profiling.gallery.picture import Fact, Picture, Table
+from vamgpu.backend.device import Device
+from vamgpu.methods import optimize
+from vamgpu.metrics import light_efficiency, score
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.printing.pack import pack
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SHOWN = 0.125
+"""Share of a turn at which frames are shown."""
+
+
+def frames(
+    device: Device, quick: bool = False, pitch: float = 0.12, angles: int = 360, gamma: float = 2.2,
+    black: float = 0.002, quantile: float = 0.9999,
+) -> Picture:
+    """Light for the boat packed three ways, for a projector of a gamma and a black level."""
+    target = scene.boat(device, 0.6 if quick else pitch)
+    A = scene.straight(target, 24 if quick else int(angles), device)
+    plan = optimize(A, target, iterations=4 if quick else 40)
+    curve = GrayCurve.gamma(gamma, black)
+    packed = {
+        "8 bits": pack(plan, 8, curve, quantile=quantile),
+        "1 bit, error diffusion": pack(plan, 1, GrayCurve.linear(black), quantile=quantile, dither="error-diffusion"),
+        "1 bit, nearest": pack(plan, 1, GrayCurve.linear(black), quantile=quantile),
+    }
+    light = plan.sinogram.numpy()
+    scores = {"float": score(plan.dose(), target.on(device))}
+    rows = [("float", (scores["float"].window, scores["float"].iou, 0.0, light_efficiency(plan.sinogram)))]
+    for name, pictures in packed.items():
+        shone = pictures.irradiance(device)
+        found = score(A.T(shone), target.on(device))
+        rows.append((name, (found.window, found.iou, _error(shone.numpy(), light),
+                            light_efficiency(shone, pictures.scale))))  # fmt: skip
+    figure, axes = style.sheet("abc;ddd;efg", 8.8, height_ratios=[1, 0.7, 0.85])
+    _faces(axes, light, packed, plan.operator)
+    _curve(axes["e"], curve)
+    _inverse(axes["f"], curve)
+    _levels(axes["g"], packed["8 bits"])
+    table = Table(("frames", "strict window", "IoU", "error of the light [%]", "light efficiency"),
+                  ("+.4f", ".5f", ".2f", ".4f"), tuple(rows))  # fmt: skip
+    wanted = np.linspace(0.0, 1.0, 4001)
+    gap = float(np.abs(curve(curve.inverse(wanted)) - np.maximum(wanted, black)).max())
+    brightest = float(light.max())
+    facts = (
+        Fact("brightest pixel over a full-on one", brightest / packed["8 bits"].scale, "", 3),
+        Fact("window lost by 8 bits", rows[0][1][0] - rows[1][1][0], "", 2),
+        Fact("window lost by 1 bit, error diffusion", rows[0][1][0] - rows[2][1][0], "", 2),
+        Fact("largest gap between light asked for and that of the nearest level, over full-on", 100 * gap, "%", 2),
+        Fact("light of a mirror that is off, over full-on", 100 * curve.black, "%", 2),
+    )
+    caption = (
+        "The light of a plan becomes bytes: a full-on pixel stands for a high quantile of the lit pixels, so that one "
+        "hot pixel does not dim the print; each level is the one whose measured light is nearest, black level too. "
+        "With one bit a pixel carries its error on to the next angle, so that the dose, which sums over angles, keeps "
+        "most of the part, where the nearest bit loses it. What that costs is in the table, which judges the dose of "
+        "the bytes alone, decoded as the mirrors show them; the error is the norm of what is wrong with the light over "
+        "the norm of the light."
+    )
+    return Picture(figure, caption, facts, table, plan.papers)
+
+
+def _error(shone: np.ndarray, light: np.ndarray) -> float:
+    """Norm of the error over the norm of the light [%]."""
+    return 100.0 * float(np.linalg.norm(shone - light) / np.linalg.norm(light))
+
+
+def _faces(axes: dict[str, Axes], light: np.ndarray, packed: dict[str, Frames], A: Any) -> None:
+    at = round(SHOWN * light.shape[0])
+    full = packed["8 bits"].scale
+    gray: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 255}
+    style.shown(axes["a"], np.minimum(light[at] / full, 1.0), f"Light of the plan, θ = {360 * SHOWN:g}°", cmap="gray",
+                vmin=0, vmax=1)  # fmt: skip
+    for letter, name in (("b", "8 bits"), ("c", "1 bit, error diffusion")):
+        style.shown(axes[letter], packed[name].pictures()[at, ::-1].T, f"Frame of {name}", **gray)
+    style.scale_bar(axes["a"], 2.0 / A.beam.pitch, "2 mm")
+    middle = light.shape[2] // 4
+    row = light.shape[2] - 1 - middle
+    column = int(np.argmax(light[:, :, middle].mean(axis=0)))
+    theta = np.arange(light.shape[0]) * 360.0 / light.shape[0]
+    part = slice(0, max(2, light.shape[0] // 4))
+    axis = axes["d"]
+    bits = packed["1 bit, error diffusion"].levels()[part, row, column]
+    axis.bar(theta[part], bits, width=theta[1], color=style.FAINT, label="1 bit, error diffusion")
+    axis.plot(theta[part], light[part, column, middle] / full, color=style.BLUE, label="plan")
+    level = packed["8 bits"].levels()[part, row, column]
+    axis.plot(theta[part], packed["8 bits"].gray(level), ".", color=style.ORANGE, ms=5, label="8 bits")
+    axis.set(title="One pixel over a quarter turn", xlabel="pose θ [°]", ylabel="light over full-on", ylim=(0, 1.05),
+             xlim=(theta[part][0] - 0.5, theta[part][-1] + 0.5))  # fmt: skip
+    axis.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+
+
+def _curve(axis: Axes, curve: GrayCurve) -> None:
+    level = np.arange(256)
+    axis.plot(level, curve(level), color=style.BLUE)
+    axis.annotate(f"black level {100 * curve.black:g} %", (0, curve.black), (10, 0.28), color=style.RED,
+                  arrowprops={"arrowstyle": "-", "color": style.RED, "lw": 0.8})  # fmt: skip
+    axis.set(title="Gray curve", xlabel="gray level", ylabel="light over full-on", xlim=(0, 255), ylim=(0, 1),
+             xticks=[0, 64, 128, 192, 255])  # fmt: skip
+
+
+def _inverse(axis: Axes, curve: GrayCurve) -> None:
+    wanted = np.linspace(0.0, 1.0, 2001)
+    axis.plot(wanted, curve.inverse(wanted), color=style.BLUE)
+    axis.set(title="Its inverse", xlabel="light asked for, over full-on", ylabel="gray level", xlim=(0, 1),
+             ylim=(0, 258), yticks=[0, 64, 128, 192, 255])  # fmt: skip
+
+
+def _levels(axis: Axes, packed: Frames) -> None:
+    counts = np.bincount(packed.levels().ravel(), minlength=256)
+    axis.stairs(np.maximum(counts, 0.5), np.arange(257) - 0.5, baseline=0.5, fill=True, color=style.BLUE, alpha=0.7)
+    axis.set(title="Levels used", xlabel="gray level", ylabel="pixels", yscale="log", xlim=(-1, 256), ylim=(0.7, None),
+             xticks=[0, 64, 128, 192, 255])  # fmt: skip

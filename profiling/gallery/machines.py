@@ -1,0 +1,199 @@
+"""Prints on emulated machines: their timing, what the resin gets, and how soon it is dark when something goes wrong."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from profiling.gallery.picture import Fact, Picture
+from vamgpu.backend.device import Device
+from vamgpu.errors import VamError
+from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.hosts.emulators.array import ArrayModel
+from vamgpu.hosts.emulators.bench import Bench
+from vamgpu.hosts.pictures.stream import FramePictures, Mirrors
+from vamgpu.hosts.players.triggered import TriggeredPlayer
+from vamgpu.hosts.record import RunFolder
+from vamgpu.hosts.run import Print
+from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
+from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.methods.papers import ROLL_TO_ROLL
+from vamgpu.operators.projection import Projection
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.reports import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+STEPS = 1000
+POWERS = (-0.6, 0.0, 0.6)
+SECOND = 1_000_000_000
+
+
+def machines(
+    device: Device, quick: bool = False, speed: float = 0.8, angles: int = 120, settle: float = 6e-3
+) -> Picture:
+    """A web at ``speed`` [mm/s] through three foci, a lens that settles in ``settle`` [s], a vial of ``angles``."""
+    angles = 40 if quick else angles
+    roll = _Stand(
+        web(60, advance=0.0785, speed=speed, engines=_mirrors(64, 24), lens=LensTiming(settle=settle), focus=POWERS),
+        _frames(180, 64, 24), POWERS,
+    )  # fmt: skip
+    roll.run()
+    figure, axes = style.sheet("aa;bc", 6.4, height_ratios=[1.15, 1])
+    _timeline(axes["a"], roll)
+    errors = _errors(axes["b"], device, angles)
+    dark = _darkness(axes["c"], speed)
+    facts = (
+        Fact("pictures a second of the web", roll.schedule.rate, "1/s", 4, 30.6, "3 planes at 48 mm/min"),
+        Fact("light while the lens moved", roll.bench.chamber.astray, "s", 2, 0.0, "no light before it has settled"),
+        Fact("dose of the vial off by, of its greatest", errors["as planned"], "", 2, 1e-4, bound="≤"),
+        Fact("the same, every picture one slot late", errors["one slot late"], "", 2),
+        Fact("longest light after a fault", max(dark.values()), "ms", 3, 250.0, "one lease", bound="≤"),
+    )
+    caption = (
+        "The drivers of a print speak their real bytes to emulated machines, and emulated resin integrates bit planes, "
+        "the lens in the midst of settling, the true position and the lamp. Above, two poses of a web: after each "
+        "picture the lens is told, settles, and only then there is light; the order of planes turns at every pose. "
+        "Below, the dose of a vial against the library's own simulation of the same frames, also with mistakes that "
+        "must be seen; and how long light lasts after something fails, seen from the emulated lamp."
+    )
+    return Picture(figure, caption, facts, papers=(ROLL_TO_ROLL,))
+
+
+class _Stand:
+    """A print on a bench of its own."""
+
+    def __init__(self, schedule: Schedule, frames: Frames, powers: tuple[float, ...] = (), shift: int = 0) -> None:
+        _, rows, columns = frames.shape
+        self.schedule, self.frames = schedule, frames
+        self.bench = Bench(STEPS, ArrayModel(height=rows, width=columns), powers=powers)
+        pictures: Any = FramePictures(frames, Mirrors(rows, columns, columns // 8))
+        self.player = TriggeredPlayer(
+            schedule, self.bench.machines(STEPS / float(schedule.advance)), [_Shifted(pictures, shift)]
+        )
+        self._place = tempfile.TemporaryDirectory()
+        self.print = Print(self.player, RunFolder.begin(Path(self._place.name) / "run", {}, ""))
+
+    def run(self) -> None:
+        self.print.run()
+        self.print.folder.close()
+        self._place.cleanup()
+
+
+@dataclass
+class _Shifted:
+    """Pictures that come some slots late."""
+
+    own: Any
+    late: int
+    bits: int = 8
+
+    def planes(self, numbers: np.ndarray) -> np.ndarray:
+        return self.own.planes((np.asarray(numbers) - self.late) % self.own.count)
+
+    def picture(self, number: int) -> np.ndarray:
+        return self.own.picture(number)
+
+
+def _mirrors(columns: int, rows: int) -> MirrorTiming:
+    return MirrorTiming(pixels=(columns, rows), row_bytes=columns // 8, dark=1e-3)
+
+
+def _frames(count: int, columns: int, rows: int) -> Frames:
+    images = np.random.default_rng(6).integers(0, 256, (count, rows, columns), dtype=np.uint8)
+    return Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=columns)
+
+
+def _timeline(axis: Axes, roll: _Stand) -> None:
+    """Power of the lens and light of the middle two poses."""
+    intervals = [(start, end) for start, end, lit, _ in roll.bench.controller.intervals if lit]
+    first = 3 * 28
+    begin = intervals[first][0] - 12_000_000
+    times = begin + np.arange(0, 215_000_000, 200_000)
+    assert roll.bench.lens is not None
+    axis.plot(1e-6 * (times - begin), [roll.bench.lens.power(int(at)) for at in times], color=style.INK, lw=1.2)
+    for number, (start, end) in enumerate(intervals[first : first + 6]):
+        color = style.HUES[int(roll.schedule.plane[first + number])]
+        axis.axvspan(1e-6 * (start - begin), 1e-6 * (end - begin), color=color, alpha=0.3, lw=0)
+        slot = first + number
+        axis.text(0.5e-6 * (start + end - 2 * begin), 0.82, f"pose {slot // 3}", ha="center", color=color, fontsize=8)
+    axis.set(title="A web through three foci: power of the lens, and light", xlabel="time [ms]", ylabel="power [dpt]",
+             ylim=(-0.75, 1.0), xlim=(0, 215))  # fmt: skip
+
+
+def _errors(axis: Axes, device: Device, angles: int) -> dict[str, float]:
+    """What resin gets of a vial, against the library's simulation."""
+    A = Projection(Grid((32, 32, 8), 0.5), Beam((32, 8), 0.5), Turntable(angles), device=device)
+    frames = _frames(angles, 32, 8)
+    wanted = A.T(A.device.upload(frames.irradiance().numpy().astype(np.float32))).numpy()
+    schedule = turned(angles, speed=40, engines=_mirrors(32, 8))
+    found = {}
+    for name, shift, way in (("as planned", 0, 1), ("one slot late", 1, 1), ("turned backwards", 0, -1)):
+        stand = _Stand(schedule, frames, shift=shift)
+        stand.run()
+        seconds = stand.bench.chamber.seconds(0, angles, turn=angles)[0][way * np.arange(angles)]
+        light = seconds[:, ::-1].transpose(0, 2, 1) / (1e-9 * schedule.on[0])
+        dose = A.T(A.device.upload(np.ascontiguousarray(light, np.float32))).numpy()
+        found[name] = float(np.abs(dose - wanted).max() / wanted.max())
+    _bars(axis, found, "dose off by, of its greatest", "What the resin of a vial gets", 1e-4)
+    return found
+
+
+def _darkness(axis: Axes, speed: float) -> dict[str, float]:
+    """How long light lasts after a fault [ms], by the emulated lamp."""
+
+    def hang(stand: _Stand) -> None:
+        stand.bench.clock.sleep(SECOND)
+
+    def stop(stand: _Stand) -> None:
+        stand.bench.controller.web.run(stand.bench.clock.now(), 0.0)
+
+    faults: dict[str, Any] = {
+        "host hangs or is killed": hang,
+        "web stops": stop,
+        "trigger lost": lambda stand: setattr(stand.bench, "lose_triggers", 1),
+        "port unplugged": lambda stand: stand.bench.port.unplug(),
+        "door opened": lambda stand: stand.bench.controller.open_interlock(stand.bench.clock.now()),
+        "emergency stop": lambda stand: stand.print.stop(),
+    }
+    found = {name: _lasting(fault, speed) for name, fault in faults.items()}
+    _bars(axis, found, "light after the fault [ms]", "Until it is dark", 250.0)
+    return found
+
+
+def _lasting(fault: Any, speed: float) -> float:
+    schedule = web(90, advance=0.0785, speed=speed, engines=_mirrors(16, 2))
+    stand = _Stand(schedule, _frames(90, 16, 2))
+    with stand.print.guard:
+        stand.print.begin(0)
+        while stand.print.next < 30:
+            stand.player.wait()
+            stand.print.step()
+        at = stand.bench.clock.now()
+        try:
+            fault(stand)
+            while stand.print.step():
+                stand.player.wait()
+        except VamError:
+            pass
+    stand.bench.clock.sleep(SECOND)
+    last = max(end for _, end, lit, _ in stand.bench.controller.intervals if lit)
+    return max(0.0, 1e-6 * (last - at))
+
+
+def _bars(axis: Axes, values: dict[str, float], label: str, title: str, limit: float) -> None:
+    names = list(values)[::-1]
+    floor = 1e-3 * limit
+    axis.barh(names, [max(values[name], floor) for name in names], color=style.BLUE, height=0.55)
+    for place, name in enumerate(names):
+        if values[name] < floor:
+            axis.text(1.15 * floor, place, "at once", va="center", color=style.QUIET)
+    axis.axvline(limit, color=style.RED, lw=1.0, ls="--")
+    axis.set(xscale="log", xlabel=label, title=title, xlim=(floor, None))

@@ -1,0 +1,37 @@
+"""Light for a target: every method through one `optimize(operator, target, method=…)`."""
+
+from __future__ import annotations
+
+from vamgpu.methods.bclp import BCLP
+from vamgpu.methods.calgd import GradientDescent
+from vamgpu.methods.fbp import FilteredBackProjection
+from vamgpu.methods.lbfgs import LBFGS
+from vamgpu.methods.osmo import OSMO
+from vamgpu.methods.penalty import PenaltyMinimization
+from vamgpu.methods.plan import Plan, Step
+from vamgpu.methods.rebin import rebin
+from vamgpu.methods.recipe import Recipe
+from vamgpu.methods.response import GeneralizedLogistic, Interpolated, Linear, Logistic
+from vamgpu.methods.run import METHODS, optimize
+from vamgpu.methods.window import ProcessWindow
+
+__all__ = [
+    "BCLP",
+    "LBFGS",
+    "METHODS",
+    "OSMO",
+    "FilteredBackProjection",
+    "GeneralizedLogistic",
+    "GradientDescent",
+    "Interpolated",
+    "Linear",
+    "Logistic",
+    "PenaltyMinimization",
+    "Plan",
+    "ProcessWindow",
+    "Recipe",
+    "Step",
+    "optimize",
+    "rebin",
+]
+

@@ -1,0 +1,91 @@
+"""The best light that a run has evaluated, kept in the run's memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf, isfinite
+from typing import TYPE_CHECKING, Any
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.kernels.update import linear
+from vamgpu.methods.method import Criterion
+
+if TYPE_CHECKING:
+    from vamgpu.methods.work import Work
+
+Judge = Callable[[DeviceArray], float]
+"""Loss of a dose, which may be overwritten."""
+
+
+class Best:
+    """One more sinogram of memory, and nothing more: methods offer light whose dose they have computed anyway.
+
+    Args:
+        memory: Of the run; holds the light and what is known of it, so that a resumed run goes on with it.
+        criterion: What tells better from worse.
+    """
+
+    def __init__(self, memory: dict[str, Any], criterion: Criterion) -> None:
+        self.memory, self.criterion = memory, criterion
+        self.unseen: Judge | None = None  # set where ``light`` in memory has not been evaluated yet
+
+    def better(self, loss: float, window: float) -> bool:
+        """Whether a light of this loss and strict window is better than the one kept; never where one is not finite."""
+        if not (isfinite(loss) and isfinite(window)):
+            return False
+        return window > self.window if self.criterion == "window" else loss < self.loss
+
+    def offer(self, light: DeviceArray, loss: float, window: float, iteration: int) -> bool:
+        """Copy the light if it is better than the one kept.
+
+        Args:
+            light: [angle, r, z] ≥ 0, as it was evaluated.
+            loss: The method's own, of this light or of the point its step looked at.
+            window: Strict window of this light's dose.
+            iteration: Number of iterations after which the light was reached.
+
+        Returns:
+            Whether it is the best so far.
+        """
+        self.unseen = None
+        if not self.better(loss, window):
+            return False
+        if "best" not in self.memory:
+            self.memory["best"] = light.device.empty(light.shape)
+        light.device.launch(linear, a=1.0, x=light, b=0.0, y=light, floor=0.0, out=self.memory["best"])
+        self.memory.update({"best loss": loss, "best window": window, "best iteration": iteration})
+        return True
+
+    @property
+    def loss(self) -> float:
+        """Of the light kept; infinite without one."""
+        return float(self.memory.get("best loss", inf))
+
+    @property
+    def window(self) -> float:
+        """Of the light kept; −infinity without one."""
+        return float(self.memory.get("best window", -inf))
+
+    @property
+    def iteration(self) -> int:
+        """Iterations after which the light kept was reached."""
+        return int(self.memory.get("best iteration", 0))
+
+    def choose(self, work: Work) -> tuple[DeviceArray, float, int]:
+        """The light to return, by one more evaluation at most.
+
+        Returns:
+            The better one of the light kept and the run's last light, its strict window, and the number of iterations
+            after which it was reached.
+        """
+        last = work.held("light")
+        if self.unseen is None:
+            chosen = self.memory.get("best", last)
+            window, _ = work.window(work.operator.T(chosen))
+            return chosen, window, self.iteration if "best" in self.memory else work.iteration
+        dose = work.operator.T(last)
+        window, _ = work.window(dose)
+        loss = self.unseen(dose) if self.criterion == "loss" else 0.0
+        if "best" not in self.memory or self.better(loss, window):
+            return last, window, work.iteration
+        return self.memory["best"], self.window, self.iteration

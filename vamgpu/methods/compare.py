@@ -1,0 +1,98 @@
+"""Methods on equal terms: the same thresholds, the same number of projector evaluations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from vamgpu.errors import BadInput
+from vamgpu.methods.band import Band
+from vamgpu.methods.bclp import BCLP
+from vamgpu.methods.calgd import GradientDescent
+from vamgpu.methods.fbp import FilteredBackProjection
+from vamgpu.methods.lbfgs import LBFGS
+from vamgpu.methods.method import Method
+from vamgpu.methods.osmo import OSMO
+from vamgpu.methods.penalty import PenaltyMinimization
+from vamgpu.methods.plan import Plan
+from vamgpu.methods.projector import Projector
+from vamgpu.methods.recipe import Recipe
+from vamgpu.methods.response import Logistic
+from vamgpu.methods.run import optimize
+from vamgpu.methods.window import ProcessWindow
+
+OUTSIDE, INSIDE = 0.78, 0.95
+"""Thresholds of the default method, in units of the part's dose."""
+LABELS = {
+    "window": "process window (default)",
+    "lbfgs": "L-BFGS, two thresholds",
+    "bclp": "BCLP",
+    "penalty": "penalty minimization",
+    "cal": "CAL gradient descent",
+    "osmo": "OSMO",
+    "recipe": "recipe",
+    "fbp": "filtered back projection",
+}
+"""Names of methods in tables and plots, the default first."""
+
+
+def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -> Method:
+    """A method by its name in `LABELS` that asks for given thresholds, everything else its own default.
+
+    Methods of two thresholds take them as they are. Those that fit a sigmoid have one threshold, its middle: half way
+    between the two. The recipe asks for doses, not for thresholds, and filtered back projection for none: both stay.
+
+    Args:
+        name: Of the method.
+        outside: Most dose of a void voxel, in units of the part's.
+        inside: Least dose of a part voxel.
+
+    Returns:
+        The method.
+
+    Raises:
+        BadInput: For another name, or unless 0 ≤ outside < inside ≤ 1.
+    """
+    Band.thresholds(outside, inside)
+    middle = Logistic(middle=0.5 * (outside + inside))
+    made: dict[str, Method] = {
+        "window": ProcessWindow(outside=outside, inside=inside),
+        "lbfgs": LBFGS(outside=outside, inside=inside),
+        "bclp": BCLP(response=middle),
+        "penalty": PenaltyMinimization(outside=outside, inside=inside),
+        "cal": GradientDescent(response=middle),
+        "osmo": OSMO(outside=outside, inside=inside),
+        "recipe": Recipe(),
+        "fbp": FilteredBackProjection(),
+    }
+    if name not in made:
+        raise BadInput(f"no method {name!r} to compare; there are {', '.join(made)}")
+    return made[name]
+
+
+def compared(
+    operator: Projector,
+    target: Any,
+    name: str,
+    pairs: float,
+    *,
+    thresholds: tuple[float, float] = (OUTSIDE, INSIDE),
+    resume: Plan | None = None,
+) -> Plan:
+    """The best light of a method at given thresholds that ``pairs`` projector evaluations buy.
+
+    Args:
+        operator: The projector.
+        target: A `Target`, or fractions [x, y, z].
+        name: Of the method, one of `LABELS`.
+        pairs: Forward and back projections that may be spent, warm start included; those a method has no use for stay
+            unspent.
+        thresholds: (outside, inside) in units of the part's dose.
+        resume: A plan of the same call with fewer pairs, to go on from.
+
+    Returns:
+        The plan; its ``pairs`` are never more than were given, if one iteration is paid for.
+
+    Raises:
+        BadInput: As `at_thresholds` and `optimize` do.
+    """
+    return optimize(operator, target, at_thresholds(name, *thresholds), pairs=pairs, resume=resume)

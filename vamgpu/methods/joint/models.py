@@ -1,0 +1,201 @@
+"""Effective dose of light of two colors, and which way it changes: through the kinetics, or as a plain difference."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.geometry import counts, positive
+from vamgpu.kernels.inhibition import inhibition_adjoint, inhibition_step
+from vamgpu.kernels.update import linear, paint
+from vamgpu.methods.joint.poses import PoseRuns
+from vamgpu.methods.joint.resin import TwoColorResin
+from vamgpu.operators.compose import NO_FLOOR, same_device
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.reductions import EVERYWHERE
+
+
+class Pair(NamedTuple):
+    """Something of each color."""
+
+    visible: DeviceArray
+    ultraviolet: DeviceArray
+
+
+class Model(Protocol):
+    """Effective dose of the light of a turn, repeated; 1 where the induction ends."""
+
+    operators: tuple[Projection, Projection]
+    resin: TwoColorResin
+    turns: int
+
+    def expose(self, light: Pair) -> DeviceArray:
+        """Effective dose [x, y, z] after the last turn."""
+        ...
+
+    def gradient(self, slope: DeviceArray) -> Pair:
+        """Derivatives by the light [angle, r, z] last exposed, from those by its effective dose."""
+        ...
+
+
+def _checked(visible: Projection, ultraviolet: Projection, turns: int) -> int:
+    for operator in (visible, ultraviolet):
+        if not isinstance(operator, Projection):
+            raise BadInput(f"got {operator!r} as operator of a color; wanted a Projection")
+    same_device(visible, ultraviolet)
+    if visible.grid != ultraviolet.grid or visible.motion != ultraviolet.motion:
+        raise BadInput(f"visible light has {visible.grid!r} and {visible.motion!r}, ultraviolet {ultraviolet.grid!r} "
+                       f"and {ultraviolet.motion!r}; build both on one grid and one turntable")  # fmt: skip
+    return counts("turns", (turns,), 1)[0]
+
+
+class LinearModel:
+    """turns·(visible·A_visᵀ light − k·A_uvᵀ light), k the resin's `subtraction`: no order, no depletion, no decay."""
+
+    def __init__(self, visible: Projection, ultraviolet: Projection, resin: TwoColorResin, turns: int = 3) -> None:
+        self.operators = (visible, ultraviolet)
+        self.resin, self.turns, self.device = resin, _checked(visible, ultraviolet, turns), visible.device
+
+    def expose(self, light: Pair) -> DeviceArray:
+        doses = [A.T(part) for A, part in zip(self.operators, light, strict=True)]
+        a, b = self.turns * self.resin.visible, -self.turns * self.resin.subtraction
+        self.device.launch(linear, a=a, x=doses[0], b=b, y=doses[1], floor=NO_FLOOR, out=doses[0])
+        return doses[0]
+
+    def gradient(self, slope: DeviceArray) -> Pair:
+        gains = (self.turns * self.resin.visible, -self.turns * self.resin.subtraction)
+        slopes = [A(slope) for A in self.operators]
+        for gain, values in zip(gains, slopes, strict=True):
+            self.device.launch(linear, a=gain, x=values, b=0.0, y=values, floor=NO_FLOOR, out=values)
+        return Pair(*slopes)
+
+
+class KineticModel:
+    """The state of every voxel through all turns, light arriving in the order of rotation.
+
+    Effective dose = 1 + X − [A] − [B]/α in shares of the induction: the visible exposure so far, less what it takes to
+    be rid of the inhibitors that ultraviolet made. Below 1 nothing polymerizes but what ε lets pass, beyond it X does.
+
+    visible, ultraviolet: operators of both colors on one grid, turntable and device; vessels that absorb attenuate
+    each color by itself.  turns: N_R.  period: of a turn [s], which pairing needs.  runs: of poses a turn whose light
+    arrives at once.  steps: of the kinetics within a run.
+
+    Memory, in volumes: 4·runs for light and slopes, 3·turns for the states at the beginnings of turns, 3·runs·steps for
+    those of the turn that is recomputed, and about 10.  Raises `BadInput`, `DeviceError`.
+    """
+
+    def __init__(
+        self, visible: Projection, ultraviolet: Projection, resin: TwoColorResin, turns: int = 3, *,
+        period: float = 0.0, runs: int = 12, steps: int = 1,
+    ) -> None:  # fmt: skip
+        self.operators = (visible, ultraviolet)
+        self.resin, self.turns, self.device = resin, _checked(visible, ultraviolet, turns), visible.device
+        self.period = positive("period [s]", period, zero=True)
+        if resin.pairing and not self.period:
+            raise BadInput("the resin's B pairs up, so the period of a turn [s] counts; wanted period > 0")
+        if resin.pairing and visible.motion.dwell is not None:
+            raise BadInput(f"the resin's B pairs up while {visible.motion} angles are lit for unequal times; expected "
+                           "equal times, as runs of poses last alike: leave dwell out of Turntable")  # fmt: skip
+        self.steps = counts("steps", (steps,), 1)[0]
+        self.runs = tuple(PoseRuns(A, runs) for A in self.operators)
+        self.shape = visible.domain.shape
+        self._doses: list[Pair] = []
+        self._starts: list[tuple[DeviceArray, ...]] = []
+
+    def expose(self, light: Pair) -> DeviceArray:
+        self._light_up(light)
+        state, spare = self._rest(), self._volumes(4)
+        for turn in range(self.turns):
+            self._keep(turn, state)
+            for sub in range(len(self._doses) * self.steps):
+                self._step(sub, state, spare)
+                state, spare = spare, state
+        a, b, _, x = state
+        self._combine(1.0, x, -1.0, a, x)
+        self._combine(1.0, x, -1.0 / self.resin.alpha, b, x)
+        return x
+
+    def gradient(self, slope: DeviceArray) -> Pair:
+        if not self._starts:
+            raise BadInput("there is no light to differentiate at; expose some first")
+        count = len(self._doses) * self.steps
+        slopes = [Pair(*(self._constant(0.0) for _ in range(2))) for _ in self._doses]
+        a, b, c = self._volumes(3)
+        self._combine(-1.0, slope, 0.0, slope, a)
+        self._combine(-1.0 / self.resin.alpha, slope, 0.0, slope, b)
+        self._combine(0.0, slope, 0.0, slope, c)
+        path = [self._volumes(3) for _ in range(count)]
+        x = self._constant(1.0)
+        for start in reversed(self._starts):
+            states = [start, *path[1:]]
+            for sub in range(count - 1):
+                self._step(sub, (*states[sub], x), (*states[sub + 1], x))
+            for sub in reversed(range(count)):
+                self._back(sub, states[sub], (a, b, c), slope, slopes)
+        return self._gathered(slopes)
+
+    # ---- pieces ----------------------------------------------------------------------------------------------
+    def _light_up(self, light: Pair) -> None:
+        """Doses of every run of a turn; the same in every turn."""
+        runs = len(self.runs[0])
+        if not self._doses:
+            self._doses = [Pair(*self._volumes(2)) for _ in range(runs)]
+        for run in range(runs):
+            for color in range(2):
+                self.runs[color].expose(run, light[color], self._doses[run][color])
+
+    def _gathered(self, slopes: list[Pair]) -> Pair:
+        light = Pair(*(self.device.empty(A.range.shape) for A in self.operators))
+        for run, pair in enumerate(slopes):
+            for color in range(2):
+                self.runs[color].project(run, pair[color], light[color])
+        return light
+
+    def _given(self, sub: int) -> dict[str, object]:
+        """Arguments of a step that its adjoint shares."""
+        dose, resin, share = self._doses[sub // self.steps], self.resin, 1.0 / self.steps
+        pairing = resin.pairing * self.period / (len(self._doses) * self.steps)
+        gains = {"visible_gain": resin.visible * share, "ultraviolet_gain": resin.ultraviolet * share}
+        return {"visible": dose.visible, "ultraviolet": dose.ultraviolet, **gains, "cross_gain": resin.cross * share,
+                "alpha": resin.alpha, "pairing": pairing, "floor": resin.floor}  # fmt: skip
+
+    def _step(self, sub: int, before: tuple[DeviceArray, ...], after: tuple[DeviceArray, ...]) -> None:
+        state = dict(zip("abcx", before, strict=True))
+        ends = {f"{name}_end": value for name, value in zip("abcx", after, strict=True)}
+        self.device.launch(inhibition_step, **self._given(sub), **state, **ends)
+
+    def _back(
+        self, sub: int, before: tuple[DeviceArray, ...], state: tuple[DeviceArray, ...], x: DeviceArray,
+        slopes: list[Pair],
+    ) -> None:  # fmt: skip
+        pair = slopes[sub // self.steps]
+        states = dict(zip("abc", before, strict=True))
+        ends = {f"{name}_slope": value for name, value in zip("abcx", (*state, x), strict=True)}
+        by_light = {"visible_slope": pair.visible, "ultraviolet_slope": pair.ultraviolet}
+        self.device.launch(inhibition_adjoint, **self._given(sub), **states, **ends, **by_light)
+
+    def _rest(self) -> tuple[DeviceArray, ...]:
+        """The state before any light; x begins at the 1 that the effective dose adds."""
+        return tuple(self._constant(value) for value in (1.0, 0.0, self.resin.supply, 1.0))
+
+    def _keep(self, turn: int, state: tuple[DeviceArray, ...]) -> None:
+        if turn >= len(self._starts):
+            self._starts.append(self._volumes(3))
+        for kept, value in zip(self._starts[turn], state[:3], strict=True):
+            self._combine(1.0, value, 0.0, value, kept)
+
+    def _volumes(self, count: int) -> tuple[DeviceArray, ...]:
+        return tuple(self.device.empty(self.shape) for _ in range(count))
+
+    def _constant(self, value: float) -> DeviceArray:
+        filled, finite = self.device.empty(self.shape), self._finite()
+        self.device.launch(paint, target=finite, low=value, high=value, reach=EVERYWHERE, model=filled)
+        return filled
+
+    def _finite(self) -> DeviceArray:
+        """Any volume without NaN."""
+        return self._doses[0].visible
+
+    def _combine(self, a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray) -> None:
+        self.device.launch(linear, a=a, x=x, b=b, y=y, floor=NO_FLOOR, out=out)

@@ -1,0 +1,44 @@
+"""What every method is: a frozen choice of parameters and a generator of steps."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
+
+if TYPE_CHECKING:
+    from vamgpu.methods.work import Work
+
+
+Steps = Generator[tuple[float, float], None, None]
+"""Loss and strict window after every step."""
+
+Criterion = Literal["window", "loss"]
+"""What tells better light from worse: the greater strict window, or the lesser loss."""
+
+
+class Method(Protocol):
+    """A way to find light for a target.
+
+    Attributes:
+        papers: Citations of its sources.
+        iterations: How many it runs where the caller does not say.
+        cost: Projector pairs that an iteration takes at least.
+        criterion: What its best light is chosen by: the strict window for methods that aim at thresholds, the loss for
+            methods whose loss is the purpose.
+    """
+
+    papers: ClassVar[tuple[str, ...]]
+    iterations: ClassVar[int]
+    cost: ClassVar[float]
+    criterion: ClassVar[Criterion]
+
+    def steps(self, work: Work) -> Steps:
+        """Improve ``light`` in the memory for ever, or until nothing is left to gain.
+
+        Every light whose dose is known is offered by ``work.offer``, which keeps the best. Everything a later run needs
+        to go on is in ``work.memory`` whenever it yields.
+
+        Yields:
+            Loss and strict window of the step.
+        """
+        ...

@@ -1,0 +1,76 @@
+"""The history of a limited-memory quasi-Newton method, as long as the device's memory lets it be."""
+
+from __future__ import annotations
+
+import warnings
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import MemoryNotice, OutOfMemory
+from vamgpu.methods.work import Work
+from vamgpu.operators.reductions import dot
+
+
+class Pairs:
+    """Differences of light and of gradient with 1 / their product, oldest first, in the run's memory.
+
+    ``step`` and ``change`` are the pair in the making; until `close` they hold the light and gradient before the step.
+    """
+
+    def __init__(self, work: Work, most: int, most_bytes: int | None) -> None:
+        self.work, self.most, self.most_bytes = work, most, most_bytes
+        self.kept: list[tuple[DeviceArray, DeviceArray, float]] = work.memory.setdefault("pairs kept", [])
+        self.used = 0
+        self.step = self.change = work.held("light")  # until open()
+        self._spare: list[DeviceArray] = []
+
+    def direct(self, out: DeviceArray) -> None:
+        """out = the quasi-Newton direction of descent, dark light held."""
+        work = self.work
+        work.scale(1.0, work.held("gradient"), out)
+        work.free(work.held("light"), out)
+        self.used = len(self.kept)
+        shares = []
+        for step, change, inverse in reversed(self.kept):
+            shares.append(inverse * dot(step, out))
+            work.combine(1.0, out, -shares[-1], change, out)
+        if self.kept:
+            _, change, inverse = self.kept[-1]
+            work.scale(1.0 / (inverse * dot(change, change)), out, out)
+        for (step, change, inverse), share in zip(self.kept, reversed(shares), strict=True):
+            work.combine(1.0, out, share - inverse * dot(change, out), step, out)
+        work.scale(-1.0, out, out)
+
+    def open(self) -> None:
+        """Make room for the next pair: new arrays, or those of the oldest pair."""
+        if not self._spare and len(self.kept) < self.most:
+            self._allocate()
+        if not self._spare:
+            self._spare = list(self.kept.pop(0)[:2])
+        self.step, self.change = self._spare
+
+    def _allocate(self) -> None:
+        count = len(self.kept) + 1
+        need = 2 * count * self.work.held("light").nbytes
+        try:
+            if self.most_bytes is not None and need > self.most_bytes and self.kept:
+                raise OutOfMemory(f"{count} pairs take {need} bytes; {self.most_bytes} are allowed")
+            self._spare = [self.work.sinogram(), self.work.sinogram()]
+        except OutOfMemory as error:
+            self._spare = []
+            if not self.kept:
+                raise
+            self.most = len(self.kept)
+            warnings.warn(f"the history stops at {self.most} pairs: {error}", MemoryNotice, stacklevel=2)
+
+    def close(self, light: DeviceArray, gradient: DeviceArray) -> None:
+        """Complete the pair with the light and gradient after the step; keep it if it curves upwards."""
+        self.work.combine(1.0, light, -1.0, self.step, self.step)
+        self.work.combine(1.0, gradient, -1.0, self.change, self.change)
+        product = dot(self.step, self.change)
+        if product > 1e-10 * (dot(self.step, self.step) * dot(self.change, self.change)) ** 0.5:
+            self.kept.append((self.step, self.change, 1.0 / product))
+            self._spare = []
+
+    def forget(self) -> None:
+        """Drop the history, but keep the room of the pair in the making."""
+        self.kept.clear()

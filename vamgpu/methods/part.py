@@ -1,0 +1,137 @@
+"""The part an optimizer is asked for: checked, and on the operator's device."""
+
+from __future__ import annotations
+
+import warnings
+from math import inf, isfinite
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, EmptyMesh, OpticsWarning, TargetTooLarge
+from vamgpu.geometry import Grid
+from vamgpu.kernels.update import paint
+from vamgpu.methods.projector import Projector
+from vamgpu.methods.reach import check_reach
+from vamgpu.operators.reductions import EVERYWHERE, extent, total
+from vamgpu.operators.space import require
+from vamgpu.web import WebGrid
+
+
+def fractions_of(operator: Projector, target: Any) -> DeviceArray:
+    """The target's fractions [x, y, z] on the operator's device, after checking that light can reach it all.
+
+    target: a `Target`, or fractions (NumPy or on the device).  Raises `BadInput` for another pitch and for values
+    beyond 0..1, `EmptyMesh` where nothing is to be printed or judged, `NoLight` where light does not get to it all,
+    `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
+    """
+    if not hasattr(operator, "grid") or not hasattr(operator, "beam"):
+        raise BadInput(f"got {operator!r} as operator; wanted a projector, or something made of one")
+    radius = getattr(target, "radius", None)
+    if not isinstance(operator.grid, WebGrid):
+        check = getattr(operator.vessel, "check_fits", None)
+        if radius is not None and check is not None:
+            check(radius)
+        _check_beam(operator, radius, getattr(target, "height", None))
+    fractions = on_device(operator, target)
+    _check_values(fractions)
+    if isinstance(operator.grid, Grid):
+        _check_cylinder(fractions, operator.grid)
+    known = hasattr(target, "radius")  # then vessel and beam were asked above, and absorption alone is left
+    if not isinstance(operator.grid, WebGrid) and not (known and operator.vessel is None):
+        check_reach(operator, fractions)
+    return fractions
+
+
+def reach_of(grid: Grid | WebGrid) -> float:
+    """Radius [voxels] of the cylinder that every angle lights and that is judged; all of a web is."""
+    return grid.inscribed_radius / grid.pitch * (1.0 + 1e-6) if isinstance(grid, Grid) else EVERYWHERE
+
+
+def on_device(operator: Projector, target: Any) -> DeviceArray:
+    """The target's fractions [x, y, z] on the operator's device; arguments and errors as for `fractions_of`."""
+    wanted = operator.grid.pitch
+    pitch = getattr(getattr(target, "grid", None), "pitch", wanted)
+    if not np.allclose(pitch, wanted, rtol=1e-9, atol=0.0):
+        raise BadInput(
+            f"the target has voxels of {_edge(pitch)} mm, the operator of {_edge(wanted)} mm; "
+            "build the operator on target.grid"
+        )
+    fractions = target.on(operator.device) if hasattr(target, "on") else target
+    require(operator.domain, fractions, "the target")
+    if not isinstance(fractions, DeviceArray):
+        return uploaded(operator.device, fractions, "the target")
+    operator.device.check_mine(fractions)
+    return fractions
+
+
+def uploaded(device: Device, values: Any, name: str) -> DeviceArray:
+    """An array on a device, after checking that every value is a number that float32 can hold.
+
+    Raises:
+        BadInput: For NaN, infinity and values beyond float32.
+    """
+    array = np.asarray(values)
+    least, most = (float(end(array)) if array.size else 0.0 for end in (np.min, np.max))  # NaN wherever one is
+    if not max(abs(least), abs(most)) <= float(np.finfo(np.float32).max):
+        raise BadInput(f"{name} reaches from {least:g} to {most:g}; expected finite numbers that float32 can hold")
+    return device.upload(array)
+
+
+def _edge(pitch: Any) -> str:
+    return " × ".join(f"{edge:g}" for edge in np.atleast_1d(pitch))
+
+
+def _check_values(fractions: DeviceArray) -> None:
+    low, high = extent(fractions, lower=-inf, upper=inf)
+    if not isfinite(total(fractions)):
+        raise BadInput("the target holds NaN or infinity; expected fractions in 0..1")
+    if not (low >= 0.0 and high <= 1.0):
+        raise BadInput(f"the target reaches from {low:g} to {high:g}; wanted fractions in 0..1: scale it")
+    if high == 0.0:
+        raise EmptyMesh("every voxel of the target is 0; wanted some that are filled")
+
+
+def _check_cylinder(fractions: DeviceArray, grid: Grid) -> None:
+    """Refuse a target without any voxel that could be judged as part; tell of a part that reaches out of the cylinder.
+
+    A voxel counts as part from a fraction of one half.
+    """
+    reach = reach_of(grid)
+    _, most = extent(fractions, reach=reach)
+    if not most >= 0.5:
+        raise EmptyMesh(
+            f"no voxel of the target within {grid.inscribed_radius:.4g} mm of the axis is at least half filled (the "
+            f"fullest one: {max(most, 0.0):g}); center the target on the axis, scale it, or choose a finer pitch"
+        )
+    inside = fractions.device.empty(fractions.shape)
+    fractions.device.launch(paint, target=fractions, low=0.0, high=1.0, reach=reach, model=inside)
+    out = 1.0 - total(inside) / total(fractions)
+    if out > 1e-6:
+        warnings.warn(
+            f"{100 * out:.2g} % of the target lies farther than {grid.inscribed_radius:.4g} mm from the axis, out of "
+            "the cylinder that every angle lights: it is neither asked for nor judged; take a wider grid",
+            OpticsWarning,
+            stacklevel=4,
+        )
+
+
+def _check_beam(operator: Projector, radius: float | None, height: float | None) -> None:
+    """Refuse a part [mm] higher than the light; warn of one wider, which only the poses along it light whole."""
+    (columns, rows), pitch, vessel = operator.beam.pixels, operator.beam.pitch, operator.vessel
+    if height is not None and height > rows * pitch * (1.0 + 1e-6):
+        raise TargetTooLarge(
+            f"the target is {height:.4g} mm high, the light of {operator.beam} {rows * pitch:.4g} mm; "
+            "scale or center the target, or take a beam of more rows"
+        )
+    edge = np.array([0.5 * columns * pitch])
+    reach = float((edge if vessel is None else vessel.chords(edge).p)[0])
+    if radius is not None and radius > reach * (1.0 + 1e-6):
+        warnings.warn(
+            f"the target has a radius of {radius:.4g} mm, the light of {operator.beam} one of {reach:.4g} mm in the "
+            "resin: what lies beyond is lit at some poses only; scale the target or take a beam of more columns",
+            OpticsWarning,
+            stacklevel=4,
+        )

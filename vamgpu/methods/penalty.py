@@ -1,0 +1,77 @@
+"""Penalty minimization: a price for every voxel on the wrong side of its threshold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import ClassVar
+
+from vamgpu.errors import BadInput
+from vamgpu.methods.band import MOST, Band
+from vamgpu.methods.descent import Descent
+from vamgpu.methods.fbp import filtered_light
+from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.papers import PENALTY
+from vamgpu.methods.ramp import identity
+from vamgpu.methods.work import Work
+
+
+@dataclass(frozen=True)
+class PenaltyMinimization:
+    """Pays for every voxel on the wrong side of its threshold, and for nothing else.
+
+    As published, with light g, dose d = Aᵀg and the penalties ρ₁ of a void voxel and ρ₂ of a part voxel:
+
+        minimize ρ₁·Σ_void max(0, d − outside) + ρ₂·Σ_part max(0, inside − d) over g ≥ 0
+
+    The slope by dose is ρ₁ or −ρ₂ where a voxel is wrong, else 0; it is projected and light that would be negative is
+    dark. There is no upper threshold in the part. Light that violates nothing ends the run.
+
+    What differs here: subgradient steps whose length is found as in `BCLP` (share, growth, and steps that raise the
+    loss taken back and halved), from filtered back projection on; no buffer zone around the part.
+
+    Args:
+        outside: Threshold of the void in units of the part's dose.
+        inside: Threshold of the part.
+        price: (ρ₁, ρ₂).
+        share: Change of the light in the first step over the light, > 0.
+        growth: Of the step from one to the next, ≥ 1.
+        momentum: Share of the last step that is added to the next, in [0, 1).
+
+    Raises:
+        BadInput: For values out of these ranges, or unless 0 ≤ outside < inside ≤ 1.
+    """
+
+    outside: float = 0.75
+    inside: float = 0.9
+    price: tuple[float, float] = (1.0, 1.0)
+    share: float = 0.05
+    growth: float = 1.1
+    momentum: float = 0.0
+    papers: ClassVar[tuple[str, ...]] = (PENALTY,)
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "loss"
+    iterations: ClassVar[int] = 20
+
+    def __post_init__(self) -> None:
+        Band.thresholds(self.outside, self.inside)
+        priced = len(self.price) == 2 and all(0 <= price < MOST for price in self.price)
+        if not (priced and 0 < self.share < inf and 1 <= self.growth < inf and 0 <= self.momentum < 1):
+            raise BadInput(
+                f"{self!r}: wanted two prices ≥ 0 and below {MOST:g}, share > 0, growth ≥ 1 and 0 ≤ momentum < 1"
+            )
+
+    def steps(self, work: Work) -> Steps:
+        if "light" not in work.memory:
+            filtered_light(work, work.volume())
+        far = 10.0  # a ceiling no dose reaches, low enough for float32
+        center, slack = (0.5 * self.outside, 0.5 * (self.inside + far)), (0.5 * self.outside, 0.5 * (far - self.inside))
+        band = Band(center, slack, self.price, 1.0, binary=True)
+        yield from Descent(
+            band,
+            identity(work.operator),
+            share=self.share,
+            growth=self.growth,
+            momentum=self.momentum,
+            guarded=True,
+        ).steps(work)

@@ -1,0 +1,200 @@
+"""The bench an optimizer works on: operator, target, memory of the run, and the launches all methods share."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import inf, isfinite, prod
+from typing import Any
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Grid
+from vamgpu.kernels.dwell import weigh_poses
+from vamgpu.kernels.filter import filter_rows, filtered_step
+from vamgpu.kernels.loss import band_loss
+from vamgpu.kernels.update import free_gradient, linear, paint
+from vamgpu.methods.band import MOST, Band
+from vamgpu.methods.best import Best
+from vamgpu.methods.method import Criterion
+from vamgpu.methods.part import reach_of, uploaded
+from vamgpu.methods.projector import Projector
+from vamgpu.methods.ramp import Taps
+from vamgpu.operators.reductions import dot, extent, folded, parts_for, window
+from vamgpu.operators.space import require
+from vamgpu.web import WebGrid
+
+NO_FLOOR = -3e38
+
+
+class Work:
+    """One run: everything a method may use. ``memory`` outlives the run and is enough to resume it."""
+
+    def __init__(
+        self, operator: Projector, target: DeviceArray, memory: dict[str, Any], criterion: Criterion = "window"
+    ) -> None:
+        self.operator, self.target, self.memory = operator, target, memory
+        self.best = Best(memory, criterion)
+        self.iteration = 0  # iterations done so far, of this run and those it resumes
+        self.most_pairs = inf
+        self.device = operator.device
+        self.reach = reach_of(operator.grid)
+        self.pairs = float(memory.get("pairs", 0.0))
+        self.voxels = _judged(operator.grid)
+
+    def volume(self) -> DeviceArray:
+        """An uninitialized volume."""
+        return self.device.empty(self.operator.domain.shape)
+
+    def sinogram(self) -> DeviceArray:
+        """An uninitialized sinogram."""
+        return self.device.empty(self.operator.range.shape)
+
+    def field(self, values: Any) -> DeviceArray | None:
+        """Weights of voxels as a volume on the device; None stays None. Raises `ShapeMismatch`."""
+        if values is None:
+            return None
+        require(self.operator.domain, values, "the weight")
+        field = values if isinstance(values, DeviceArray) else uploaded(self.device, values, "the weight")
+        low, high = extent(field)
+        if not (low >= 0.0 and 0.0 < high < MOST):
+            raise BadInput(
+                f"the weight reaches from {low:g} to {high:g}; expected values ≥ 0, some above 0, all below {MOST:g}"
+            )
+        return field
+
+    def held(self, name: str) -> DeviceArray:
+        """A sinogram of the run's memory."""
+        return self.memory[name]
+
+    def number(self, name: str, default: float = 0.0) -> float:
+        """A number of the run's memory."""
+        return float(self.memory.get(name, default))
+
+    # ---- projecting, counted ---------------------------------------------------------------------------------
+    def project(self, volume: DeviceArray, out: DeviceArray) -> None:
+        """out = A volume; half a pair."""
+        self.operator(volume, out=out)
+        self._count()
+
+    def expose(self, light: DeviceArray, out: DeviceArray) -> None:
+        """out = Aᵀ light, the dose; half a pair."""
+        self.operator.T(light, out=out)
+        self._count()
+
+    def _count(self) -> None:
+        self.pairs += 0.5
+        self.memory["pairs"] = self.pairs
+
+    def affords(self, pairs: float) -> bool:
+        """Whether so many more projector pairs stay within what the run may spend."""
+        return self.pairs + pairs <= self.most_pairs
+
+    def offer(self, loss: float, window: float, made: int) -> bool:
+        """Keep ``light`` in memory if it is the best so far.
+
+        Args:
+            loss: The method's own.
+            window: Strict window of the light's dose.
+            made: 1 where the iteration in progress made this light, 0 where an earlier one did.
+        """
+        return self.best.offer(self.held("light"), loss, window, self.iteration + made)
+
+    # ---- numbers ---------------------------------------------------------------------------------------------
+    def window(self, dose: DeviceArray) -> tuple[float, float]:
+        """Strict process window of a dose, and the greatest dose.
+
+        Where the part leaves no void nothing can leak, and the window is the least dose over the greatest. A dose that
+        is dark everywhere, or not finite, prints nothing: its window is −1, the least there is.
+        """
+        least, leak, greatest = window(dose, self.target, self.reach)
+        if not (isfinite(least) and leak < inf and 0.0 < greatest < inf):
+            return -1.0, max(greatest, 1e-30) if isfinite(greatest) else 1.0
+        return (least - max(leak, 0.0)) / greatest, greatest
+
+    @cached_property
+    def _target_square(self) -> float:
+        return dot(self.target, self.target)
+
+    def part_mean(self, dose: DeviceArray) -> float:
+        """Dose over target in the part, each voxel counted by its target."""
+        return max(dot(dose, self.target) / max(self._target_square, 1e-30), 1e-30)
+
+    def loss(self, dose: DeviceArray, band: Band, weight: DeviceArray | None = None) -> float:
+        """The band's loss; the dose becomes its gradient."""
+        parts, curve = parts_for(band_loss, dose), band.response.curve()
+        self.device.launch(
+            band_loss,
+            dose=dose,
+            target=self.target,
+            weight=self.target if weight is None else weight,
+            weighted=int(weight is not None),
+            response=self.device.table(curve.values),
+            start=curve.start,
+            density=curve.density,
+            low=band.center[0],
+            high=band.center[1],
+            slack_low=band.slack[0],
+            slack_high=band.slack[1],
+            gain_low=band.gain[0],
+            gain_high=band.gain[1],
+            power=band.power,
+            ridge=band.ridge,
+            binary=int(band.binary),
+            reach=self.reach,
+            parts=parts,
+        )
+        return folded(parts)
+
+    # ---- elementwise -----------------------------------------------------------------------------------------
+    def combine(
+        self, a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray, floor: float = NO_FLOOR
+    ) -> None:
+        """out = max(floor, a·x + b·y); out may be x or y."""
+        self.device.launch(linear, a=a, x=x, b=b, y=y, floor=floor, out=out)
+
+    def scale(self, factor: float, x: DeviceArray, out: DeviceArray) -> None:
+        """out = factor·x."""
+        self.combine(factor, x, 0.0, x, out)
+
+    def paint(self, background: float, out: DeviceArray) -> None:
+        """out = the target over a background that fills the cylinder."""
+        self.device.launch(paint, target=self.target, low=background, high=1.0, reach=self.reach, model=out)
+
+    def filter(self, sinogram: DeviceArray, taps: Taps, out: DeviceArray, floor: float = NO_FLOOR) -> None:
+        """out = max(floor, sinogram filtered along r), times the balance of its pose."""
+        self.device.launch(
+            filter_rows, sinogram=sinogram, taps=taps.table, stride=taps.stride, floor=floor, filtered=out
+        )
+        self._balance(out, taps)
+
+    def _balance(self, images: DeviceArray, taps: Taps) -> None:
+        if taps.balance is not None:
+            self.device.launch(weigh_poses, light=images, times=taps.balance, weighted=images)
+
+    def free(
+        self, light: DeviceArray, gradient: DeviceArray, weight: float = 0.0, power: float = 1.0, hold: bool = True
+    ) -> float:
+        """Add a penalty weight·Σ light^power to a gradient, then hold dark light if asked; returns the penalty."""
+        parts = parts_for(free_gradient, gradient)
+        how = {"weight": weight, "power": power, "hold": int(hold)}
+        self.device.launch(free_gradient, light=light, **how, gradient=gradient, parts=parts)
+        return folded(parts) if weight else 0.0
+
+    def step(self, gradient: DeviceArray, taps: Taps, step: float, momentum: float) -> None:
+        """One filtered, accelerated step of ``light`` and ``ahead`` in memory; may balance the gradient in place."""
+        self._balance(gradient, taps)
+        self.device.launch(
+            filtered_step,
+            gradient=gradient,
+            taps=taps.table,
+            stride=taps.stride,
+            step=step,
+            momentum=momentum,
+            light=self.held("light"),
+            ahead=self.held("ahead"),
+        )
+
+
+def _judged(grid: Grid | WebGrid) -> float:
+    """Voxels that count."""
+    return max(float(grid.cylinder().sum()) * grid.shape[2], 1.0) if isinstance(grid, Grid) else float(prod(grid.shape))

@@ -1,0 +1,114 @@
+"""One look for all pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INK, QUIET, FAINT = "#1f2733", "#6b7787", "#d5dae1"
+BLUE, ORANGE, RED, GREEN, GLASS, RESIN = "#2563a8", "#e8901a", "#d63a49", "#1d9a5b", "#cfe3f2", "#fdf3e1"
+HUES = (BLUE, ORANGE, GREEN, RED, "#7a4fb5", "#12939a", "#a0652c", "#c2559d")
+LIGHT, DOSE, GAP, SOLID = "inferno", "magma", "RdBu_r", "Greys"
+"""Color maps of light, of dose, of signed differences, and of filled fractions."""
+
+LARGEST = 140_000
+"""Bytes of a PNG of full color; larger ones get a palette."""
+
+WIDTH = 10.0
+DPI = 110
+
+STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans", "font.size": 9.5, "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": FAINT,
+    "axes.titlesize": 10.0, "axes.titlelocation": "left", "axes.titleweight": "bold", "axes.titlepad": 7.0,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True,
+    "grid.color": "#eef1f5", "xtick.color": QUIET, "ytick.color": QUIET, "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK, "legend.frameon": False, "legend.fontsize": 9.0, "lines.linewidth": 1.7,
+    "figure.facecolor": "white", "savefig.dpi": DPI, "figure.dpi": DPI, "figure.constrained_layout.h_pad": 0.09,
+    "figure.constrained_layout.w_pad": 0.09,
+}  # fmt: skip
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Drawing and saving happen inside: matplotlib asks for parts of a style only when it needs them."""
+    from matplotlib import rc_context
+
+    with rc_context(STYLE):
+        yield
+
+
+def sheet(mosaic: str | list[Any], height: float, **options: Any) -> tuple[Figure, dict[str, Axes]]:
+    """An empty figure of the gallery's width [inch] and its panels by letter, as `subplot_mosaic` reads them."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplot_mosaic(mosaic, **options)  # type: ignore[return-value]
+
+
+def shown(axis: Axes, plane: np.ndarray, title: str, pitch: float | None = None, **options: Any) -> Any:
+    """A plane [horizontal, vertical] as a picture; with a pitch [mm] its axes are in mm, without it they are bare."""
+    extent = None
+    if pitch is not None:
+        half = [0.5 * n * pitch for n in plane.shape]
+        extent = (-half[0], half[0], -half[1], half[1])
+    options = {"cmap": DOSE, "interpolation": "nearest", **options}
+    drawn = axis.imshow(plane.T, origin="lower", extent=extent, **options)
+    axis.set_title(title)
+    axis.grid(False)
+    if pitch is None:
+        bare(axis)
+    return drawn
+
+
+def bare(axis: Axes) -> None:
+    """No ticks and no frame."""
+    axis.set(xticks=[], yticks=[])
+    axis.spines[:].set_visible(False)
+
+
+def bar(drawn: Any, axis: Axes | list[Axes], label: str, **options: Any) -> None:
+    """A thin color bar beside one or more panels."""
+    first = axis[0] if isinstance(axis, list) else axis
+    made = first.figure.colorbar(drawn, ax=axis, label=label, **{"fraction": 0.045, "pad": 0.02, **options})
+    made.outline.set_visible(False)
+
+
+def scale_bar(axis: Axes, length: float, label: str, *, below: bool = False) -> None:
+    """A bar of a length in the units of the picture's axes, white in its lower left corner or dark below it."""
+    (left, right), (low, high) = axis.get_xlim(), axis.get_ylim()
+    x, y = left + 0.05 * (right - left), low + (-0.03 if below else 0.06) * (high - low)
+    color = INK if below else "white"
+    axis.plot([x, x + length], [y, y], color=color, lw=2.5, solid_capstyle="butt", clip_on=False)
+    axis.text(x, y + (-0.02 if below else 0.025) * (high - low), label, color=color, fontsize=8.5,
+              va="top" if below else "bottom")  # fmt: skip
+    axis.set(xlim=(left, right), ylim=(low, high))
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a small PNG, the same bytes for the same picture; a palette of 256 colors where it must be."""
+    from PIL import Image
+
+    drawn, small = BytesIO(), BytesIO()
+    with styled():
+        figure.savefig(drawn, format="png")
+    with Image.open(drawn) as opened:
+        full = opened.convert("RGB")
+    full.save(small, "PNG", optimize=True)
+    if small.tell() <= LARGEST:
+        return small.getvalue()
+    while True:
+        few, small = full.quantize(256, method=Image.Quantize.MEDIANCUT, kmeans=1, dither=Image.Dither.NONE), BytesIO()
+        few.save(small, "PNG", optimize=True)
+        if small.tell() <= LARGEST:
+            return small.getvalue()
+        full = full.resize((int(0.9 * full.width), int(0.9 * full.height)), Image.Resampling.LANCZOS)

@@ -1,0 +1,97 @@
+"""What a web machine can do, as a picture: speeds, time of a pose, flow, and the frequencies light reaches."""
+
+from __future__ import annotations
+
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vamgpu.reports import style
+from vamgpu.storage.atomic import replacing
+from vamgpu.units import Pa_s, minute
+from vamgpu.webs.limits import Limits
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def draw(found: Limits, path: str | Path) -> Path:
+    """Write the picture of a machine's limits as a PNG, replacing an earlier one. Raises `StorageError`."""
+    with style.styled():
+        content = style.png(figure_of(found))
+    with replacing(Path(path), overwrite=True) as draft:
+        draft.write_bytes(content)
+    return Path(path)
+
+
+def figure_of(found: Limits) -> Figure:
+    """Greatest speeds, a pose in time, viscosity against speed, and the reach in spatial frequency."""
+    figure, axes = style.sheet("aab;ccd", 6.6, width_ratios=[1, 1, 1.1])
+    _speeds(axes["a"], found)
+    _frequencies(axes["b"], found)
+    _pose(axes["c"], found)
+    _flow(axes["d"], found)
+    return figure
+
+
+def _speeds(axis: Axes, found: Limits) -> None:
+    known = [limit for limit in found.speeds if limit.speed < inf][::-1]
+    values = [limit.speed * minute for limit in known]
+    hue = [style.RED if limit == found.binding else style.BLUE for limit in known]
+    axis.barh([limit.name for limit in known], values, color=hue, height=0.6)
+    axis.axvline(found.speed * minute, color=style.INK, ls=(0, (4, 3)), lw=1.2)
+    axis.text(found.speed * minute, len(known) - 0.42, " wanted", fontsize=8.5, va="bottom")
+    for row, value in enumerate(values):
+        axis.text(value, row, f" {value:.0f}", va="center")
+    fastest = found.binding
+    axis.set(title=f"Greatest speed: {fastest.speed * minute:.0f} mm/min, bound by {fastest.name}",
+             xlabel="web [mm/min]", xlim=(0, 1.12 * max(values)), ylim=(-0.6, len(known) - 0.1))  # fmt: skip
+    axis.grid(False, axis="y")
+
+
+def _frequencies(axis: Axes, found: Limits) -> None:
+    covered = found.k_space(301).astype(float)
+    inside = np.hypot(*np.meshgrid(np.arange(301) - 150, np.arange(301) - 150)) <= 150.5
+    picture = np.where(inside, 1.0 + covered, 0.0)
+    from matplotlib.colors import ListedColormap
+
+    colors = ListedColormap(["#ffffff", style.FAINT, style.BLUE])
+    title = f"Frequencies reached: {100 * found.covered_share:.0f} %"
+    style.shown(axis, picture, title, cmap=colors, vmin=0, vmax=2)
+    axis.text(150, 290, "missing wedge", ha="center", va="top", fontsize=8.5)
+    axis.text(296, 150, "along the web ", ha="right", va="center", color="white", fontsize=8.5)
+    axis.text(150, 4, "into the film", ha="center", va="bottom", fontsize=8.5)
+
+
+def _pose(axis: Axes, found: Limits) -> None:
+    bins, order, start = found.lens.bins, [], 0.0
+    parts = ((found.display.wire, style.ORANGE, "command"), (found.lens.settle, style.FAINT, "lens settles"))
+    free = found.advance / found.speed - found.moves * (found.display.wire + found.lens.settle)
+    for plane in range(bins):
+        moved = found.moves == bins or plane > 0
+        for length, color, name in (*(parts if moved else ()), (max(free, 0.0) / bins, style.BLUE, "light")):
+            axis.barh(0, 1e3 * length, left=1e3 * start, color=color, height=0.8,
+                      label=name if name not in order else None)  # fmt: skip
+            order.append(name)
+            start += length
+    axis.plot([1e3 * found.pose_time] * 2, [-0.5, 0.75], color=style.RED, lw=1.4)
+    axis.text(1e3 * found.pose_time, 0.62, "  least time of a pose", color=style.RED, fontsize=8.5, va="center")
+    axis.set(title=f"A pose at {found.speed * minute:.4g} mm/min: light for {100 * max(found.duty, 0):.0f} % of it",
+             xlabel="time [ms]", yticks=[], ylim=(-0.9, 0.85), xlim=(0, None))  # fmt: skip
+    axis.legend(ncols=3, loc="lower left")
+    axis.grid(False, axis="y")
+
+
+def _flow(axis: Axes, found: Limits) -> None:
+    speeds = np.geomspace(0.1, 10.0, 60) * found.speed
+    needed = found.viscosity_needed * found.speed / speeds / Pa_s
+    axis.loglog(speeds * minute, needed, color=style.BLUE)
+    axis.plot(found.speed * minute, found.viscosity_needed / Pa_s, "o", color=style.INK)
+    axis.axvspan(found.binding.speed * minute, speeds[-1] * minute, color=style.RED, alpha=0.12, lw=0)
+    if found.viscosity is not None:
+        axis.axhline(found.viscosity / Pa_s, color=style.GREEN, ls=(0, (4, 3)))
+    axis.set(title="Viscosity so that resin stays", xlabel="speed [mm/min]", ylabel="least viscosity [Pa·s]",
+             xlim=(speeds[0] * minute, speeds[-1] * minute))  # fmt: skip
