@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from profiling.gallery import scene, style
+from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
 from vamgpu.methods import optimize
 from vamgpu.methods.papers import ROLL_TO_ROLL
 from vamgpu.metrics.nearest import Nearest
 from vamgpu.metrics.surface_distance import SurfaceDistance, iso_solid, print_to_print, surface_distance
+from vamgpu.reports import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from profiling.gallery import scene, style
+from profiling.gallery import scene
 from profiling.gallery.dualcolor import verdict
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
@@ -12,6 +12,7 @@ from vamgpu.errors import BadInput
 from vamgpu.methods import optimize
 from vamgpu.methods.papers import AUTOMATIC_EXPOSURE
 from vamgpu.metrics.merit import Merit, acceptable, merit
+from vamgpu.reports import style
 from vamgpu.targets.shapes import exposure_disk
 from vamgpu.targets.shapes.calibration import GAPS_PX, SPOKES_PX
 from vamgpu.targets.target import Target

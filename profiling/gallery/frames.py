@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from profiling.gallery import scene, style
+from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.methods import optimize
@@ -14,6 +14,7 @@ from vamgpu.metrics import light_efficiency, score
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import pack
+from vamgpu.reports import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

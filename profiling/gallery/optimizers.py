@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from profiling.gallery import scene, style
+from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.errors import DivergenceWarning
@@ -16,6 +16,7 @@ from vamgpu.methods.compare import INSIDE, LABELS, OUTSIDE, compared
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.pack import pack
 from vamgpu.printing.simulate import simulate
+from vamgpu.reports import style
 from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from profiling.gallery import scene, style
+from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
 from vamgpu.methods import optimize
@@ -16,6 +16,7 @@ from vamgpu.printing.pack import pack
 from vamgpu.printing.pictures import EXCESS, HIT, MISSING, OUTSIDE, verdicts
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.simulate import simulate
+from vamgpu.reports import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from profiling.gallery import scene, style
+from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.methods import Recipe
 from vamgpu.methods.papers import AUTOMATIC_EXPOSURE, RAMP
 from vamgpu.methods.ramp import ramp
 from vamgpu.methods.work import Work
+from vamgpu.reports import style
 from vamgpu.targets.target import Target
 
 HEIGHT = 0.22

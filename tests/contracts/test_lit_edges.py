@@ -25,16 +25,21 @@ def test_no_voxel_is_missed_where_columns_are_as_wide_as_voxels(fast_device: Dev
     assert Projection(Grid((n, n, 4), pitch), beam, Turntable(n), vial(1.0), fast_device).prove() < 5e-8
 
 
-@pytest.mark.parametrize(("pitch", "voxels", "columns"), [(2.5, 6, 9), (1.7, 10, 14), (0.8, 20, 30), (0.3, 40, 60)])
-def test_no_voxel_is_missed_where_columns_fan_out(device: Device, pitch: float, voxels: int, columns: int) -> None:
+@pytest.mark.parametrize(
+    ("pitch", "voxels", "columns", "column"),
+    [(2.5, 6, 9, 2.5), (1.7, 10, 14, 1.7), (0.8, 20, 30, 0.8), (0.3, 40, 60, 0.3), (0.1, 16, 4, 6.0)],
+)
+def test_no_voxel_is_missed_where_columns_fan_out(
+    device: Device, pitch: float, voxels: int, columns: int, column: float
+) -> None:
     """Coarse columns, whose rays are up to tens of degrees from their neighbors': some cross, and some leave the space
     between the first and the last of four.
     """
-    scene = (Grid((voxels, voxels + 1, 4), pitch), Beam((columns, 4), pitch), Turntable(7), vial(1.0))
+    scene = (Grid((voxels, voxels + 1, 4), pitch), Beam((columns, 4), column), Turntable(7), vial(1.0))
     A, reference = Projection(*scene, device), Projection(*scene, "numpy")
     volume = np.random.default_rng(0).random(A.domain.shape)
     light = reference(volume)
-    assert np.abs(A(volume) - light).max() < 1e-5 * light.max()
+    assert np.abs(A(volume) - light).max() < 2e-5 * light.max()
     assert A.prove() < 5e-8
 
 

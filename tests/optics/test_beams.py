@@ -204,6 +204,14 @@ def test_one_pixel_is_as_wide_as_the_formula_at_every_depth(kind: type, focus: f
     assert np.ptp(dose.sum(axis=(1, 2))) <= 1e-3 * dose.sum(axis=(1, 2)).mean()
 
 
+@pytest.mark.parametrize("vessel", [None, vam.Vial(3.0, 0.2, resin_index=1.5, wall_index=1.47, absorption=0.1)])
+def test_sorting_light_by_its_focus_neither_makes_nor_takes_any(vessel: vam.Vial | None) -> None:
+    A = vam.Projection(vam.Grid((24, 24, 20), 0.1), vam.Beam((70, 40), 0.1), vam.Turntable(5), vessel, "numpy")
+    even = np.ones(A.range.shape)
+    plain, sorted_ = (np.asarray(each.T(even))[:, :, 8:12] for each in (A, Defocused(A, Defocus(0.12, 0.6), 0.1)))
+    assert np.abs(sorted_ / plain - 1.0).max() < 2e-3
+
+
 def test_two_numbers_of_a_focus_make_a_beam_quality() -> None:
     assert Defocus(0.0324, 3.8).quality(442e-6) == pytest.approx(2.83, abs=0.01)
     assert Defocus(0.0324, 3.8).width(1.9) == pytest.approx(0.0324 * np.sqrt(2.0))

@@ -77,6 +77,10 @@ class Graded:
     share: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
     @property
+    def bare(self) -> Vessel:
+        return self.vessel
+
+    @property
     def absorption(self) -> float:
         return self.vessel.absorption
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, hypot, inf, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -82,11 +84,15 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None) 
     radius = min(vessel.lit_radius / grid.pitch, corner + 1.0)
     samples = 2 * (ceil(min(radius, corner)) + 2)
     position = (np.arange(samples) - 0.5 * (samples - 1)) * grid.pitch
-    u, weight = _continued(vessel, radius * grid.pitch, *np.meshgrid(position, position, indexing="ij"))
+    across, along = np.meshgrid(position, position, indexing="ij")
+    whole, shares = _bared(vessel)
+    u, weight = _continued(whole, radius * grid.pitch, across, along)
     column = u / beam.pitch + 0.5 * (columns - 1)
     strength = weight * grid.pitch**2 / beam.pitch  # so that a row of the operator sums to the length of its ray
     gradient = np.gradient(column)
     column, strength = _over_voxels(column, strength)
+    for share in shares:
+        strength = strength * share(u, across, along)
     fill, sigma = sqrt(beam.fill), beam.sigma
     reaches = _reaches(column, columns, radius, fill, sigma) if half is None else np.full(columns, half)
     rays = _Rays(grid, beam, vessel, reaches)
@@ -135,6 +141,19 @@ def _reaches(column: np.ndarray, columns: int, radius: float, fill: float, sigma
     padded = np.pad(steep, around, mode="edge")
     steep = np.max([padded[k : k + columns] for k in range(2 * around + 1)], axis=0)
     return half_support(*_widest(steep, sigma), fill, sigma)
+
+
+def _bared(vessel: Any) -> tuple[Vessel, list[Callable[..., np.ndarray]]]:
+    """The vessel itself, and what share of its light each thing around it leaves.
+
+    Shares may jump at the edge of a shadow, and those of a light sorted by its focus must go on summing to one: they
+    are taken as they are at each sample, whatever is done to the light.
+    """
+    shares = []
+    while hasattr(vessel, "bare"):
+        shares.append(vessel.share)
+        vessel = vessel.bare
+    return vessel, shares
 
 
 def _continued(
@@ -212,7 +231,8 @@ class _Rays:
             final = min(first + together, self.columns) - 1
             p, angle = self.at(np.linspace(first - self.reaches[first], final + self.reaches[final], 16))
             if np.ptp(angle) > WIDE:
-                high_p[final], high[final], slack[first] = low_p[first], low[first], 4.0 * radius
+                high_p[final], high[final] = low_p[first], low[first]
+                slack[first] = sqrt(2.0) * (abs(low_p[first]) + 2.0 * radius)
             else:
                 slack[first] += _bulge(p, angle, radius)
         parts = (low_p, np.cos(low), np.sin(low), slack, high_p, np.cos(high), np.sin(high), slack)

@@ -73,13 +73,23 @@ class Occluded:
         """Those of the vessel: the power that reaches the resin, before the rod."""
         return self.inner.chords(as_offsets("u", u))
 
-    def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
-        """Column and weight of the vessel; in the rod and in its shadow the weight is cut to the transmittance."""
-        x, y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
-        u, weight = self.inner.illuminate(x, y)
-        chords = self.inner.chords(u)
+    @property
+    def bare(self) -> Vessel:
+        """The vessel without the rod."""
+        return self.inner
+
+    def share(self, u: ArrayLike, across: ArrayLike, along: ArrayLike) -> Floats:
+        """Of the vessel's light at u, what is left at a place: the transmittance in the rod's shadow, else 1."""
+        x, y = np.asarray(across), np.asarray(along)
+        chords = self.inner.chords(np.asarray(u))
         cos_d, sin_d = np.cos(chords.angle), np.sin(chords.angle)
         beside = np.abs(self.across * cos_d + self.along * sin_d - chords.p)
         half = np.sqrt(np.maximum(self.radius**2 - beside**2, 0.0))
         beyond = (y - self.along) * cos_d - (x - self.across) * sin_d > -half
-        return u, np.where((beside < self.radius) & beyond, self.transmittance * weight, weight)
+        return np.where((beside < self.radius) & beyond, self.transmittance, 1.0)
+
+    def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
+        """Column and weight of the vessel; in the rod and in its shadow the weight is cut to the transmittance."""
+        x, y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
+        u, weight = self.inner.illuminate(x, y)
+        return u, weight * self.share(u, x, y)
