@@ -26,7 +26,7 @@ from py_compile import PycInvalidationMode
 
 ROOT = Path(__file__).resolve().parent.parent
 CODE = ("vamgpu", "kernels", "hosts")
-COPIED = (*CODE, "tests", "docs", "pyproject.toml", "README.md")
+COPIED = (*CODE, "tests", "profiling", "docs", "pyproject.toml", "README.md")
 ONE_OF_EACH_KIND = "not pocl and not warp and not GPU"
 """Names of tests to run: those of NumPy and of one OpenCL device, and those that ask for no device."""
 PASSED, FAILED = 0, 1
@@ -91,7 +91,7 @@ def mutated(mutation: Mutation, text: str) -> str:
 
 def outcome(tree: Path, tests: tuple[str, ...], devices: str) -> int:
     """Exit code of pytest on some tests of a tree, up to the first failure."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-m", "", "-p", "no:cacheprovider", *tests]
     if devices:
         command += ["-k", devices]
     environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import http.client
 import json
-import shutil
 import threading
 from collections.abc import Iterator
 from typing import Any
 
+import needs
 import numpy as np
 import pytest
 
@@ -29,10 +29,8 @@ def asked(panel: Panel, path: str, method: str = "GET", **headers: str) -> tuple
 def browser() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
-    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    assert path, "these tests need a browser: apt-get install chromium"
     with sync_playwright() as tools:
-        chromium = tools.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
+        chromium = tools.chromium.launch(executable_path=needs.browser(), args=["--no-sandbox", "--disable-gpu"])
         yield chromium
         chromium.close()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.client
 import json
 import os
-import shutil
 import subprocess
 import sys
 import textwrap
@@ -14,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import needs
 import numpy as np
 import pytest
 
@@ -117,10 +117,8 @@ def test_a_stop_over_the_network(host: Host) -> None:
 def test_the_button_of_a_page_opened_before_the_print(host: Host) -> None:
     from playwright.sync_api import sync_playwright
 
-    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    assert path, "these tests need a browser: apt-get install chromium"
     with sync_playwright() as tools:
-        page = tools.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"]).new_page()
+        page = tools.chromium.launch(executable_path=needs.browser(), args=["--no-sandbox", "--disable-gpu"]).new_page()
         page.goto(host.url)
         page.get_by_test_id("state").get_by_text("standby").wait_for()
         assert page.get_by_test_id("pause").count() == 0

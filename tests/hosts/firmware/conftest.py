@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import needs
 import pytest
 
 from vamgpu import hosts
@@ -205,10 +206,8 @@ def _play_both(board: Board, scenario: Callable[[Bench], None], within: int) -> 
 
 
 def compile_sketch(folder: Path) -> Path:
-    """The sketch and its board as a library; fails the test that asks for it where there is no compiler."""
-    compiler = shutil.which("g++") or shutil.which("clang++")
-    if compiler is None:
-        pytest.fail("the firmware is tested as compiled for this computer: install g++ (apt install g++)")
+    """The sketch and its board as a library."""
+    compiler = needs.compiler()
     library = folder / "board.so"
     sketches = Path(hosts.__file__).parent / "firmware" / "controller"
     flags = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror", "-fsanitize=undefined", "-fno-sanitize-recover"]
