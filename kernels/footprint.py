@@ -12,10 +12,9 @@ Lengths are in voxels, columns count from 0.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from vamgpu.kernels.project import Directions, middle
 from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, Table, Tiling, Volume, VolumeOut, kernel
@@ -84,8 +83,10 @@ def half_support(a: np.ndarray, b: np.ndarray, fill: float, sigma: float) -> np.
 def _matrix(
     shape: tuple[int, ...], columns: int, direction: np.ndarray, light: np.ndarray, bent: int, ratio: float,
     strength: float, fill: float, sigma: float, radius: float,
-) -> csr_array:  # fmt: skip
-    """Shares of columns in the voxels of a plane at one pose, (columns, nx · ny)."""
+) -> Any:  # fmt: skip
+    """Shares of columns in the voxels of a plane at one pose, sparse (columns, nx · ny)."""
+    from scipy.sparse import csr_array
+
     x, y = (np.arange(n) - middle(n) for n in shape[:2])
     c, s = direction
     x, y = x[:, None], y[None, :]

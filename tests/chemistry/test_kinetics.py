@@ -60,6 +60,7 @@ def wanted() -> tuple[np.ndarray, np.ndarray]:
     return np.array([end for end, _ in runs]).reshape(*shape, 3), np.array([t for _, t in runs]).reshape(shape)
 
 
+@pytest.mark.slow
 def test_states_and_events_are_those_of_a_fine_integration(device: Device) -> None:
     ends, events = wanted()
     course = advance(resins(), STARTS, STEADY, device=device)

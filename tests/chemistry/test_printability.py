@@ -127,6 +127,7 @@ def test_disturbances_do_what_they_say() -> None:
     assert np.allclose(turn.dose(Disturbance(ultraviolet=0.0)).numpy(), alone.dose().numpy())
 
 
+@pytest.mark.slow
 def test_the_worst_case_narrows_the_window() -> None:
     turn, target = lit()
     resin, device = Thresholds(1.0, 1.01), turn.visible.device

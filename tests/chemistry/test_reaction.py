@@ -64,6 +64,7 @@ def test_without_diffusion_a_voxel_of_transport_follows_the_kinetics(device: Dev
     assert np.abs(2.0 * fine - coarse - wanted).max() < 2e-5  # the step's first order taken away
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [0, 1])
 def test_transport_and_kinetics_run_out_of_inhibitor_together(device: Device, order: int) -> None:
     rates = Rates(0.05, 0.03, 0.01, 0.2, oxygen=0.8, supply=2.0, order=order)

@@ -103,6 +103,7 @@ def test_devices_agree_with_the_reference(device: Device, name: str) -> None:
         assert np.abs(got - wanted).max() <= 1e-5 * np.abs(wanted).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LARGE)
 def test_the_dot_test_holds_at_real_size(fast_device: Device, is_quick: bool, name: str) -> None:
     n = 64 if is_quick else 32

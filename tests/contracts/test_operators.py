@@ -57,6 +57,7 @@ def test_devices_agree_with_the_reference(device: Device, geometry: str) -> None
         assert np.abs(got - wanted).max() <= 1e-5 * np.abs(wanted).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vessel", [None, "vial"])
 def test_the_dot_test_holds_at_real_size(fast_device: Device, is_quick: bool, vessel: str | None) -> None:
     n, angles = (128, 360) if is_quick else (64, 90)
@@ -67,6 +68,7 @@ def test_the_dot_test_holds_at_real_size(fast_device: Device, is_quick: bool, ve
     assert max(A.prove(seed) for seed in range(4)) <= 2e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vessel", [None, "vial"])
 def test_devices_agree_on_a_target_at_real_size(fast_device: Device, is_quick: bool, vessel: str | None) -> None:
     n, angles = (128, 45) if is_quick else (64, 30)

@@ -37,6 +37,7 @@ print(json.dumps([bites, stack.shape, found.ratio, resident]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of data are counted by Linux alone")
 def test_a_stack_larger_than_the_limit_of_the_system_streams_through(tmp_path: Path) -> None:
     rows, columns, slices = 800, 1280, 1024

@@ -11,7 +11,7 @@ from vamgpu.curethrough.dose import column_dose
 from vamgpu.curethrough.job import correct_stack, model
 from vamgpu.curethrough.layers import LayerPrinter
 from vamgpu.curethrough.printer import Printer, levels_of
-from vamgpu.curethrough.report import lines, render
+from vamgpu.curethrough.report import lines, page_of
 from vamgpu.curethrough.score import cured, features, grouped, ratio, sample
 from vamgpu.errors import SliceWarning
 
@@ -78,7 +78,7 @@ def test_a_correction_lowers_what_is_scored() -> None:
     assert found.after.levels.shape[0] == 120 + PRINTER.tail
     names = [name for name, _, _ in lines(found)]
     assert "error ratio" in names and "features out of reach" in names
-    page = render(found, "<part>", {"slices from": "x"})
+    page = page_of(found, "<part>", {"slices from": "x"}).html()
     assert "&lt;part&gt;" in page and page.count("<tr>") > 5 and "slices from" in page
 
 
@@ -87,10 +87,10 @@ def test_features_out_of_reach_are_counted_and_told() -> None:
     stack[5:20] = stack[21:40] = 255  # one slice of void is too short for full light
     found = correct_stack(Correction(PRINTER), stack, device="numpy")
     assert found.closed is not None and int(found.closed.sum()) == 6
-    assert "6 voids are too short" in render(found, "x", {})
+    assert "6 voids are too short" in page_of(found, "x", {}).html()
     bare = correct_stack(Correction(PRINTER, tail=0), stack[:40], device="numpy")
     assert bare.missed is not None and int(bare.missed.sum()) == 6
-    assert "6 features lack room behind" in render(bare, "x", {})
+    assert "6 features lack room behind" in page_of(bare, "x", {}).html()
 
 
 def test_whole_columns_are_weighed_only_where_something_is_out_of_reach(device: Device) -> None:
@@ -113,7 +113,7 @@ def test_whole_columns_are_weighed_only_where_something_is_out_of_reach(device: 
 def test_an_empty_stack_of_darkness_is_scored() -> None:
     found = correct_stack(Correction(PRINTER), np.zeros((40, 3, 4), np.uint8), device="numpy")
     assert found.ratio is None and len(found.before.features) == 0
-    assert "print right as they are" in render(found, "x", {})
+    assert "print right as they are" in page_of(found, "x", {}).html()
     assert sample(np.zeros((4, 3, 5), np.uint8)).width == 5
 
 

@@ -19,6 +19,7 @@ from vamgpu.errors import BadInput
 PAGES = Path(__file__).parents[2] / "docs"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", names())
 def test_every_entry_runs_and_measures_finite_numbers(name: str, tmp_path: Path) -> None:
     picture = draw(name, quick=True)

@@ -283,6 +283,7 @@ def test_what_cannot_be_watched_is_told(job: Path, tmp_path: Path) -> None:
         opened(RIGS["cable"], camera=True)
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = tmp_path / "demo.run"
     assert main(["print", "demo", "--rig", "emulated", "--stop", "0.1", "--turns", "20", "--out", str(run)]) == 0

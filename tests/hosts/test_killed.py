@@ -18,6 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from vamgpu.hosts.record import read_run
 from vamgpu.hosts.safety.lease import DEFAULT_LENGTH
 from vamgpu.hosts.state import State
@@ -125,6 +127,7 @@ def work(lane: Lane, found: list[Killed | None]) -> None:
         found.append(lane.killed(number, chance))
 
 
+@pytest.mark.slow
 def test_a_killed_host_leaves_no_light(tmp_path: Path) -> None:
     pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "bufsize": 1}
     found: list[Killed | None] = []

@@ -130,6 +130,7 @@ def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
         planned(tmp_path / "nothing")
 
 
+@pytest.mark.slow
 def test_the_command(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["print", "demo", "--rig", "emulated", "--out", str(tmp_path / "demo.run")]) == 0
     assert "complete: 120 pictures" in capsys.readouterr().out

@@ -101,6 +101,7 @@ class Room:
         return end - fault
 
 
+@pytest.mark.slow
 def test_ten_minutes_at_40_degrees_a_second_show_every_angle_in_place(tmp_path: Path) -> None:
     room = Room(tmp_path / "run", turns=67)
     assert room.run() is State.COMPLETE and room.booth.clock.now() > 600 * SECOND

@@ -101,6 +101,7 @@ def run(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
+@pytest.mark.slow
 def test_ten_minutes_of_web_at_48_mm_a_minute_lose_nothing(run: Path) -> None:
     poses = int(600 * 0.8 / POSE)
     schedule = web(poses, advance=POSE, speed=0.8, engines=MIRRORS, lens=LensTiming(settle=6e-3), focus=POWERS)
@@ -112,6 +113,7 @@ def test_ten_minutes_of_web_at_48_mm_a_minute_lose_nothing(run: Path) -> None:
     assert np.abs(lit / (3e-9 * schedule.on[0]) - 1).max() < 1e-4, "every pose got its three pictures"
 
 
+@pytest.mark.slow
 def test_ten_minutes_of_vial_at_40_degrees_a_second_lose_nothing(run: Path) -> None:
     schedule = turned(360, speed=40, engines=MIRRORS, turns=67)
     at = stand(run, schedule)

@@ -132,6 +132,7 @@ def test_two_colors_beat_one() -> None:
     assert window["least squares"] > window["dc kept"]
 
 
+@pytest.mark.slow
 # ---- least squares on devices -------------------------------------------------------------------------------------
 def test_devices_agree(fast_device: Device) -> None:
     reference = superpose(device_colors(open_device("numpy")), letter(), LeastSquares(6)).dose().numpy()
@@ -178,6 +179,7 @@ def test_least_squares_returns_the_best_light_it_looked_at(count: int) -> None:
     assert error == pytest.approx(min(record.error for record in plan.history), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_cost_of_light_saves_light() -> None:
     colors, design = points(), letter()
     free, dear = (superpose(colors, design, LeastSquares(40, cost=cost)) for cost in (0.0, 0.3))

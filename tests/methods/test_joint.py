@@ -175,6 +175,7 @@ def part_of(grid: Grid) -> np.ndarray:
     return ((np.hypot(x, y) < 1.3) & holes).astype(float)
 
 
+@pytest.mark.slow
 def test_both_colors_through_the_kinetics_beat_the_linear_model() -> None:
     """Judged by the kinetics; B pairs up fast, so that the linear model counts on light that is long forgotten."""
     A, B = both((40, 40, 4), 40, vamgpu.devices()[0])

@@ -116,6 +116,7 @@ def test_nothing_large_crosses_the_bus(fast_device: Device, method: Any) -> None
     assert len(plan.history) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("spread", "slices"), [(0.0, 0), (None, 1)], ids=["sharp", "blurred"])
 @each_method
 def test_memory_stays_within_three_volumes_and_four_sinograms(

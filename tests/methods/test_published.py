@@ -197,6 +197,7 @@ def test_the_recipe_begins_with_a_background_of_60_percent() -> None:
     assert np.abs(start.state["light"].numpy().ravel() - wanted).max() <= 1e-9
 
 
+@pytest.mark.slow
 # ---- accelerated descent ----------------------------------------------------------------------------------------
 def test_momentum_is_dropped_where_the_loss_rises() -> None:
     """Adaptive restart by function values: after a rise the point ahead is the light itself."""

@@ -32,6 +32,7 @@ def solve(device: Device | str, vessel: Any = None, method: Any = None) -> Plan:
     return optimize(operator, cross(), method or ProcessWindow(), 20)
 
 
+@pytest.mark.slow
 def test_rebinned_light_gives_the_dose_of_the_straight_plan(fast_device: Device) -> None:
     straight = solve(fast_device)
     native = solve(fast_device, VIAL)
@@ -61,6 +62,7 @@ def test_devices_rebin_alike(fast_device: Device) -> None:
     assert np.abs(run(fast_device) - wanted).max() <= 2e-6 * np.abs(wanted).max()
 
 
+@pytest.mark.slow
 def test_bad_pairs_are_refused() -> None:
     straight = solve("numpy", method="fbp")
     with pytest.raises(BadInput, match="an operator with a vessel"):

@@ -56,6 +56,7 @@ def test_every_method_runs_on_every_scan_or_says_why_not(fast_device: vam.Projec
     assert dose[part() > 0].mean() > 1.3 * dose[part() == 0].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scan", ["jittered", "half turn", "unequal times"])
 def test_windows_are_those_of_an_even_turn(scan: str) -> None:
     """The step is as long as on an even turn, so the default does as well in as many iterations."""
@@ -160,6 +161,7 @@ def test_kinetics_and_exposure_plans_refuse_unequal_times() -> None:
         TurnLight(long, light)
 
 
+@pytest.mark.slow
 def test_least_squares_of_two_colors_takes_a_scan() -> None:
     motion = vam.Turntable(JITTERED, dwell=np.linspace(1, 2, 40))
     visible, uv = (vam.Projection(GRID, BEAM, motion, device="numpy") for _ in range(2))

@@ -52,6 +52,7 @@ def projection(columns: int, rows: int, poses: int, pitch: float = PITCH) -> vam
     return vam.Projection(GRID, vam.Beam((columns, rows), pitch, spread=0.0), vam.Turntable(poses), VIAL, "numpy")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["disc", "ring"])
 def test_every_column_leaves_its_power_in_the_resin(where: str) -> None:
     """The forward projection of voxels is, for each pixel, the share of its power that these voxels absorb."""

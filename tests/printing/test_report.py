@@ -101,7 +101,7 @@ def blocks(page: str) -> list[str]:
 
 def test_the_page_opens_with_what_is_proved_and_what_the_print_bears(proof: Proof) -> None:
     judgement, lines = judged(proof), (Line("surface distance, mean", "+3 µm", "of print and part"),)
-    page = report.render(proof, None, replace(judgement, surface=SimpleNamespace(lines=lambda: lines)))
+    page = report.page_of(proof, None, replace(judgement, surface=SimpleNamespace(lines=lambda: lines))).html()
     assert blocks(page)[:4] == [
         "Window over tolerance", "What the print bears", "Surface of the print against the mesh", "Printed part",
     ]  # fmt: skip
@@ -113,7 +113,7 @@ def test_the_page_opens_with_what_is_proved_and_what_the_print_bears(proof: Proo
     assert re.search(".*".join(map(re.escape, in_order)), headline, re.S) and "100 µm" in headline
     assert f"{proof.outer_share:.2f}" in headline
     assert f"judges {100 * found.judged_at(0.1):.0f} % of the part" in headline
-    bare = report.render(proof, None, replace(judgement, surface=SimpleNamespace(lines=tuple)))
+    bare = report.page_of(proof, None, replace(judgement, surface=SimpleNamespace(lines=tuple))).html()
     assert "+3 µm" in page and "against the mesh" not in bare
 
 
@@ -124,7 +124,7 @@ def test_the_tolerance_table_shows_every_row(proof: Proof) -> None:
     assert groups[0]["rows"][0]["window"] == opening.signed(proof.scores.window)
     cells = [row for group in groups[1:] for row in group["rows"]]
     assert [(c["change"], c["wrong"]) for c in cells] == [(r.change, f"{r.wrong:,}") for r in judgement.table.rows]
-    page = report.render(proof, None, judgement)
+    page = report.page_of(proof, None, judgement).html()
     for group in groups[1:]:
         assert group["name"] in page and group["first"] in page and group["first"]
     assert f"{judgement.table.exposures} back projections" in page
@@ -136,7 +136,7 @@ def test_the_fine_dose_is_judged_where_there_is_one(proof: Proof) -> None:
     fine, coarse = judged(proof).over_tolerance, judged(own).over_tolerance
     assert coarse.at(0.0) == pytest.approx(proof.scores.window, abs=1e-5)
     assert fine.at(0.0) < coarse.at(0.0)
-    page = report.render(own)
+    page = report.page_of(own).html()
     assert "process window, not proved" in page and "proved over claimed" not in page[: page.index("Numbers")]
 
 
@@ -156,7 +156,7 @@ def test_every_number_of_the_light_says_what_it_is(proof: Proof, tmp_path: Path)
 def test_resin_that_prints_beyond_the_cylinder_is_told(proof: Proof) -> None:
     assert proof.outer is not None
     flooded = replace(proof, outer=replace(proof.outer, dose=1.2 * proof.scores.threshold))
-    page = report.render(flooded, None, judged(proof))
+    page = report.page_of(flooded, None, judged(proof)).html()
     assert "Resin beyond the judged cylinder prints too." in page and "1.20" in page
 
 

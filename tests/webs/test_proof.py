@@ -90,6 +90,7 @@ def test_the_commands_solve_prove_and_draw(tmp_path: Path, capsys: pytest.Captur
     assert "is a web" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_demo_shows_contrast(tmp_path: Path) -> None:
     settings = [part for setting in SMALL for part in ("--set", setting)]
     assert main(["demo", "web", "--out", str(tmp_path), *settings]) == 0

@@ -45,6 +45,7 @@ def killed(place: Path, segments: int, after: float) -> bool:
         return process.wait() == -signal.SIGKILL
 
 
+@pytest.mark.slow
 def test_a_web_killed_at_any_moment_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
     job = stream(tiled(part(16 * WINDOW)), core=1.0, iterations=4)
     began = time.perf_counter()

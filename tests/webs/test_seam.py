@@ -47,6 +47,7 @@ def whole() -> tuple[WebProjection, np.ndarray, np.ndarray]:
     return A, light, np.asarray(A.T(light))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("core", [1.0, 2.0])
 def test_segments_meet_without_a_seam(core: float) -> None:
     A, light, dose = whole()
@@ -56,12 +57,14 @@ def test_segments_meet_without_a_seam(core: float) -> None:
     assert np.abs(np.asarray(A.T(pieces)) - dose).max() < 1e-3  # of the target dose, 1, at every seam and elsewhere
 
 
+@pytest.mark.slow
 def test_influence_fades_with_the_overlap() -> None:
     A, _, dose = whole()
     half, more = (np.abs(np.asarray(A.T(solved(2.0, overlap)[1])) - dose).max() for overlap in (0.5, 1.5))
     assert half > 1e-3 > 1e-4 > more
 
 
+@pytest.mark.slow
 def test_what_comes_later_does_not_change_what_was_decided() -> None:
     _, light, _ = whole()
     job = Stream(drifting, ROLLER, BEAM, length=1.5 * LENGTH, pitch=(ROLLER.advance, PITCH, PITCH), core=10.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-from io import BytesIO, StringIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +9,9 @@ import numpy as np
 from vamgpu.curethrough.dose import column_doses
 from vamgpu.curethrough.machine import Machine
 from vamgpu.curethrough.score import cured
+from vamgpu.reports.chart import PART, WIDE, above, colored, png, svg
+from vamgpu.reports.page import Image
+from vamgpu.reports.style import GLASS, INK, ORANGE
 
 if TYPE_CHECKING:
     from vamgpu.curethrough.job import Outcome
@@ -21,28 +22,11 @@ MOST_PIXELS = 480
 MOST_DOSE = 3.0
 """Critical doses that are drawn brightest."""
 CHARTED = 4
-STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 10.5, "axes.edgecolor": "#d5dae1",
-    "axes.labelcolor": "#1f2733", "text.color": "#1f2733", "axes.spines.top": False, "axes.spines.right": False,
-    "axes.grid": True, "grid.color": "#eef1f5", "axes.axisbelow": True, "legend.frameon": False,
-    "svg.hashsalt": "vamgpu",
-}  # fmt: skip
-
-
-def png(pixels: np.ndarray) -> str:
-    """Bytes [row, column(, 3)] as the source of an image element."""
-    from PIL import Image
-
-    stream = BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
 
 
 def heat(values: np.ndarray) -> np.ndarray:
     """Values 0..1 in the colors of heat; uint8 [.., 3]."""
-    from matplotlib import colormaps
-
-    return (255.0 * colormaps["magma"](np.clip(values, 0.0, 1.0))[..., :3]).astype(np.uint8)
+    return colored(values, "magma")
 
 
 def thinned(plane: np.ndarray) -> np.ndarray:
@@ -65,7 +49,7 @@ def doses(machine: Machine, shown: np.ndarray) -> np.ndarray:
     return heat(thinned(column_doses(machine, shown)[:-1][::-1]) / MOST_DOSE)
 
 
-def sections(outcome: Outcome) -> list[list[dict[str, str]]]:
+def sections(outcome: Outcome) -> list[list[Image]]:
     """Verdict and dose before and after, along a row and along a column of pixels."""
     found = []
     for which in (outcome.sample.across, outcome.sample.along):
@@ -74,19 +58,19 @@ def sections(outcome: Outcome) -> list[list[dict[str, str]]]:
             if shown is None:
                 continue
             levels, solid = shown.levels[:, which], outcome.solid[:, which]
-            row.append({"name": f"print, {name}", "image": png(verdict(outcome.machine, levels, solid))})
-            row.append({"name": f"dose, {name}", "image": png(doses(outcome.machine, levels))})
+            row.append(Image(png(verdict(outcome.machine, levels, solid)), f"print, {name}"))
+            row.append(Image(png(doses(outcome.machine, levels)), f"dose, {name}"))
         found.append(row)
     return found
 
 
-def maps(outcome: Outcome) -> tuple[list[dict[str, str]], float]:
+def maps(outcome: Outcome) -> tuple[list[Image], float]:
     """Excess and missing heights from above, and the height [mm] drawn brightest: the same for all."""
     shown = [("uncorrected", outcome.before), *([("corrected", outcome.after)] if outcome.after else [])]
     kinds = [(kind, name, getattr(one.heights, key)) for name, one in shown
              for kind, key in (("excess", "over"), ("missing", "under"))]  # fmt: skip
     most = max(float(values.max()) for _, _, values in kinds) or 1.0
-    drawn = [{"name": f"{kind}, {name}", "image": png(heat(thinned(values) / most))} for kind, name, values in kinds]
+    drawn = [Image(png(heat(thinned(values) / most)), f"{kind}, {name}") for kind, name, values in kinds]
     return drawn, most
 
 
@@ -108,23 +92,15 @@ def charted(outcome: Outcome) -> list[int]:
 
 def columns_chart(outcome: Outcome) -> str:
     """Dose over height of a few columns before and after, as inline SVG."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
     chosen = charted(outcome) or [0]
-    with rc_context(STYLE):
-        figure = Figure(figsize=(11.6, 1.0 + 1.7 * len(chosen)), layout="constrained")
-        FigureCanvasSVG(figure)
-        axes = figure.subplots(len(chosen), 1, sharex=True, squeeze=False)[:, 0]
+
+    def draw(*axes: Any) -> None:
         for axis, k in zip(axes, chosen, strict=True):
             _column(axis, outcome, k)
-        axes[0].legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        above(axes[0], 4)
         axes[-1].set_xlabel("height above the platform [mm]")
-        stream = StringIO()
-        figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
-    svg = stream.getvalue()
-    return svg[svg.index("<svg") :].replace("sans-serif", "inherit")
+
+    return svg(draw, WIDE, 1.0 + 1.7 * len(chosen), nrows=len(chosen), sharex=True)
 
 
 def _column(axis: Any, outcome: Outcome, k: int) -> None:
@@ -132,15 +108,15 @@ def _column(axis: Any, outcome: Outcome, k: int) -> None:
     change = np.diff(outcome.solid[:, k].astype(int), prepend=0, append=0)
     label = "part"
     for front, back in zip(np.flatnonzero(change > 0), np.flatnonzero(change < 0), strict=True):
-        axis.axvspan(front * height, back * height, color="#cfe3f2", alpha=0.6, lw=0, label=label)
+        axis.axvspan(front * height, back * height, color=GLASS, alpha=0.6, lw=0, label=label)
         label = ""
     top = 1.5
-    for shown, color, name in ((outcome.before, "#e8901a", "uncorrected"), (outcome.after, "#2563a8", "corrected")):
+    for shown, color, name in ((outcome.before, ORANGE, "uncorrected"), (outcome.after, PART, "corrected")):
         if shown is not None:
             dose = column_doses(outcome.machine, shown.levels[:, k])
             axis.plot(height * np.arange(len(dose)), dose, color=color, lw=1.5, label=name)
             top = max(top, 1.1 * float(dose.max()))
-    axis.axhline(1.0, color="#1f2733", lw=1.0, ls=(0, (4, 3)), label="critical dose")
+    axis.axhline(1.0, color=INK, lw=1.0, ls=(0, (4, 3)), label="critical dose")
     row, column = outcome.sample.rows[k], outcome.sample.columns[k]
     axis.set(ylim=(0, top), ylabel="Ω")
     axis.set_title(f"row {row}, column {column}", loc="right", fontsize=9.5)

@@ -12,8 +12,7 @@ from vamgpu.curethrough.features import Feature
 from vamgpu.curethrough.job import Outcome
 from vamgpu.curethrough.printer import Printer
 from vamgpu.curethrough.score import Group, grouped, widest
-from vamgpu.storage.atomic import page_path, replacing
-from vamgpu.storage.page import filled
+from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Page, Papers, Table
 from vamgpu.units import hour
 
 PAPER = (
@@ -21,22 +20,54 @@ PAPER = (
     "continuous stereolithographic 3D printing, Adv. Mater. Technol. (2019), doi:10.1002/admt.201900700"
 )
 ROWS = 24
+COLUMNS_NOTE = (
+    "Dose over the height of single columns of pixels, in critical doses; what is shaded should be solid. Dose above 1 "
+    "cures."
+)
 LACKING = 0.1
 """A feature lacks something where more than this share of a slice height is uncured."""
 
 
 def write_report(outcome: Outcome, path: str | Path, *, title: str = "", facts: dict[str, str] | None = None) -> Path:
     """Write the page. facts: more lines of the set-up. Raises `StorageError`."""
-    place = page_path(path)
-    page = render(outcome, title or place.stem, facts or {})
-    with replacing(place, overwrite=True) as draft:
-        draft.write_text(page, encoding="utf-8")
-    return place
+    return page_of(outcome, title or Path(path).stem, facts or {}).write(path)
 
 
-def render(outcome: Outcome, title: str, facts: dict[str, str]) -> str:
-    """The page as text."""
-    return filled("vamgpu.curethrough", "curethrough.html", title=title, **_content(outcome, facts))
+def page_of(outcome: Outcome, title: str, facts: dict[str, str]) -> Page:
+    """The page of a stack."""
+    after = outcome.after
+    lacking = LACKING * outcome.machine.slice_height
+    groups = grouped(outcome.before.features, after.features if after is not None else None, lacking)
+    maps, most = pictures.maps(outcome)
+    across = 4 if after is not None else 2
+    sections = [Images(row, "panels", across) for row in pictures.sections(outcome)]
+    features = Table([_row(group, outcome) for group in widest(groups, ROWS)], _header(after is not None))
+    good, verdict = _verdict(outcome)
+    return Page(
+        "Cure-through",
+        title,
+        verdict,
+        good,
+        [Figure(value, name) for name, value, _ in lines(outcome)][:7],
+        [
+            Card("Columns", Chart(pictures.columns_chart(outcome)), note=COLUMNS_NOTE, wide=True),
+            Card("Cross-sections", *sections, Legend(f"{pictures.MOST_DOSE:g} critical doses"),
+                 note=_sections_note(outcome), wide=True),
+            Card("Height errors seen from above", Images(maps, "panels", across),
+                 note=f"From none to {micro(most)}, the same scale for all.", wide=True),
+            Card("Features", features, note=_table_note(outcome, groups), wide=True),
+            Card("Set-up", Table(_setup(outcome, facts)), wide=True),
+            Card("Sources", Papers((PAPER,)), wide=True),
+        ],
+    )  # fmt: skip
+
+
+def _sections_note(outcome: Outcome) -> str:
+    row, column = outcome.sample.rows[outcome.sample.across][0], outcome.sample.columns[outcome.sample.along][0]
+    return (
+        f"Along row {row} and along column {column} of the pictures; the platform is below, every pixel as wide as it "
+        "has room."
+    )
 
 
 def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
@@ -63,37 +94,6 @@ def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
 def micro(millimeters: float) -> str:
     """A height in µm or mm."""
     return f"{millimeters:.3g} mm" if abs(millimeters) >= 1.0 else f"{1e3 * millimeters:.3g} µm"
-
-
-def _content(outcome: Outcome, facts: dict[str, str]) -> dict[str, Any]:
-    corrected = outcome.after is not None
-    groups = grouped(
-        outcome.before.features,
-        outcome.after.features if outcome.after is not None else None,
-        LACKING * outcome.machine.slice_height,
-    )
-    drawn, most = pictures.maps(outcome)
-    row, column = (ends[0] for ends in (outcome.sample.rows[outcome.sample.across],
-                                        outcome.sample.columns[outcome.sample.along]))  # fmt: skip
-    good, verdict = _verdict(outcome)
-    return {
-        "corrected": corrected,
-        "good": good,
-        "verdict": verdict,
-        "tiles": [(name, value) for name, value, _ in lines(outcome)][:7],
-        "columns": pictures.columns_chart(outcome),
-        "sections": pictures.sections(outcome),
-        "most": f"{pictures.MOST_DOSE:g}",
-        "sections_note": f"Along row {row} and along column {column} of the pictures; the platform is below, every "
-        "pixel as wide as it has room.",
-        "maps": drawn,
-        "maps_note": f"From none to {micro(most)}, the same scale for all.",
-        "header": _header(corrected),
-        "rows": [_row(group, outcome) for group in widest(groups, ROWS)],
-        "table_note": _table_note(outcome, groups),
-        "setup": _setup(outcome, facts),
-        "papers": (PAPER,),
-    }
 
 
 def _verdict(outcome: Outcome) -> tuple[bool, str]:

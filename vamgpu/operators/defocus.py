@@ -182,7 +182,7 @@ class Defocused(Derived):
         if isinstance(A, Projection):
             beam = replace(A.beam, spread=self._spread(nodes[k]))
             part = Projection(A.grid, beam, A.motion, plane, A.device)
-            part.range = self.range  # the same images, whatever lens each part of their light goes through
+            part.range = A.range  # the same images, whatever lens each part of their light goes through
             return part
         rows = getattr(A.light, "rows", None)
         light = plane if rows is None else _GradedRows(plane, rows)

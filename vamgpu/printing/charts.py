@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
-from io import StringIO
 from numbers import Real
 from typing import Any
 
@@ -14,34 +13,15 @@ from vamgpu.metrics import Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram
 from vamgpu.metrics.parts import IN, OUT
 from vamgpu.metrics.tolerance import ToleranceWindow
+from vamgpu.reports.chart import EXTRA, GOOD, PART, REST, WARN, WIDE, above, svg
+from vamgpu.reports.style import INK
 
-INK, FAINT, PART, REST, WARN = "#1f2733", "#d5dae1", "#2563a8", "#9aa5b4", "#d63a49"
-STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 10.5, "axes.edgecolor": FAINT,
-    "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False,
-    "axes.spines.right": False, "axes.grid": True, "grid.color": "#eef1f5", "axes.axisbelow": True,
-    "legend.frameon": False, "svg.hashsalt": "vamgpu",
-}  # fmt: skip
+HALF = 5.6
+"""Width [inch] of a chart in a card beside another."""
+
 ABSCISSA = {"pairs": "projector pairs", "projector_pairs": "projector pairs", "iteration": "iteration"}
 """Fields of a history it may be plotted over, best first, and their labels."""
 ORDINATE = {"loss": "loss", "window": "strict window"}
-
-
-def _figure(
-    draw: Any, width: float = 7.2, height: float = 3.0, rows: int = 1, heights: tuple[float, ...] | None = None
-) -> str:
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    with rc_context(STYLE):
-        figure = Figure(figsize=(width, height), layout="constrained")
-        FigureCanvasSVG(figure)
-        draw(figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
-        stream = StringIO()
-        figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
-    svg = stream.getvalue()
-    return svg[svg.index("<svg") :].replace("sans-serif", "inherit")
 
 
 def histogram_chart(found: Histogram, scores: Scores) -> str:
@@ -49,46 +29,45 @@ def histogram_chart(found: Histogram, scores: Scores) -> str:
     peak = scores.peak or 1.0
     edges = found.edges / peak
 
-    def draw(axes: Sequence[Any]) -> None:
-        axis = axes[0]
+    def draw(axis: Any) -> None:
         for which, color, name in ((OUT, REST, "outside"), (IN, PART, "in the part")):
             axis.stairs(np.maximum(found.counts[0, which], 0.5), edges, baseline=0.5, fill=True, color=color, alpha=0.3)
             axis.stairs(np.maximum(found.counts[0, which], 0.5), edges, color=color, lw=1.4, label=name)
         low, high = sorted((scores.greatest_out / peak, scores.least_in / peak))
         good = scores.window > 0
         name = "process window" if good else "overlap"
-        axis.axvspan(low, high, color="#1d9a5b" if good else WARN, alpha=0.12, lw=0, label=name)
+        axis.axvspan(low, high, color=GOOD if good else WARN, alpha=0.12, lw=0, label=name)
         axis.axvline(scores.threshold / peak, color=INK, lw=1.2, ls=(0, (4, 3)), label="threshold")
         axis.set(yscale="log", xlim=(0, 1), ylim=(0.5, None), xlabel="dose over its greatest", ylabel="voxels")
-        axis.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        above(axis, 4)
 
-    return _figure(draw, width=11.6, height=3.4)
+    return svg(draw, WIDE, 3.4)
 
 
 def slices_chart(slices: SliceScores, z: np.ndarray, *, wide: bool = False) -> str:
     """Windows and wrong voxels of every slice over its height [mm], on one scale."""
 
-    def draw(axes: Sequence[Any]) -> None:
+    def draw(*axes: Any) -> None:
         axes[0].axhline(0, color=INK, lw=0.8)
         axes[0].plot(z, slices.window, color=PART, lw=1.6, marker="." if len(z) < 3 else None, label="strict window")
         axes[0].plot(z, slices.trimmed, color=REST, lw=1.4, label="1 % window")
         axes[0].set_ylabel("process window")
-        axes[0].legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        above(axes[0], 2)
         axes[1].fill_between(z, slices.missing, color=WARN, alpha=0.7, lw=0, step="mid", label="missing")
-        axes[1].fill_between(z, -slices.excess, color="#f09620", alpha=0.8, lw=0, step="mid", label="excess")
+        axes[1].fill_between(z, -slices.excess, color=EXTRA, alpha=0.8, lw=0, step="mid", label="excess")
         most = max(1, int(slices.missing.max()), int(slices.excess.max()))
         axes[1].set(ylabel="wrong voxels", xlabel="height z [mm]", ylim=(-1.15 * most, 1.15 * most))
         axes[1].yaxis.set_major_formatter(lambda value, _: f"{abs(value):g}")
         axes[1].legend(ncols=2, loc="upper right")
 
-    return _figure(draw, width=11.6 if wide else 5.6, height=4.0, rows=2)
+    return svg(draw, WIDE if wide else HALF, 4.0, nrows=2, sharex=True)
 
 
 def tolerance_chart(found: ToleranceWindow) -> str:
     """The window over the tolerance [µm], half a voxel marked, and how much of the part it judges."""
     distance, window, half = 1e3 * found.distance, found.window, 0.5e3 * found.voxel
 
-    def draw(axes: Sequence[Any]) -> None:
+    def draw(*axes: Any) -> None:
         axes[0].axhline(0, color=INK, lw=0.8)
         axes[0].plot(distance, window, color=PART, lw=2.0)
         for axis in axes:
@@ -103,7 +82,7 @@ def tolerance_chart(found: ToleranceWindow) -> str:
         axes[1].set(ylabel="judged [%]", ylim=(0, 100), xlabel="tolerance δ on either side of the surface [µm]")
         axes[0].margins(y=0.15)
 
-    return _figure(draw, width=5.6, height=6.0, rows=2, heights=(3.4, 1))
+    return svg(draw, HALF, 6.0, nrows=2, sharex=True, height_ratios=(3.4, 1))
 
 
 def convergence_chart(history: Sequence[Any]) -> str | None:
@@ -115,7 +94,7 @@ def convergence_chart(history: Sequence[Any]) -> str | None:
         return None
     x = table[over] if over else np.arange(len(history))
 
-    def draw(axes: Sequence[Any]) -> None:
+    def draw(*axes: Any) -> None:
         for axis, name in zip(axes, shown, strict=True):
             usable = np.isfinite(table[name])
             axis.plot(x[usable], table[name][usable], color=PART, lw=1.6, marker=".", ms=4)
@@ -123,7 +102,7 @@ def convergence_chart(history: Sequence[Any]) -> str | None:
             axis.set(ylabel=ORDINATE[name], yscale="log" if name == "loss" and positive else "linear")
         axes[-1].set_xlabel(ABSCISSA[over] if over else "record")
 
-    return _figure(draw, width=5.6, height=4.0, rows=len(shown))
+    return svg(draw, HALF, 4.0, nrows=len(shown), sharex=True)
 
 
 def columns(history: Sequence[Any]) -> dict[str, np.ndarray]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from itertools import groupby
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any
 
 from vamgpu.printing import charts
 from vamgpu.printing.judgement import Judgement
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.tolerances import FirstWrong, Row, ToleranceTable
+from vamgpu.reports.page import Card, Chart, Figure, Numbers, Tolerances
 
 WORDS = {
     "point spread": "Point spread: σ wider by, in columns and rows",
@@ -20,24 +21,17 @@ WORDS = {
 """What a scenario changes, in plain words."""
 
 
-class Figure(NamedTuple):
-    """One number of the headline."""
-
-    value: str
-    name: str
-    meaning: str
-
-
-def opening(proof: Proof, judgement: Judgement) -> dict[str, Any]:
-    """What the template's first blocks show."""
-    return {
-        "headline": headline(proof, judgement),
-        "tolerance_chart": charts.tolerance_chart(judgement.over_tolerance),
-        "tolerance_note": _chart_note(proof),
-        "tolerances": table(judgement.table),
-        "tolerances_note": _table_note(judgement.table),
-        "surface_lines": judgement.surface.lines(),
-    }
+def opening(proof: Proof, judgement: Judgement) -> list[Card]:
+    """The first cards: window over tolerance, what the print bears, and its surface."""
+    chart = Chart(charts.tolerance_chart(judgement.over_tolerance))
+    bears = Tolerances(table(judgement.table))
+    lines = judgement.surface.lines()
+    surface = [Card("Surface of the print against the mesh", Numbers(lines), wide=True)] if lines else []
+    return [
+        Card("Window over tolerance", chart, note=_chart_note(proof)),
+        Card("What the print bears", bears, note=_table_note(judgement.table)),
+        *surface,
+    ]
 
 
 def headline(proof: Proof, judgement: Judgement) -> list[Figure]:

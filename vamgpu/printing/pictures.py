@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import base64
-from io import BytesIO
 from math import ceil, sqrt
 from typing import Any
 
 import numpy as np
+
+from vamgpu.reports.chart import colored, png
+from vamgpu.reports.page import Image
 
 SLICES = 64
 """Slices of the viewer at most."""
@@ -20,22 +21,6 @@ HIT, MISSING, EXCESS, OUTSIDE = 1, 2, 3, 4
 
 COLORS = np.array([[246, 247, 249], [176, 190, 208], [214, 58, 73], [240, 150, 32], [255, 255, 255]], np.uint8)
 """Color of each verdict."""
-
-
-def png(pixels: np.ndarray) -> str:
-    """A data address of uint8 pixels [row, column(, channel)]."""
-    from PIL import Image
-
-    stream = BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
-
-
-def colored(values: np.ndarray, name: str) -> np.ndarray:
-    """uint8 RGB of values from 0 to 1 in a matplotlib color map."""
-    from matplotlib import colormaps
-
-    return (colormaps[name](np.clip(values, 0, 1))[..., :3] * 255).round().astype(np.uint8)
 
 
 def ramp(name: str) -> list[int]:
@@ -72,32 +57,36 @@ def sheet(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float
     return {"image": png(pixels), "slices": chosen.tolist(), "across": across, "width": width, "height": height}
 
 
-def cuts(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float) -> list[dict[str, str]]:
+def viewer(sheet: dict[str, Any], heights: list[float], first: int) -> dict[str, Any]:
+    """What a page's script needs to show slices: their picture, their z [mm], and which to show first."""
+    return {"sheet": sheet, "heights": heights, "first": first, "heat": ramp("magma"), "colors": COLORS.tolist()}
+
+
+def cuts(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float) -> list[list[Image]]:
     """Target, dose and verdict in the planes x = 0 and y = 0."""
     found = []
     for axis, name in ((0, "x = 0"), (1, "y = 0")):
         middle = dose.shape[axis] // 2
         wanted, given, verdict_here = (upright(np.take(a, middle, axis)) for a in (target, dose, verdict))
         found.append(
-            {
-                "name": name,
-                "target": png(247 - (np.clip(wanted, 0, 1) * 191).astype(np.uint8)),
-                "dose": png(colored(given / (peak or 1.0), "magma")),
-                "verdict": png(COLORS[verdict_here]),
-            }
+            [
+                Image(png(247 - (np.clip(wanted, 0, 1) * 191).astype(np.uint8)), f"target, {name}"),
+                Image(png(colored(given / (peak or 1.0), "magma")), f"dose, {name}, upright"),
+                Image(png(COLORS[verdict_here]), f"printed, {name}"),
+            ]
         )
     return found
 
 
-def sinogram(light: np.ndarray, full: float) -> str:
+def sinogram(light: np.ndarray, full: float) -> Image:
     """The middle row [angle, r] of a sinogram [angle, r, z], angles downwards."""
-    return png(colored(light[:, :, light.shape[2] // 2] / full, "inferno"))
+    middle = colored(light[:, :, light.shape[2] // 2] / full, "inferno")
+    return Image(png(middle), "Light of the middle row over all angles")
 
 
-def frames(light: np.ndarray, full: float, angles: np.ndarray, count: int = 4) -> list[dict[str, Any]]:
-    """``count`` poses, each a picture [z, r] as it leaves the projector, and its angle of ``angles`` [°]."""
-    poses = [round(k * light.shape[0] / count) for k in range(min(count, light.shape[0]))]
+def frames(light: np.ndarray, full: float, angles: np.ndarray, count: int = 4) -> list[Image]:
+    """``count`` frames [z, r] as they leave the projector, and their angles [°]."""
+    chosen = [round(k * light.shape[0] / count) for k in range(min(count, light.shape[0]))]
     return [
-        {"angle": float(angles[pose % len(angles)]), "image": png(colored(upright(light[pose]) / full, "inferno"))}
-        for pose in poses
+        Image(png(colored(upright(light[k]) / full, "inferno")), f"{angles[k % len(angles)]:g}°") for k in chosen
     ]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import platform
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,9 @@ from vamgpu.methods.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
 from vamgpu.printing import charts, pictures, surface
 from vamgpu.printing.dose import absorbs
 from vamgpu.printing.judgement import Judgement, judged
-from vamgpu.printing.opening import opening
+from vamgpu.printing.opening import headline, opening
 from vamgpu.printing.proof import Proof
-from vamgpu.storage.atomic import explained
-from vamgpu.storage.page import filled, template
+from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Numbers, Page, Papers, Slices, Solid, Table
 
 PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
 MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
@@ -30,72 +29,74 @@ JOSEPH = "P. M. Joseph, An improved algorithm for reprojecting rays through pixe
 def write_report(
     proof: Proof, path: str | Path, plan: Any = None, judgement: Judgement | None = None
 ) -> Path:
-    """Write the page of a proof; arguments as for `render`. Raises `StorageError`."""
-    target = Path(path)
-    page = render(proof, plan, judgement)
-    partial = target.with_name(target.name + ".part")
-    try:
-        partial.write_text(page, encoding="utf-8")
-        partial.replace(target)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise explained("write", target, error) from error
-    return target
+    """Write the page of a proof; arguments as for `page_of`. Raises `StorageError`."""
+    return page_of(proof, plan, judgement).write(path)
 
 
-def render(proof: Proof, plan: Any = None, judgement: Judgement | None = None) -> str:
-    """The page as text.
+def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) -> Page:
+    """The page of a proof.
 
     Args:
         proof: what to show.
         plan: adds convergence, method and papers.
         judgement: window over tolerance and tolerance table; found here by default.
     """
-    css, js = (template("vamgpu.printing", name) for name in ("report.css", "report.js"))
-    first = opening(proof, judged(proof) if judgement is None else judgement)
-    return filled("vamgpu.printing", "report.html", css=css, js=js, **first, **_content(proof, plan))
-
-
-def _content(proof: Proof, plan: Any) -> dict[str, Any]:
+    judgement = judged(proof) if judgement is None else judgement
     grid, scores = proof.operator.grid, proof.scores
     dose, target = proof.dose.numpy(), proof.target.numpy()
-    cylinder = grid.cylinder()
-    verdict = pictures.verdicts(target, dose >= scores.threshold, cylinder)
-    light = proof.frames.irradiance(proof.operator.device).numpy()
-    full = float(proof.frames.scale)
-    solids, reach = _solids(proof, dose, target, cylinder)
-    sheet = pictures.sheet(dose, target, verdict, scores.peak)
-    z = grid.axes()[2]
+    verdict = pictures.verdicts(target, dose >= scores.threshold, grid.cylinder())
+    data, deviation = _drawn(proof, dose, target, verdict)
+    return Page(
+        "Print proof",
+        proof.name,
+        _verdict(proof),
+        proof.perfect,
+        _tiles(proof),
+        [
+            Card("Printed part", Solid(f"{1e3 * deviation:.3g}"), note=_surface_note(proof)),
+            Card("Slices", Slices(), Legend(),
+                 *(Images(cut, "trio upright") for cut in pictures.cuts(dose, target, verdict, scores.peak))),
+            Card("Dose in and out of the part", Chart(charts.histogram_chart(proof.histogram(), scores)), wide=True),
+            *_slice_by_slice(proof, plan),
+            *_light(proof),
+            Card("Numbers", Numbers(proof.lines()), wide=True),
+            Card("Set-up", Table(_setup(proof, plan))),
+            Card("Made with", Table(_versions(proof))),
+            Card("Papers relied on", Papers(_papers(proof, plan)), wide=True),
+        ],
+        headline=headline(proof, judgement),
+        opening=opening(proof, judgement),
+        data=data,
+    )  # fmt: skip
+
+
+def _slice_by_slice(proof: Proof, plan: Any) -> Iterator[Card]:
     convergence = charts.convergence_chart(plan.history) if plan is not None else None
-    data = {
-        **solids,
-        "sheet": sheet,
-        "heights": [float(z[k]) for k in sheet["slices"]],
-        "first": _fullest(proof, sheet["slices"]),
-        "heat": pictures.ramp("magma"),
-        "colors": pictures.COLORS.tolist(),
-    }
-    return {
-        "title": proof.name,
-        "perfect": proof.perfect,
-        "verdict": _verdict(proof),
-        "tiles": _tiles(proof),
-        "deviation_um": f"{1e3 * reach:.3g}",
-        "surface_note": _surface_note(proof),
-        "histogram": charts.histogram_chart(proof.histogram(), scores),
-        "per_slice": charts.slices_chart(proof.slices, z, wide=convergence is None),
-        "cuts": pictures.cuts(dose, target, verdict, scores.peak),
-        "sinogram": pictures.sinogram(light, full),
-        "scan": str(proof.operator.motion),
-        "frames": pictures.frames(light, full, np.degrees(proof.operator.motion.poses)),
-        "frames_note": _frames_note(proof),
-        "convergence": convergence,
-        "lines": proof.lines(),
-        "setup": _setup(proof, plan),
-        "versions": _versions(proof),
-        "papers": _papers(proof, plan),
-        "data": json.dumps(data, separators=(",", ":")),
-    }
+    wide = convergence is None
+    slices = Chart(charts.slices_chart(proof.slices, proof.operator.grid.axes()[2], wide=wide))
+    yield Card("Slice by slice", slices, note="One scale and one threshold for the whole volume.", wide=wide)
+    if convergence is not None:
+        yield Card("Convergence", Chart(convergence))
+
+
+def _light(proof: Proof) -> Iterator[Card]:
+    light, full = proof.frames.irradiance(proof.operator.device).numpy(), float(proof.frames.scale)
+    motion = proof.operator.motion
+    note = f"Light of the middle row: pixels across, angles downwards, {motion}."
+    yield Card("Sinogram", Images([pictures.sinogram(light, full)], "sinogram"), note=note)
+    shown = Images(pictures.frames(light, full, np.degrees(motion.poses)), "frames")
+    yield Card("Frames", shown, note=_frames_note(proof))
+
+
+def _drawn(
+    proof: Proof, dose: np.ndarray, target: np.ndarray, verdict: np.ndarray
+) -> tuple[dict[str, Any], float]:
+    """What the page's script draws, and the deviation [mm] at the ends of its color scale."""
+    solids, deviation = _solids(proof, dose, target, proof.operator.grid.cylinder())
+    sheet = pictures.sheet(dose, target, verdict, proof.scores.peak)
+    z = proof.operator.grid.axes()[2]
+    heights = [float(z[k]) for k in sheet["slices"]]
+    return solids | pictures.viewer(sheet, heights, _fullest(proof, sheet["slices"])), deviation
 
 
 def _solids(proof: Proof, dose: np.ndarray, target: np.ndarray, cylinder: np.ndarray) -> tuple[dict[str, Any], float]:
@@ -131,7 +132,7 @@ def _verdict(proof: Proof) -> str:
     return " ".join(parts)
 
 
-def _tiles(proof: Proof) -> list[dict[str, str]]:
+def _tiles(proof: Proof) -> list[Figure]:
     """Scores, and what became of the light, each with what it means."""
     scores = proof.scores
     share, meaning = f"{proof.part_share:.3g} mm", "mean path of light in the part"
@@ -148,7 +149,7 @@ def _tiles(proof: Proof) -> list[dict[str, str]]:
     ]
     if proof.seconds is not None:
         tiles.append(("predicted exposure", f"{proof.seconds:.3g} s", "until the threshold is solid"))
-    return [{"name": name, "value": value, "meaning": meaning} for name, value, meaning in tiles]
+    return [Figure(value, name, meaning) for name, value, meaning in tiles]
 
 
 def _power(value: float) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +12,7 @@ import numpy as np
 from vamgpu.methods.papers import BAND, RAMP, ROLL_TO_ROLL
 from vamgpu.optics.roller import Roller
 from vamgpu.printing import pictures, surface
-from vamgpu.storage.atomic import replacing
-from vamgpu.storage.page import filled, template
+from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Page, Papers, Slices, Solid, Table
 from vamgpu.webs import views
 
 if TYPE_CHECKING:
@@ -22,25 +20,24 @@ if TYPE_CHECKING:
 
 SHOWN = 9.0
 """Length [mm] of the piece of web that is shown in three dimensions."""
+SLICES_NOTE = "Slices of the same piece across the web; l runs to the right, the outer face is up."
+WRAPPED_NOTE = "Light comes from below, refracts at the outer face, fades in the film and ends at the roller."
+CONTRAST_NOTE = (
+    "Share ξ of what the resin makes of the best dose that lies in the part, for one random target and light within "
+    "arcsin m of the normal; m is the index of the bath over that of the resin. The smaller m, the fewer angles enter "
+    "the film."
+)
 
 
 def write_report(
     proof: WebProof, path: str | Path, *, title: str = "", contrast: Sequence[tuple[float, float]] = ()
 ) -> Path:
     """Write the page of a proven web. contrast: pairs of index ratio and ξ to plot. Raises `StorageError`."""
-    page = render(proof, title or proof.folder.path.stem, contrast)
-    with replacing(path, overwrite=True) as draft:
-        draft.write_text(page, encoding="utf-8")
-    return Path(path)
+    return page_of(proof, title or proof.folder.path.stem, contrast).write(path)
 
 
-def render(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]] = ()) -> str:
-    """The page as text."""
-    css, js = (template("vamgpu.printing", name) for name in ("report.css", "report.js"))
-    return filled("vamgpu.webs", "web.html", css=css, js=js, title=title, **_content(proof, contrast))
-
-
-def _content(proof: WebProof, contrast: Sequence[tuple[float, float]]) -> dict[str, Any]:
+def page_of(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]] = ()) -> Page:
+    """The page of a proven web."""
     peak = _peak(proof)
     strips, shown = views.Strips(proof.segments[-1].columns[1], proof.threshold), None
     middle = len(proof.segments) // 2
@@ -51,26 +48,31 @@ def _content(proof: WebProof, contrast: Sequence[tuple[float, float]]) -> dict[s
     assert shown is not None
     data, note = _solid(proof, shown, peak)
     missing, excess = (sum(getattr(score, name) for score in proof.segments) for name in ("missing", "excess"))
-    return {
-        "perfect": missing + excess == 0,
-        "verdict": f"{missing + excess:,} of {int(proof.counts.sum()):,} voxels print wrong: {missing:,} missing, "
-        f"{excess:,} excess.",
-        "tiles": _tiles(proof),
-        "strips": strips.pictures(peak),
-        "deviation_um": f"{1e3 * max(proof.grid.edges):.3g}",
-        "surface_note": note,
-        "slices_note": "Slices of the same piece across the web; l runs to the right, the outer face is up.",
-        "wrapped": _wrapped(proof),
-        "wrapped_note": "Light comes from below, refracts at the outer face, fades in the film and ends at the roller.",
-        "histogram": views.histogram_chart(proof.counts, proof.edges, proof.threshold, not contrast),
-        "contrast": views.contrast_chart(contrast) if contrast else None,
-        "per_segment": views.segments_chart(proof.segments, proof.grid.edges[0]),
-        "frames": views.frame_pictures(proof),
-        "focus": proof.folder.details["frames"]["focus"] is not None,
-        "setup": _setup(proof),
-        "papers": (ROLL_TO_ROLL, BAND, RAMP),
-        "data": json.dumps(data, separators=(",", ":")),
-    }
+    total = int(proof.counts.sum())
+    focus = " and the focus planes that show them" if proof.folder.details["frames"]["focus"] is not None else ""
+    histogram = views.histogram_chart(proof.counts, proof.edges, proof.threshold, not contrast)
+    segments = views.segments_chart(proof.segments, proof.grid.edges[0])
+    return Page(
+        "Web proof",
+        title,
+        f"{missing + excess:,} of {total:,} voxels print wrong: {missing:,} missing, {excess:,} excess.",
+        missing + excess == 0,
+        _tiles(proof),
+        [
+            Card("Along the web", *(Images([strip], "strip") for strip in strips.pictures(peak)), Legend(), wide=True),
+            Card("Printed film", Solid(f"{1e3 * max(proof.grid.edges):.3g}"), note=note),
+            Card("Layer by layer", Slices(), note=SLICES_NOTE),
+            Card("Light about the roller", Chart(_wrapped(proof)), note=WRAPPED_NOTE, wide=True),
+            Card("Dose in and out of the part", Chart(histogram), wide=not contrast),
+            *([Card("Contrast over the index ratio", Chart(views.contrast_chart(contrast)), note=CONTRAST_NOTE)]
+              if contrast else []),
+            Card("Segment by segment", Chart(segments), note="One threshold for the whole web.", wide=True),
+            Card(f"Frames{focus}", Images(views.frame_pictures(proof), "frames"), wide=True),
+            Card("Set-up", Table(_setup(proof)), wide=True),
+            Card("Sources", Papers((ROLL_TO_ROLL, BAND, RAMP)), wide=True),
+        ],
+        data=data,
+    )  # fmt: skip
 
 
 def _peak(proof: WebProof) -> float:
@@ -91,16 +93,13 @@ def _solid(proof: WebProof, piece: Piece, peak: float) -> tuple[dict[str, Any], 
     reach = float(np.abs(points).max(initial=edges.max()))
     radius = float(np.linalg.norm(points, axis=1).max(initial=edges.max()))
     sheet = pictures.sheet(dose, target, verdict, peak)
+    heights = [float(z) for z in proof.grid.axes()[2][sheet["slices"]]]
     wanted, printed = solids
     data = {
         "target": wanted.packed(np.zeros(len(wanted.points)), reach),
         "printed": printed.packed(surface.deviation(printed, wanted) / edges.max(), reach),
         "radius": 2 * radius / reach,
-        "sheet": sheet,
-        "heights": [float(z) for z in proof.grid.axes()[2][sheet["slices"]]],
-        "first": len(sheet["slices"]) // 2,
-        "heat": pictures.ramp("magma"),
-        "colors": pictures.COLORS.tolist(),
+        **pictures.viewer(sheet, heights, len(heights) // 2),
     }
     start = (piece.columns[0] + first) * edges[0]
     note = (
@@ -126,7 +125,7 @@ def _wrapped(proof: WebProof) -> str:
     return views.wrapped_chart(proof.light, proof.grid, roller, shown, np.ones(len(shown)))
 
 
-def _tiles(proof: WebProof) -> list[dict[str, str]]:
+def _tiles(proof: WebProof) -> list[Figure]:
     length = proof.segments[-1].columns[1] * proof.grid.edges[0]
     worst = min(score.trimmed for score in proof.segments)
     values = (
@@ -137,7 +136,7 @@ def _tiles(proof: WebProof) -> list[dict[str, str]]:
         ("frames", f"{proof.folder.frames:,}"),
         ("segments", str(len(proof.segments))),
     )
-    return [{"name": name, "value": value} for name, value in values]
+    return [Figure(value, name) for name, value in values]
 
 
 def _setup(proof: WebProof) -> list[tuple[str, str]]:

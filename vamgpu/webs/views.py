@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vamgpu.optics.roller import Roller
-from vamgpu.printing.charts import FAINT, INK, PART, REST, STYLE, WARN
-from vamgpu.printing.pictures import COLORS, colored, png, upright, verdicts
+from vamgpu.printing.pictures import COLORS, upright, verdicts
+from vamgpu.reports.chart import NARROW, PART, REST, WARN, WIDE, above, colored, png, svg
+from vamgpu.reports.page import Image
+from vamgpu.reports.style import FAINT, INK
 from vamgpu.web import Propagation, WebGrid
 
 if TYPE_CHECKING:
@@ -18,22 +19,6 @@ if TYPE_CHECKING:
 
 PIXELS = 2400
 """Pixels of a strip along the web at most."""
-
-
-def svg(draw: Any, width: float, height: float, columns: int = 1, rows: int = 1, sharex: bool = False) -> str:
-    """A chart as inline SVG; ``draw`` gets the figure and its axes."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    with rc_context(STYLE):
-        figure = Figure(figsize=(width, height), layout="constrained")
-        FigureCanvasSVG(figure)
-        draw(figure, figure.subplots(rows, columns, sharex=sharex, squeeze=False))
-        stream = StringIO()
-        figure.savefig(stream, format="svg", transparent=True, dpi=150, metadata={"Date": None})
-    text = stream.getvalue()
-    return text[text.index("<svg") :].replace("sans-serif", "inherit")
 
 
 class Strips:
@@ -51,13 +36,13 @@ class Strips:
         verdict = verdicts(wanted[:, :, None], given[:, :, None] >= self.threshold, np.ones(given.shape, bool))
         self._parts.append((wanted, given, verdict[:, :, 0]))
 
-    def pictures(self, peak: float) -> list[dict[str, str]]:
+    def pictures(self, peak: float) -> list[Image]:
         """Target, dose and verdict; the outer face of the film is up."""
         wanted, given, verdict = (upright(np.concatenate(part)) for part in zip(*self._parts, strict=True))
         return [
-            {"name": "target of the whole web, outer face up", "image": png(247 - (wanted * 191).astype(np.uint8))},
-            {"name": "dose", "image": png(colored(given / peak, "magma"))},
-            {"name": "printed", "image": png(COLORS[verdict])},
+            Image(png(247 - (wanted * 191).astype(np.uint8)), "target of the whole web, outer face up"),
+            Image(png(colored(given / peak, "magma")), "dose"),
+            Image(png(COLORS[verdict]), "printed"),
         ]
 
 
@@ -72,17 +57,17 @@ def wrapped_chart(light: Propagation, grid: WebGrid, roller: Roller, frame: np.n
     x, y = map_.wrapped(l[:, None], rho[None, :])
     flat = light.rho.astype(np.int64) * n_l + light.l
 
-    def draw(figure: Any, axes: Any) -> None:
-        for axis, shown, name in zip(axes[0], (whole, frame), ("every column on", "one frame"), strict=True):
+    def draw(*axes: Any) -> None:
+        for axis, shown, name in zip(axes, (whole, frame), ("every column on", "one frame"), strict=True):
             total = np.bincount(flat, light.weight * shown[light.r], n_rho * n_l).reshape(n_rho, n_l).T
             drawn = axis.pcolormesh(x, y, total / max(float(total.max()), 1e-30), cmap="inferno", rasterized=True)
             turn = np.linspace(0, 2 * np.pi, 200)
             axis.plot(roller.radius * np.cos(turn), roller.radius * np.sin(turn), color=FAINT, lw=1)
             axis.set(aspect="equal", title=name, xlabel="x [mm]", ylabel="y [mm]")
             axis.grid(False)
-        figure.colorbar(drawn, ax=list(axes[0]), label="absorbed over its greatest", shrink=0.8)
+        axes[0].figure.colorbar(drawn, ax=list(axes), label="absorbed over its greatest", shrink=0.8)
 
-    return svg(draw, 11.6, 4.6, columns=2)
+    return svg(draw, WIDE, 4.6, ncols=2)
 
 
 def histogram_chart(counts: np.ndarray, edges: np.ndarray, threshold: float, wide: bool = False) -> str:
@@ -90,8 +75,7 @@ def histogram_chart(counts: np.ndarray, edges: np.ndarray, threshold: float, wid
     merged = counts.reshape(2, -1, 8).sum(axis=2)
     last = edges[::8][min(merged.shape[1], int(np.flatnonzero(merged.sum(axis=0))[-1]) + 1)]
 
-    def draw(figure: Any, axes: Any) -> None:
-        axis = axes[0, 0]
+    def draw(axis: Any) -> None:
         for values, color, name in ((merged[0], REST, "outside"), (merged[1], PART, "in the part")):
             shown = np.maximum(values, 0.5)
             axis.stairs(shown, edges[::8], baseline=0.5, fill=True, color=color, alpha=0.3)
@@ -99,17 +83,16 @@ def histogram_chart(counts: np.ndarray, edges: np.ndarray, threshold: float, wid
         axis.axvline(threshold, color=INK, lw=1.2, ls=(0, (4, 3)), label="threshold")
         axis.set(yscale="log", xlim=(0, last), ylim=(0.5, None), xlabel="dose, 1 is what the part should get",
                  ylabel="voxels")  # fmt: skip
-        axis.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        above(axis, 3)
 
-    return svg(draw, 11.6 if wide else 7.2, 3.6)
+    return svg(draw, WIDE if wide else NARROW, 3.6)
 
 
 def segments_chart(scores: Sequence[PieceScore], edge: float) -> str:
     """IoU and process windows of every segment over where it lies [mm]."""
     ends = np.array([score.columns[0] for score in scores] + [scores[-1].columns[1]]) * edge
 
-    def draw(figure: Any, axes: Any) -> None:
-        over, under = axes[:, 0]
+    def draw(over: Any, under: Any) -> None:
         over.stairs([score.iou for score in scores], ends, color=PART, lw=1.8, baseline=None)
         over.set(ylabel="IoU", ylim=(0, 1))
         under.axhline(0, color=INK, lw=0.8)
@@ -118,31 +101,30 @@ def segments_chart(scores: Sequence[PieceScore], edge: float) -> str:
         under.set(ylabel="process window", xlabel="along the web [mm]", xlim=(0, ends[-1]))
         under.legend(ncols=2, loc="lower right")
 
-    return svg(draw, 11.6, 4.0, rows=2, sharex=True)
+    return svg(draw, WIDE, 4.0, nrows=2, sharex=True)
 
 
 def contrast_chart(found: Sequence[tuple[float, float]]) -> str:
     """ξ over the index ratio m."""
     ratio, share = zip(*found, strict=True)
 
-    def draw(figure: Any, axes: Any) -> None:
-        axes[0, 0].plot(ratio, share, color=PART, lw=1.8, marker="o", ms=5)
-        axes[0, 0].set(xlabel="index ratio m", ylabel="contrast ξ")
-        axes[0, 0].invert_xaxis()
+    def draw(axis: Any) -> None:
+        axis.plot(ratio, share, color=PART, lw=1.8, marker="o", ms=5)
+        axis.set(xlabel="index ratio m", ylabel="contrast ξ")
+        axis.invert_xaxis()
 
-    return svg(draw, 7.2, 3.6)
+    return svg(draw, NARROW, 3.6)
 
 
-def frame_pictures(proof: WebProof, count: int = 3) -> list[dict[str, str]]:
+def frame_pictures(proof: WebProof, count: int = 3) -> list[Image]:
     """Frames along the web; with focus planes, each plane's part of the middle one besides."""
     folder = proof.folder
     numbers = [round((k + 1) * folder.frames / (count + 1)) for k in range(count)]
-    found = [{"name": f"frame {n}", "image": png(colored(folder.frame(n) / 255.0, "inferno"))} for n in numbers]
+    found = [Image(png(colored(folder.frame(n) / 255.0, "inferno")), f"frame {n}") for n in numbers]
     focus = folder.details["frames"]["focus"]
     if focus is not None:
         middle, chosen = folder.frame(numbers[count // 2]), np.array(focus["bin"])
         for number, plane in enumerate(focus["planes"]):
             image = png(colored(np.where(chosen == number, middle, 0) / 255.0, "inferno"))
-            found.append({"name": f"frame {numbers[count // 2]}, focused at {plane:.2f} mm".replace("-", "−"),
-                          "image": image})  # fmt: skip
+            found.append(Image(image, f"frame {numbers[count // 2]}, focused at {plane:.2f} mm".replace("-", "−")))
     return found

@@ -1,0 +1,66 @@
+"""Charts and pictures of reports: one set of colors, inline SVG, and data addresses."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable
+from io import BytesIO, StringIO
+from typing import Any
+
+import numpy as np
+
+from vamgpu.reports.style import BLUE, FAINT, INK, RED
+
+PART, REST, EXTRA, WARN, GOOD = BLUE, "#9aa5b4", "#f09620", RED, "#1d9a5b"
+"""The part; what is outside; printed too much; wrong; as it should be."""
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 10.5, "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False,
+    "axes.spines.right": False, "axes.grid": True, "grid.color": "#eef1f5", "axes.axisbelow": True,
+    "legend.frameon": False, "svg.hashsalt": "vamgpu",
+}  # fmt: skip
+WIDE, NARROW = 11.6, 7.2
+"""Widths [inch] of a chart in a card over both columns, and over one."""
+
+
+def svg(draw: Callable[..., None], width: float, height: float, **layout: Any) -> str:
+    """A chart as inline SVG.
+
+    Args:
+        draw: is given the axes, one after the other.
+        width: of the figure [inch]; height: likewise.
+        layout: keywords of `matplotlib.figure.Figure.subplots`.
+    """
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasSVG(figure)
+        draw(*figure.subplots(squeeze=False, **layout).ravel())
+        stream = StringIO()
+        figure.savefig(stream, format="svg", transparent=True, dpi=150, metadata={"Date": None})
+    text = stream.getvalue()
+    return text[text.index("<svg") :].replace("sans-serif", "inherit")
+
+
+def above(axis: Any, columns: int) -> None:
+    """The legend above an axis."""
+    axis.legend(ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+
+
+def png(pixels: np.ndarray) -> str:
+    """A data address of uint8 pixels [row, column(, channel)]."""
+    from PIL import Image
+
+    stream = BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+
+
+def colored(values: np.ndarray, name: str) -> np.ndarray:
+    """uint8 RGB of values from 0 to 1 in a matplotlib color map."""
+    from matplotlib import colormaps
+
+    return (colormaps[name](np.clip(values, 0, 1))[..., :3] * 255).round().astype(np.uint8)

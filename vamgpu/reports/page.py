@@ -1,0 +1,164 @@
+"""A report: one self-contained HTML page of cards, the same for vials, webs and slices."""
+
+from __future__ import annotations
+
+import errno
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple
+
+from vamgpu.errors import StorageError
+from vamgpu.storage.atomic import explained, page_path, replacing
+
+
+class Figure(NamedTuple):
+    """One number that is looked at first."""
+
+    value: str
+    name: str
+    meaning: str = ""
+
+
+class Image(NamedTuple):
+    """A picture as a data address, and what stands below it."""
+
+    source: str
+    name: str
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Inline SVG."""
+
+    svg: str
+    kind: ClassVar = "chart"
+
+
+@dataclass(frozen=True)
+class Images:
+    """Pictures side by side. layout: a class of the style sheet; ``panels`` makes ``across`` columns."""
+
+    images: Sequence[Image]
+    layout: Literal["frames", "trio upright", "panels", "strip", "sinogram"]
+    across: int = 2
+    kind: ClassVar = "images"
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Lines of name, value and meaning."""
+
+    lines: Iterable[Any]
+    kind: ClassVar = "numbers"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells in rows under a header; without one, the first cell of a row is its name."""
+
+    rows: Iterable[Sequence[str]]
+    header: Sequence[str] = ()
+    kind: ClassVar = "table"
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Windows of a print whose machine is off in one thing after the other."""
+
+    groups: Sequence[Mapping[str, Any]]
+    kind: ClassVar = "tolerances"
+
+
+@dataclass(frozen=True)
+class Solid:
+    """Surfaces in three dimensions, colored up to a deviation [µm]; the page's data holds them."""
+
+    deviation: str
+    kind: ClassVar = "solid"
+
+
+@dataclass(frozen=True)
+class Slices:
+    """Target, dose and verdict slice by slice; the page's data holds them."""
+
+    kind: ClassVar = "slices"
+
+
+@dataclass(frozen=True)
+class Legend:
+    """Colors of verdicts and of the dose. most: what the brightest dose is."""
+
+    most: str = "most"
+    kind: ClassVar = "legend"
+
+
+@dataclass(frozen=True)
+class Papers:
+    """A numbered list of sources."""
+
+    papers: Iterable[str]
+    kind: ClassVar = "papers"
+
+
+Block = Chart | Images | Numbers | Table | Tolerances | Solid | Slices | Legend | Papers
+
+
+class Card:
+    """A titled part of a page. wide: over both columns."""
+
+    def __init__(self, title: str, *blocks: Block, note: str = "", wide: bool = False) -> None:
+        self.title, self.blocks, self.note, self.wide = title, blocks, note, wide
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report.
+
+    Attributes:
+        sort: of the report, in two words.
+        title: what it is about.
+        verdict: one sentence.
+        good: whether the verdict is.
+        tiles: numbers in a row.
+        cards: what follows, in two columns.
+        headline: the most important numbers, above the tiles.
+        opening: cards above the tiles.
+        data: what the page's script draws, for cards with a `Solid` or `Slices`.
+    """
+
+    sort: str
+    title: str
+    verdict: str
+    good: bool
+    tiles: Sequence[Figure]
+    cards: Sequence[Card]
+    headline: Sequence[Figure] = ()
+    opening: Sequence[Card] = ()
+    data: Mapping[str, Any] | None = None
+
+    def html(self) -> str:
+        """The page as text; what is not markup by its type is escaped."""
+        from jinja2 import Environment
+
+        environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+        script = None if self.data is None else json.dumps(self.data, separators=(",", ":"))
+        parts = {**vars(self), "data": script, "css": _shipped("page.css"), "js": _shipped("page.js")}
+        return environment.from_string(_shipped("page.html")).render(parts)
+
+    def write(self, path: str | Path) -> Path:
+        """Write the page into a folder that exists, replacing an earlier one. Raises `StorageError`."""
+        place = page_path(path)
+        if not place.parent.is_dir():
+            raise explained("write", place, FileNotFoundError(errno.ENOENT, "no such folder"))
+        if place.is_dir():
+            raise StorageError(f"{str(place)!r} is a folder; expected the path of a page: choose another path")
+        with replacing(place, overwrite=True) as draft:
+            draft.write_text(self.html(), encoding="utf-8")
+        return place
+
+
+def _shipped(name: str) -> str:
+    return resources.files("vamgpu.reports").joinpath("templates", name).read_text(encoding="utf-8")
