@@ -181,8 +181,9 @@ def test_bad_input_is_named() -> None:
         optimize(here, part(), OSMO)  # type: ignore[arg-type]
     with pytest.raises(ShapeMismatch, match="the target"):
         optimize(here, np.zeros((3, 4, 5)))
-    with pytest.raises(BadInput, match="iterations"):
-        optimize(here, part(), iterations=0)
+    for iterations in (0, 1.5, True, "ten", np.nan, np.inf):
+        with pytest.raises(BadInput, match="iterations"):
+            optimize(here, part(), iterations=iterations)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="build the operator on target.grid"):
         optimize(here, Target.from_array(part(), 0.1))
     with pytest.raises(BadInput, match="same method"):

@@ -72,20 +72,19 @@ class Best:
         return int(self.memory.get("best iteration", 0))
 
     def choose(self, work: Work) -> tuple[DeviceArray, float, int]:
-        """The light to return, by one more evaluation at most.
+        """The light to return, by one more evaluation at most, and none where all light was offered.
 
         Returns:
             The better one of the light kept and the run's last light, its strict window, and the number of iterations
             after which it was reached.
         """
+        kept = self.memory.get("best")
+        if kept is not None and self.unseen is None:
+            return kept, self.window, self.iteration
         last = work.held("light")
-        if self.unseen is None:
-            chosen = self.memory.get("best", last)
-            window, _ = work.window(work.operator.T(chosen))
-            return chosen, window, self.iteration if "best" in self.memory else work.iteration
         dose = work.operator.T(last)
         window, _ = work.window(dose)
-        loss = self.unseen(dose) if self.criterion == "loss" else 0.0
-        if "best" not in self.memory or self.better(loss, window):
+        loss = self.unseen(dose) if self.unseen and self.criterion == "loss" else 0.0
+        if kept is None or self.better(loss, window):
             return last, window, work.iteration
-        return self.memory["best"], self.window, self.iteration
+        return kept, self.window, self.iteration

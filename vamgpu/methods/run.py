@@ -12,7 +12,7 @@ from typing import Any
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, Cancelled, Diverged, DivergenceWarning
-from vamgpu.geometry import positive
+from vamgpu.geometry import counts, positive
 from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.calgd import GradientDescent
 from vamgpu.methods.course import Course
@@ -193,9 +193,9 @@ def _limit(method: Method, iterations: int | None, pairs: float | None) -> int:
 
 
 def _count(iterations: int) -> int:
-    if isinstance(iterations, bool) or int(iterations) != iterations or iterations < 1:
-        raise BadInput(f"iterations is {iterations!r}; wanted a whole number ≥ 1")
-    return int(iterations)
+    if isinstance(iterations, bool):
+        raise BadInput(f"iterations is {iterations!r}; expected a whole number ≥ 1")
+    return counts("iterations", (iterations,), 1)[0]
 
 
 def _name(target: Any) -> str:

@@ -10,6 +10,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.metrics.histogram import above, extremes, order_statistic
 from vamgpu.metrics.parts import IN, OUT, Parts
 from vamgpu.metrics.scores import Scores
+from vamgpu.metrics.window import ranks
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,7 @@ def score_slices(
     counts = above(parts, whole.threshold, per_slice=True)
     voxels = counts.sum(axis=2)
     out_voxels, in_voxels = voxels[:, OUT], voxels[:, IN]
-    rank = np.stack([np.ceil(0.99 * (out_voxels - 1) - 1e-9), np.floor(0.01 * (in_voxels - 1) + 1e-9)], axis=1)
-    quantile = order_statistic(parts, np.maximum(rank, 0), per_slice=True)
+    quantile = order_statistic(parts, ranks(voxels, 0.01), per_slice=True)
     missing, excess, printed = counts[:, IN, 0], counts[:, OUT, 1], counts[:, IN, 1]
     union = in_voxels + excess
     peak, some = whole.peak or 1.0, in_voxels > 0

@@ -44,7 +44,12 @@ def quantiles(parts: Parts, voxels: tuple[int, int], share: float) -> tuple[floa
     Both are doses of voxels, and of the two that a quantile lies between the worse one (NumPy's methods "lower" and
     "higher").
     """
-    rank = np.array([[np.ceil((1.0 - share) * (voxels[OUT] - 1) - 1e-9), np.floor(share * (voxels[IN] - 1) + 1e-9)]])
-    value = order_statistic(parts, np.maximum(rank, 0.0))
+    value = order_statistic(parts, ranks(np.array([voxels]), share))
     outside = value[0, OUT] if voxels[OUT] else 0.0
     return float(value[0, IN]), float(outside)
+
+
+def ranks(voxels: np.ndarray, share: float) -> np.ndarray:
+    """Ranks [slice, class] of the doses that `quantiles` are, from 0; voxels: counted [slice, class]."""
+    low, high = np.ceil((1.0 - share) * (voxels[:, OUT] - 1) - 1e-9), np.floor(share * (voxels[:, IN] - 1) + 1e-9)
+    return np.maximum(np.stack([low, high], axis=1), 0.0)  # OUT is 0, IN is 1
