@@ -8,6 +8,7 @@ tells wrong voxels in all of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite, nan
 
@@ -29,7 +30,7 @@ REFINED = 2
 _CLOSE = 0.002
 """Of the greatest dose: a voxel this near to the threshold is where the search ends."""
 _HALF = 0.499
-"""Voxels: a center half a voxel deep counts as being there whatever the rounding."""
+"""Voxels: a center half a voxel deep counts as being there whatever the rounding, e.g. in a print of one slice."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,8 @@ class Row:
         change: by how much, with its unit.
         half_voxel: W at half a voxel; NaN where the part is nowhere as thick as a voxel or the scenario means nothing.
         window: strict window over the part's own voxels.
-        missing: voxels of the part that would not print.
-        excess: voxels outside that would.
+        missing: voxels of the part that would not print; None where there are no numbers.
+        excess: voxels outside that would; likewise.
         note: why there are no numbers; empty where there are.
     """
 
@@ -50,14 +51,14 @@ class Row:
     change: str
     half_voxel: float = nan
     window: float = nan
-    missing: int = 0
-    excess: int = 0
+    missing: int | None = None
+    excess: int | None = None
     note: str = ""
 
     @property
-    def wrong(self) -> int:
-        """Voxels that would print wrong."""
-        return self.missing + self.excess
+    def wrong(self) -> int | None:
+        """Voxels that would print wrong; None where there are no numbers."""
+        return None if self.missing is None or self.excess is None else self.missing + self.excess
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,8 @@ class FirstWrong:
     Args:
         name: what is off.
         amount: by how much; 0 where a voxel is wrong already, NaN where none is up to ``farthest``.
-        farthest: amount up to which it was searched, with its sign.
+        farthest: amount up to which it was searched, with its sign; less than asked where more means nothing, 0 where
+            no amount means anything.
         text: the amount with its unit, or what there is to say instead.
     """
 
@@ -84,7 +86,7 @@ class ToleranceTable:
     Args:
         nominal: the print as it should be.
         rows: the scenarios, in the order of `SCENARIOS`.
-        first_wrong: of every scenario that could be exposed, below and above.
+        first_wrong: of every scenario of which some amount could be exposed, below and above.
         exposures: back projections that the table took, each half a projector pair.
     """
 
@@ -129,14 +131,17 @@ def tolerance_table(
     rows: list[Row] = []
     first: list[FirstWrong] = []
     for scenario in scenarios:
-        try:
-            known = {amount: bench.exposed(scenario, amount) for amount in scenario.amounts}
-            found = [_first_wrong(bench, scenario, sign, known) for sign in scenario.signs]
-        except BadInput as error:
-            rows += [Row(scenario.name, scenario.written(amount), note=str(error)) for amount in scenario.amounts]
-            continue
-        rows += [seen.row(scenario.name, scenario.written(amount), finer) for amount, seen in known.items()]
-        first += found
+        known: dict[float, _Seen] = {}
+        for amount in scenario.amounts:
+            change = scenario.written(amount)
+            try:
+                known[amount] = bench.exposed(scenario, amount)
+            except BadInput as error:
+                rows.append(Row(scenario.name, change, note=str(error)))
+            else:
+                rows.append(known[amount].row(scenario.name, change, finer))
+        if known:
+            first += [_first_wrong(bench, scenario, sign, known) for sign in scenario.signs]
     return ToleranceTable(bench.nominal.row("as it should be", "", finer), tuple(rows), tuple(first), bench.exposures)
 
 
@@ -225,9 +230,13 @@ def _first_wrong(bench: _Bench, scenario: Scenario, sign: int, known: dict[float
     farthest = sign * scenario.farthest
     if bench.nominal.missing + bench.nominal.excess:
         return FirstWrong(scenario.name, 0.0, farthest, "wrong already")
-    amount = _of_dose(bench, sign) if scenario.off is None else _closed_in(bench, scenario, farthest, known)
+    if scenario.off is None:
+        amount = _of_dose(bench, sign)
+    else:
+        amount, farthest = _closed_in(bench, scenario, farthest, known)
     if not abs(amount) <= scenario.farthest:
-        return FirstWrong(scenario.name, nan, farthest, f"none up to {scenario.written(farthest)}")
+        text = f"none up to {scenario.written(farthest)}" if farthest else "not exposed"
+        return FirstWrong(scenario.name, nan, farthest, text)
     return FirstWrong(scenario.name, amount, farthest, scenario.written(amount, 2))
 
 
@@ -237,8 +246,11 @@ def _of_dose(bench: _Bench, sign: int) -> float:
     return bench.threshold / nearest - 1.0 if nearest > 0 else nan
 
 
-def _closed_in(bench: _Bench, scenario: Scenario, farthest: float, known: dict[float, _Seen]) -> float:
-    """By interpolation between a good and a bad amount; NaN where none is bad."""
+def _closed_in(bench: _Bench, scenario: Scenario, farthest: float, known: dict[float, _Seen]) -> tuple[float, float]:
+    """The amount by interpolation between a good and a bad one, NaN where none is bad; and the farthest looked at.
+
+    Where the farthest means nothing that is the largest amount that was exposed, 0 if there is none.
+    """
     good: Point = (0.0, bench.nominal.margin)
     bad: Point | None = None
     for amount in sorted((a for a in known if a * farthest > 0), key=abs):
@@ -248,16 +260,20 @@ def _closed_in(bench: _Bench, scenario: Scenario, farthest: float, known: dict[f
             break
         good = (amount, margin)
     if bad is None:
-        bad = (farthest, bench.exposed(scenario, farthest).margin)
+        try:
+            bad = (farthest, bench.exposed(scenario, farthest).margin)
+        except BadInput:
+            return nan, good[0]
     if bad[1] >= 0:
-        return nan
-    for _ in range(REFINED):
-        amount = _crossing(good, bad)
-        margin = bench.exposed(scenario, amount).margin
-        good, bad = (good, (amount, margin)) if margin < 0 else ((amount, margin), bad)
-        if abs(margin) < _CLOSE:
-            break
-    return _crossing(good, bad)
+        return nan, farthest
+    with suppress(BadInput):
+        for _ in range(REFINED):
+            amount = _crossing(good, bad)
+            margin = bench.exposed(scenario, amount).margin
+            good, bad = (good, (amount, margin)) if margin < 0 else ((amount, margin), bad)
+            if abs(margin) < _CLOSE:
+                break
+    return _crossing(good, bad), farthest
 
 
 def _crossing(good: Point, bad: Point) -> float:
