@@ -130,6 +130,11 @@ class Beam:
         return centers(self.pixels[0], self.pitch)
 
     @property
+    def flat(self) -> bool:
+        """Whether its single row stands for a print that is the same at every height."""
+        return self.pixels[1] == 1
+
+    @property
     def sigma(self) -> float:
         """Standard deviation of the point spread [pixels], along columns and along rows."""
         return HALF_A_PIXEL if self.spread is None else self.spread / self.pitch

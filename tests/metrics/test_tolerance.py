@@ -103,6 +103,14 @@ def test_depths_of_a_part_that_is_sampled_again() -> None:
         assert np.abs(found - true)[np.abs(true) < 0.19].max(initial=0.0) < 0.4 * FINE
 
 
+def test_a_flat_part_ends_beside_but_neither_above_nor_below() -> None:
+    depth = depth_of_fractions(np.ones((6, 6, 1)), grid := Grid((6, 6, 1), 0.1), flat=True)
+    x, y, _ = grid.axes()
+    found = depth(x, y, np.array([-0.05, 0.0, 0.05]))
+    assert found[2, 2] == pytest.approx([0.25] * 3, abs=1e-3) and found[0, 2] == pytest.approx([0.05] * 3, abs=1e-3)
+    assert depth_of_fractions(np.ones((6, 6, 1)), grid)(x, y, np.zeros(1))[2, 2] == pytest.approx(0.05, abs=1e-3)
+
+
 def test_what_lies_beyond_the_own_grid_is_outside() -> None:
     depth = depth_of_fractions(np.ones((4, 4, 4)), Grid((4, 4, 4), 0.1))
     at = np.array([-0.4, -0.25, 0.0, 0.25, 0.4])
@@ -136,6 +144,9 @@ def test_wrong_input_is_refused() -> None:
         tolerance_window(slabs(dose), lambda *axes: -np.ones_like(ball(*axes)), GRID.pitch)
     with pytest.raises(BadInput, match="voxel"):
         tolerance_window(slabs(dose), ball, 0.0)
+    for bins in (0, 0.5, np.nan, "a"):
+        with pytest.raises(BadInput, match="bins"):
+            tolerance_window(slabs(dose), ball, GRID.pitch, bins=bins)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="a slab's dose has shape"):
         tolerance_window([FineSlab(dose[:-1], *positions())], ball, GRID.pitch)
     assert isinstance(found, ToleranceWindow)

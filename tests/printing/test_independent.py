@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.special import ndtr
 
 import vamgpu as vam
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, OpticsWarning
 from vamgpu.operators.oblique import Oblique
 from vamgpu.optics.beams import Fan
 from vamgpu.optics.occluder import Occluded
@@ -23,6 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "physics"))
 from raytracer import trace  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 VIAL = vam.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.05)
+WIDE = vam.Vial(radius=9.2, wall=0.2, resin_index=1.45, wall_index=1.47, bath_index=1.45, absorption=0.05)
 SMALL = vam.Vial(radius=3.2, wall=0.2, resin_index=1.45, wall_index=1.47, bath_index=1.3, absorption=0.08)
 
 
@@ -198,8 +200,8 @@ def test_the_mean_of_fine_voxels_is_exact_for_smooth_dose() -> None:
 
 
 # ---- beyond the part -----------------------------------------------------------------------------------------------
-def test_the_greatest_dose_beyond_the_cylinder_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Light of two columns that miss the part's cylinder; with a wall far away on wider voxels, a little dimmer."""
+def test_the_greatest_dose_beyond_the_cylinder_is_found() -> None:
+    """Light of two columns that miss the part's cylinder."""
     A = vam.Projection(vam.Grid((20, 20, 4), 0.2), vam.Beam((32, 8), 0.2), vam.Turntable(24), SMALL)
     light = np.zeros(A.range.shape)
     light[:, 28:30] = 1.0
@@ -208,10 +210,83 @@ def test_the_greatest_dose_beyond_the_cylinder_is_found(monkeypatch: pytest.Monk
     x, dose = plane(A, light)
     far = np.hypot(x[:, None], x[None, :])
     assert outer.dose == pytest.approx(dose[(far > A.grid.inscribed_radius) & (far < 3.0)].max(), rel=0.05)
-    monkeypatch.setattr(independent, "FAR", 1.0)
-    _, wide = IndependentExposure(A).averaged(A.device.upload(light))
-    assert wide is not None and wide.width == pytest.approx(0.2)
-    assert wide.dose == pytest.approx(outer.dose, rel=0.05) and wide.distance == pytest.approx(outer.distance, abs=0.2)
+
+
+def _wide(light: np.ndarray | None = None) -> tuple[float, independent.Outer]:
+    """A wall eight corners of the grid away: the greatest dose of the grid beyond the cylinder, and of all."""
+    A = vam.Projection(vam.Grid((16, 16, 2), 0.1), vam.Beam((32, 2), 0.1), vam.Turntable(24), WIDE, "numpy")
+    spot = np.zeros(A.grid.shape)
+    spot[15, 15] = 1.0
+    dose, outer = IndependentExposure(A).averaged(A.device.upload(np.asarray(A(spot)) if light is None else light))
+    assert outer is not None and outer.radius == 9.0
+    return float(dose.numpy()[~A.grid.cylinder()].max()), outer
+
+
+def test_in_the_corners_of_the_grid_no_wide_voxel_hides_a_bright_spot() -> None:
+    corner, outer = _wide()
+    assert outer.width == 0.1 and outer.dose == corner
+    assert np.abs(np.array(outer.place[:2])) == pytest.approx([0.75, 0.75])
+
+
+def test_far_from_the_grid_resin_is_looked_at_on_wider_voxels() -> None:
+    """A ring, half a millimeter wide, around a part in wide resin."""
+    light = np.zeros((24, 32, 2))
+    light[:, 27:] = 1.0
+    corner, wide = _wide(light)
+    assert wide.width == pytest.approx(0.4) and wide.dose > corner and wide.distance > 1.14
+    A = vam.Projection(vam.Grid((40, 40, 2), 0.1), vam.Beam((32, 2), 0.1), vam.Turntable(24), WIDE, "numpy")
+    fine = exposed(A, light)[np.hypot(*np.meshgrid(*A.grid.axes()[:2])) > 0.8].max()
+    assert 0.6 * fine < wide.dose <= fine
+
+
+@pytest.mark.parametrize("vessel", [None, replace(SMALL, radius=2.6), WIDE], ids=["straight", "near wall", "far wall"])
+def test_light_above_and_below_the_grid_is_judged_too(device: Device, vessel: vam.Vial | None) -> None:
+    """The last rows of a beam three times as high as the grid, against a grid that holds them."""
+    grids = [vam.Grid((20, 20, n), 0.1) for n in (4, 18)]
+    low, high = (vam.Projection(g, vam.Beam((24, 12), 0.1), vam.Turntable(16), vessel, device) for g in grids)
+    light = np.zeros(low.range.shape)
+    light[:, 8:16, 5:7] = 1.0
+    _, dim = IndependentExposure(low).averaged(device.upload(light))
+    light[:, 10:14, -1] = 2.0
+    whole = exposed(high, light)
+    whole[:, :, 7:11] = 0.0
+    for memory in (independent.MEMORY, 1):
+        _, outer = IndependentExposure(low, memory).averaged(device.upload(light))
+        assert outer is not None and outer.dose == pytest.approx(whole.max(), rel=1e-3)
+        assert outer.place[2] == pytest.approx(0.55) and outer.distance < 0.3
+    assert dim is not None and dim.dose < 0.5 * outer.dose
+
+
+def test_slices_of_dark_rows_are_left_alone() -> None:
+    A = vam.Projection(vam.Grid((8, 8, 4), 0.1), vam.Beam((8, 40), 0.1), vam.Turntable(4), None, "numpy")
+    light = np.zeros(A.range.shape)
+    light[:, :, 17:25] = 1.0  # to 0.5 mm above and 0.3 mm below the middle, and 0.225 mm of blur
+    z = IndependentExposure(A)._above_and_below(A.device.upload(light))
+    assert z == pytest.approx([*np.arange(-0.55, -0.2, 0.1), *np.arange(0.25, 0.8, 0.1)])
+
+
+def test_a_single_row_has_neither_top_nor_bottom() -> None:
+    """It stands for every height: as bright as the middle of a high beam, on all voxels of its slice."""
+    flat, high = (
+        vam.Projection(vam.Grid((20, 18, n), 0.1), vam.Beam((24, n), 0.1), vam.Turntable(16), SMALL, "numpy")
+        for n in (1, 21)
+    )
+    light = np.random.default_rng(3).random(flat.range.shape)
+    upload = flat.device.upload
+    (found,) = IndependentExposure(flat).fine(upload(light))
+    (among,) = IndependentExposure(high).fine(upload(np.repeat(light, 21, axis=2)))
+    assert found.z == pytest.approx([-0.025, 0.025]) and among.z[21] == 0.0
+    for level in (0, 1):
+        assert found.dose.numpy()[:, :, level] == pytest.approx(among.dose.numpy()[:, :, 21], rel=1e-6)
+    coarse = vam.Projection(flat.grid, vam.Beam((8, 1), 0.3), flat.motion, SMALL, "numpy")
+    assert not IndependentExposure(coarse)._above_and_below(upload(np.ones(coarse.range.shape))).size
+
+
+@pytest.mark.parametrize("reach", [0.0, -1.0, np.nan, np.inf, "a"])
+def test_a_reach_that_is_none_is_refused(reach: float) -> None:
+    A, light = _case("numpy")
+    with pytest.raises(BadInput, match="reach"):
+        IndependentExposure(A).fine(A.device.upload(light), reach)
 
 
 # ---- other vessels -------------------------------------------------------------------------------------------------
@@ -268,9 +343,13 @@ def test_an_operator_without_rays_of_its_own_proves_nothing_and_says_so() -> Non
     target = np.zeros(grid.shape)
     target[5:11, 5:11, 4:8] = 1.0
     proof = vam.simulate(A, Shown(np.ones(A.range.shape)), target)  # pyright: ignore[reportArgumentType]
-    assert not proof.independent and proof.outer is None
+    beyond = proof.dose.numpy()[~grid.cylinder()]
+    assert not proof.independent and proof.outer is not None and proof.outer.dose == pytest.approx(beyond.max())
     assert proof.scores == proof.claimed
-    assert {line.name: line.value for line in proof.lines()}["judged by"] == "its own operator"
+    lines = {line.name: line.value for line in proof.lines()}
+    assert lines["judged by"] == "its own operator" and "dose beyond the cylinder" in lines
+    right = replace(proof, scores=replace(proof.scores, missing=0, excess=0), outer=None)
+    assert not right.perfect and right.verdict.startswith("All 2,064 judged voxels print right, but all this is by ")
     with pytest.raises(BadInput, match="no rays to trace"):
         proof.fine()
 
@@ -279,12 +358,29 @@ def test_what_prints_beyond_the_cylinder_spoils_a_proof() -> None:
     """Light for a part that is right everywhere in the cylinder, and as much again outside."""
     A = vam.Projection(vam.Grid((20, 20, 4), 0.2), vam.Beam((32, 8), 0.2), vam.Turntable(24), SMALL)
     light = np.zeros(A.range.shape)
-    light[:, 11:21] = 1.0
+    light[:, 11:21, 2:6] = 1.0
     target = np.broadcast_to((A.grid.axes()[0][:, None] ** 2 + A.grid.axes()[1] ** 2 < 1.0)[:, :, None], A.grid.shape)
     good = vam.simulate(A, Shown(light), target.astype(float))
-    light[:, 28:30] = 4.0
-    bad = vam.simulate(A, Shown(light), target.astype(float), threshold=good.scores.threshold)
-    assert good.outer_share < 1.0 < bad.outer_share and not bad.perfect
+    for place in (np.s_[:, 28:30], np.s_[:, 11:21, 7]):
+        more = light.copy()
+        more[place] = 4.0
+        bad = vam.simulate(A, Shown(more), target.astype(float), threshold=good.scores.threshold)
+        assert good.outer_share < 1.0 < bad.outer_share and not bad.perfect
+        assert "esin beyond the judged cylinder prints too" in bad.verdict
+
+
+def test_voxels_of_the_part_that_nobody_judges_are_told_and_counted() -> None:
+    """A bar through the whole grid, whose ends lie beyond the judged cylinder."""
+    A = vam.Projection(vam.Grid((16, 22, 3), 0.2), vam.Beam((32, 3), 0.2), vam.Turntable(24), SMALL)
+    target = np.zeros(A.grid.shape)
+    target[6:10], target[6, 0, 0] = 1.0, 0.49
+    with pytest.warns(OpticsWarning, match="neither asked for nor judged") as warned:
+        proof = vam.simulate(A, Shown(np.asarray(A(target))), target)
+    assert warned[0].filename == __file__
+    lost = int((target[~A.grid.cylinder()] >= 0.5).sum())
+    assert proof.unjudged_voxels == lost == 95 and not proof.perfect
+    assert {line.name: line.value for line in proof.lines()}["part beyond the cylinder"] == "95"
+    assert "95 voxels of the part lie beyond the judged cylinder" in proof.verdict
 
 
 @pytest.mark.parametrize("columns", [64, 65])

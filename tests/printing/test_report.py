@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from vamgpu.printing import charts, opening, pictures, report, surface
 from vamgpu.printing.judgement import judged
 from vamgpu.printing.proof import Line, Proof
 from vamgpu.printing.simulate import simulate
+from vamgpu.targets.solid import Solid
 
 GRID = Grid((24, 24, 14), 0.2)
 VIAL = Vial(radius=4.0, wall=0.2, resin_index=1.45, wall_index=1.47, bath_index=1.45, absorption=0.05)
@@ -157,7 +159,48 @@ def test_resin_that_prints_beyond_the_cylinder_is_told(proof: Proof) -> None:
     assert proof.outer is not None
     flooded = replace(proof, outer=replace(proof.outer, dose=1.2 * proof.scores.threshold))
     page = report.page_of(flooded, None, judged(proof)).html()
-    assert "Resin beyond the judged cylinder prints too." in page and "1.20" in page
+    assert "esin beyond the judged cylinder prints too." in page and "1.20" in page
+
+
+def test_the_mesh_is_joined_and_searched_once_for_a_report(proof: Proof, monkeypatch: pytest.MonkeyPatch) -> None:
+    import trimesh
+
+    from vamgpu.metrics import surface_judgement
+    from vamgpu.printing import proof as of_proof
+
+    calls: list[str] = []
+    for module in (of_proof, surface_judgement):
+        for name in ("joined", "unjudged"):
+            plain = getattr(module, name)
+            counted = lambda *given, plain=plain, name=name: (calls.append(name), plain(*given))[1]  # noqa: E731
+            monkeypatch.setattr(module, name, counted)
+    mesh: Any = trimesh.creation.icosphere(3, 1.4)
+    known = replace(proof, solid=Solid(np.asarray(mesh.vertices), np.asarray(mesh.faces), "ball"))
+    found = judged(known)
+    assert found.surface.unjudged is known.unjudged and not known.perfect
+    assert sorted(calls) == ["joined", "unjudged"]
+
+
+def test_the_verdict_says_what_keeps_a_print_from_being_perfect(proof: Proof) -> None:
+    def verdict(**change: object) -> tuple[bool, str]:
+        scores = replace(proof.scores, missing=0, excess=0)
+        changed = replace(proof, **{"scores": scores, "outer": None} | change)  # type: ignore[arg-type]
+        page = report.page_of(changed, None, found)
+        assert page.verdict == changed.verdict and page.good == changed.perfect
+        return changed.perfect, changed.verdict
+
+    found, total = judged(proof), f"{proof.scores.in_voxels + proof.scores.out_voxels:,}"
+    assert verdict() == (True, f"All {total} judged voxels print right.")
+    spiked = proof.target.numpy().copy()
+    spiked[10:14, 10:14, 0] = 0.4
+    thin = {"target": proof.target.device.upload(spiked)}
+    good, said = verdict(**thin)
+    assert not good and said.startswith(f"All {total} judged voxels print right, but 1 part of the target (")
+    assert said.endswith("use smaller voxels or thicker walls.")
+    good, said = verdict(**thin, independent=False)
+    assert not good and said.endswith("walls. All this is by the operator's own dose, so that nothing is proved.")
+    wrong = replace(proof.scores, missing=3, excess=4)
+    assert verdict(scores=wrong) == (False, f"7 of {total} judged voxels print wrong: 3 missing, 4 excess.")
 
 
 def test_a_report_without_a_plan_has_no_convergence(proof: Proof, tmp_path: Path) -> None:

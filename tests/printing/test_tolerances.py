@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,10 @@ from vamgpu.errors import BadInput
 from vamgpu.methods import optimize
 from vamgpu.metrics import score
 from vamgpu.optics.beams import Aimed
+from vamgpu.printing import opening
+from vamgpu.printing.judgement import judged
 from vamgpu.printing.scenarios import SCENARIOS, Scenario, clouded, displaced, softer
+from vamgpu.printing.simulate import simulate
 from vamgpu.printing.tolerances import Row, ToleranceTable, tolerance_table
 
 GRID = Grid((28, 28, 4), 0.2)
@@ -93,7 +98,7 @@ def test_more_and_less_dose_keep_the_window_and_cost_voxels(printed: Print, chan
     wanted = score(printed.dose(), printed.fraction, threshold=scores.threshold / times)
     assert row.window == pytest.approx(scores.window, abs=1e-6)
     assert (row.missing, row.excess) == (wanted.missing, wanted.excess)
-    assert row.wrong > 0 or abs(times - 1) < 0.1
+    assert row.wrong or abs(times - 1) < 0.1
 
 
 def test_the_first_wrong_voxel_is_where_the_print_changes(printed: Print) -> None:
@@ -172,6 +177,44 @@ def test_what_does_not_apply_says_why() -> None:
     assert notes == {"a Vat that is off the axis looks different at every angle"}
 
 
+def off_by(limit: float) -> Scenario:
+    """The axis of rotation, of which no more than a limit, and nothing below 0, means anything."""
+
+    def off(A: Projection, amount: float) -> Projection:
+        if not 0 <= amount <= limit:
+            raise BadInput(f"{amount:g} is too far")
+        return displaced(A, amount)
+
+    return Scenario("axis", "pixel", (-0.1, 0.01, 0.02, 0.5), 2.0, off)
+
+
+def test_an_amount_that_means_nothing_leaves_the_others_their_numbers(printed: Print) -> None:
+    table = tolerance_table(printed.A, printed.light, printed.fraction, scenarios=(off_by(0.1),))
+    below, near, next_, far = table.rows
+    assert [row.note for row in table.rows] == ["-0.1 is too far", "", "", "0.5 is too far"]
+    assert (near.wrong, next_.wrong) == (0, 0) and np.isfinite([near.window, next_.half_voxel]).all()
+    assert (below.missing, below.excess, below.wrong, far.wrong) == (None, None, None, None)
+    under, over = table.limits("axis")
+    assert (under.farthest, under.text) == (0.0, "not exposed") and np.isnan([under.amount, over.amount]).all()
+    assert (over.farthest, over.text) == (0.02, "none up to +0.02 pixel")
+    groups = opening.table(table)
+    assert [row["wrong"] for row in groups[1]["rows"]] == ["–", "0", "0", "–"]
+    assert groups[1]["note"] == "not exposed: -0.1 is too far; 0.5 is too far"
+
+
+def test_a_flat_print_has_its_half_voxel_window_from_its_sides_alone() -> None:
+    A = Projection(Grid((17, 17, 1), 0.2), Beam((24, 1), 0.2), Turntable(24), None, "numpy")
+    fraction = np.zeros(A.grid.shape)
+    fraction[5:12, 6:11] = 1.0
+    light = optimize(A, fraction, iterations=20).sinogram
+    nominal = tolerance_table(A, light, A.device.upload(fraction), scenarios=()).nominal
+    assert nominal.half_voxel == pytest.approx(nominal.window, abs=1e-6) and nominal.window > 0.1
+    shown: Any = SimpleNamespace(irradiance=lambda device: light, scale=1.0)
+    proof = simulate(A, shown, fraction)
+    over = judged(proof).over_tolerance
+    assert -0.1 < over.at(0.0) < over.half_voxel == pytest.approx(proof.scores.window, abs=0.1)
+
+
 def test_an_operator_that_is_no_plain_projection_keeps_the_rows_of_the_dose(printed: Print) -> None:
     class Other:
         T = printed.A.T
@@ -185,7 +228,7 @@ def test_an_operator_that_is_no_plain_projection_keeps_the_rows_of_the_dose(prin
 def test_a_print_that_is_wrong_already_says_so(printed: Print) -> None:
     high = 0.99 * score(printed.dose(), printed.fraction).peak
     table = tolerance_table(printed.A, printed.light, printed.fraction, threshold=high, scenarios=(DOSE,))
-    assert table.nominal.missing > 0 and {first.text for first in table.first_wrong} == {"wrong already"}
+    assert table.nominal.missing and {first.text for first in table.first_wrong} == {"wrong already"}
     assert table.exposures == 1
 
 

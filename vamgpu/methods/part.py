@@ -38,7 +38,7 @@ def fractions_of(operator: Projector, target: Any) -> DeviceArray:
     fractions = on_device(operator, target)
     _check_values(fractions)
     if isinstance(operator.grid, Grid):
-        _check_cylinder(fractions, operator.grid)
+        check_cylinder(fractions, operator.grid, stacklevel=4)
     known = hasattr(target, "radius")  # then vessel and beam were asked above, and absorption alone is left
     if not isinstance(operator.grid, WebGrid) and not (known and operator.vessel is None):
         check_reach(operator, fractions)
@@ -94,10 +94,10 @@ def _check_values(fractions: DeviceArray) -> None:
         raise EmptyMesh("every voxel of the target is 0; wanted some that are filled")
 
 
-def _check_cylinder(fractions: DeviceArray, grid: Grid) -> None:
+def check_cylinder(fractions: DeviceArray, grid: Grid, stacklevel: int = 3) -> None:
     """Refuse a target without any voxel that could be judged as part; tell of a part that reaches out of the cylinder.
 
-    A voxel counts as part from a fraction of one half.
+    A voxel counts as part from a fraction of one half. Warns with `OpticsWarning`, at ``stacklevel``.
     """
     reach = reach_of(grid)
     _, most = extent(fractions, reach=reach)
@@ -114,7 +114,7 @@ def _check_cylinder(fractions: DeviceArray, grid: Grid) -> None:
             f"{100 * out:.2g} % of the target lies farther than {grid.inscribed_radius:.4g} mm from the axis, out of "
             "the cylinder that every angle lights: it is neither asked for nor judged; take a wider grid",
             OpticsWarning,
-            stacklevel=4,
+            stacklevel=stacklevel,
         )
 
 

@@ -123,7 +123,7 @@ class SurfaceJudgement:
 
 def judge_surface(
     dose: npt.ArrayLike, origin: npt.ArrayLike, pitch: float, threshold: float, fraction: npt.ArrayLike, grid: Grid,
-    solid: Solid | None = None, *, samples: int = SAMPLES,
+    solid: Solid | None = None, *, thin: Unjudged | None = None, samples: int = SAMPLES,
 ) -> SurfaceJudgement:  # fmt: skip
     """Compare the surface at which a dose reaches the threshold with a part.
 
@@ -139,6 +139,7 @@ def judge_surface(
         fraction: filled share [x, y, z] of the part's own voxels, 0..1.
         grid: where those lie.
         solid: the mesh, in the same place. Without it the part is the surface at which its fractions reach a half.
+        thin: what `unjudged` found, where it is known already; ``solid`` is then taken as `joined`.
         samples: points on each surface for the mean, RMS, 95 % and walls.
 
     Raises:
@@ -147,8 +148,10 @@ def judge_surface(
         NotWatertight, MeshError: the mesh does not close.
     """
     number = counts("samples", (samples,), 1)[0]
-    part = iso_solid(fraction, grid.pitch, IN_THE_PART) if solid is None else joined(solid)
-    thin = unjudged(fraction, grid, None if solid is None else part)
+    if thin is None:
+        solid = None if solid is None else joined(solid)
+        thin = unjudged(fraction, grid, solid)
+    part = iso_solid(fraction, grid.pitch, IN_THE_PART) if solid is None else solid
     near = Nearest(part, 0.5 * grid.pitch)
     corners = near.search.corners
     around = printed_field(dose, origin, pitch, threshold, part.bounds)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Grid, positive
+from vamgpu.geometry import Grid, counts, positive
 from vamgpu.metrics.depth import signed_depth
 
 Array = npt.NDArray[np.floating]
@@ -115,7 +115,7 @@ def tolerance_window(
     Raises:
         BadInput: no voxel of the part is among the slabs, a dose is not finite, or a value is out of its range.
     """
-    tally = _Tally(positive("voxel [mm]", voxel), int(positive("bins", bins)))
+    tally = _Tally(positive("voxel [mm]", voxel), counts("bins", (bins,), 1)[0])
     for slab in slabs:
         dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
         if dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
@@ -195,7 +195,7 @@ def _middle(axis: Array) -> float:
     return 0.5 * (float(axis[0]) + float(axis[-1]))
 
 
-def depth_of_fractions(fraction: npt.ArrayLike, grid: Grid) -> Depth:
+def depth_of_fractions(fraction: npt.ArrayLike, grid: Grid, flat: bool = False) -> Depth:
     """Depths from the fractions of the part's own voxels, interpolated linearly between their centers.
 
     Midway between two surfaces that is up to half a voxel less than the true depth.
@@ -203,10 +203,13 @@ def depth_of_fractions(fraction: npt.ArrayLike, grid: Grid) -> Depth:
     Args:
         fraction: filled part of every voxel of ``grid`` [x, y, z].
         grid: the part's own voxels; outside of them there is nothing of the part.
+        flat: whether the part goes on above and below the grid as it ends there, without a surface.
     """
     reach = WIDEST + 1.0
     margin = ceil(reach) + 1
-    known = signed_depth(np.pad(np.asarray(fraction, np.float32), margin), reach) * np.float32(grid.pitch)
+    beside = np.pad(np.asarray(fraction, np.float32), ((margin, margin), (margin, margin), (0, 0)))
+    around = np.pad(beside, ((0, 0), (0, 0), (margin, margin)), mode="edge" if flat else "constant")
+    known = signed_depth(around, reach) * np.float32(grid.pitch)
     first = [axis[0] - margin * grid.pitch for axis in grid.axes()]
 
     def depth(x: Array, y: Array, z: Array) -> Array:

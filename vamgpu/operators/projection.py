@@ -74,8 +74,7 @@ class Projection(LinearOperator):
         if footprint == "joseph":
             self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device)
         else:
-            flat = beam.pixels[1] == 1  # a single row stands for a print that is the same at every z
-            pixel = {"fill": 1.0 if flat else sqrt(beam.fill), "sigma": 0.0 if flat else beam.sigma}
+            pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
             self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device, **pixel)
             self._light, self._gather = self._tables()
         self._transpose = Transposed(self)

@@ -2,7 +2,8 @@
 
 Voxels are half as wide as the part's and shifted by a quarter of one, so that their centers lie on the part's centers
 and faces; they reach out to the inner wall. Their light comes from traced rays, of which several may meet where
-caustics fold them. Nothing here is read from a solver's operator but its geometry.
+caustics fold them. Resin above and below the grid is exposed on the part's voxels as far as there is light. Nothing
+here is read from a solver's operator but its geometry.
 """
 
 from __future__ import annotations
@@ -10,20 +11,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, hypot, inf
+from math import ceil, floor, hypot, inf
 from typing import Any
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.geometry import Grid
+from vamgpu.geometry import Grid, centers, positive
 from vamgpu.kernels.proof import average_voxels, expose_voxels, spread_columns, spread_rows
 from vamgpu.metrics.histogram import extremes
 from vamgpu.metrics.parts import EVERYWHERE, IN, Parts
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.traced_pose import TracedPose, trace_pose
 from vamgpu.optics.traced_rays import Rays, resin_radius, traced_rays
-from vamgpu.printing.spread import column_shares, row_shares, spread_of
+from vamgpu.printing.spread import TAIL, column_shares, row_shares, spread_of
 
 MEMORY = 1 << 29
 """Bytes that the arrays of one slab may take."""
@@ -60,10 +61,11 @@ class FineSlab:
 
 @dataclass(frozen=True)
 class Outer:
-    """The greatest dose beyond the cylinder that is judged, out to the inner wall.
+    """The greatest dose beside, above and below the cylinder that is judged.
 
     dose: on one voxel, in units of Aᵀ(light).  place: its center x, y, z [mm].  width: of the voxel [mm]: the part's,
-    or wider where the resin reaches much farther than the part.  radius: where the resin ends [mm].
+    or wider beyond the corners of the grid where the resin reaches much farther.  radius: how far from the axis was
+    looked [mm]: to the inner wall, else to the corners of the grid.
     """
 
     dose: float
@@ -75,6 +77,11 @@ class Outer:
     def distance(self) -> float:
         """From the axis [mm]."""
         return hypot(*self.place[:2])
+
+    @property
+    def where(self) -> str:
+        """The place in words."""
+        return f"{self.distance:.3g} of {self.radius:.3g} mm from the axis, at z = {self.place[2]:+.3g} mm"
 
 
 class IndependentExposure:
@@ -92,7 +99,7 @@ class IndependentExposure:
     def __init__(self, A: Projection, memory: int = MEMORY) -> None:
         self.grid, self.beam, self.motion, self.vessel, self.device = A.grid, A.beam, A.motion, A.vessel, A.device
         self.pitch, self.memory = 0.5 * A.grid.pitch, memory
-        self.corner = hypot(*(0.5 * n * A.grid.pitch for n in A.grid.shape[:2]))
+        self.corner = corner_of(A.grid)
         wall = resin_radius(A.vessel)
         self.radius = self.corner if wall == inf else wall
         self._spread = spread_of(A.beam)
@@ -102,17 +109,31 @@ class IndependentExposure:
     def fine(self, light: DeviceArray, reach: float | None = None) -> Iterator[FineSlab]:
         """The dose of light on voxels half as wide as the part's, slab by slab from the lowest z.
 
+        A beam of a single row stands for a print that is the same at every height: there the two halves of a slice get
+        the mean over it, and no voxel lies on its faces.
+
         Args:
             light: of every pixel [angle, r, z], a field on the device.
             reach: farthest from the axis [mm] that is exposed; the inner wall by default.
 
         Returns:
             Slabs that follow each other without a gap; let each go before the next one is asked for.
+
+        Raises:
+            BadInput: reach is no finite number above 0.
         """
-        disc, half = self._disc(self.pitch, min(reach or inf, self.radius)), self.grid.shape[2]
-        z = np.arange(-half, half + 1) * self.pitch
+        far, slices = self.radius if reach is None else positive("reach [mm]", reach), self.grid.shape[2]
+        disc = self._disc(self.pitch, min(far, self.radius))
+        if self.beam.flat:
+            return self._fine(disc, light, centers(2 * slices, self.pitch), np.repeat(self.grid.axes()[2], 2))
+        z = centers(2 * slices + 1, self.pitch)
+        return self._fine(disc, light, z, z)
+
+    def _fine(self, disc: _Disc, light: DeviceArray, z: np.ndarray, lit: np.ndarray) -> Iterator[FineSlab]:
+        """Slabs of voxels at ``z``, with the dose of those at ``lit``."""
+        height = self.grid.pitch if self.beam.flat else self.pitch
         for part in self._slabs(disc, z.size):
-            dose = self._expose(disc, light, z[part], self.pitch)
+            dose = self._expose(disc, light, lit[part], height)
             yield FineSlab(dose, disc.axis, disc.axis, z[part], self.pitch, disc.radius)
 
     def averaged(self, light: DeviceArray) -> tuple[DeviceArray, Outer | None]:
@@ -124,26 +145,40 @@ class IndependentExposure:
             light: of every pixel [angle, r, z], a field on the device.
 
         Returns:
-            The dose [x, y, z] of the grid, and the greatest beyond the judged cylinder; None where no resin is there.
+            The dose [x, y, z] of the grid, and the greatest beyond the judged cylinder; None where nothing is there.
         """
-        dose, far = self.device.empty(self.grid.shape), self.radius > FAR * self.corner
+        far, pitch, (_, _, slices) = self.radius > FAR * self.corner, self.grid.pitch, self.grid.shape
         disc = self._disc(self.pitch, self.corner if far else self.radius)
-        outer = None
-        for part in self._slabs(disc, self.grid.shape[2]):
-            z = (np.arange(part.start, part.stop) - 0.5 * (self.grid.shape[2] - 1)) * self.grid.pitch
-            fine = self._expose(disc, light, z, self.grid.pitch)
+        around = self.grid if far else self._around
+        beyond = self._above_and_below(light)
+        dose, z, outer = self.device.empty(self.grid.shape), self.grid.axes()[2], None
+        for part in self._slabs(disc, slices):
+            whole = z[0] + np.arange(part.start, part.stop) * pitch  # the last slab may go on beyond the grid
+            fine = self._expose(disc, light, whole, pitch)
             self._average(disc, fine, dose, part.start)
             if not far:
-                x, y, _ = self._around.axes()
-                volume = self.device.empty((x.size, y.size, z.size))
-                self._average(disc, fine, volume, 0)
-                outer = self._greatest(volume, (x, y, z[: self.grid.shape[2] - part.start]), self.grid.pitch, outer)
-        return dose, self._beyond(light) if far else outer
+                outer = self._greatest(self._averaged(disc, fine, around), (*around.axes()[:2], z[part]), pitch, outer)
+        if far:
+            outer = self._greatest(dose, self.grid.axes(), pitch, None)
+        for part in self._slabs(disc, beyond.size):
+            fine = self._expose(disc, light, beyond[part], pitch)
+            outer = self._greatest(self._averaged(disc, fine, around), (*around.axes()[:2], beyond[part]), pitch, outer)
+        return dose, self._farther(light, np.sort(np.concatenate([z, beyond])), outer) if far else outer
 
-    def _beyond(self, light: DeviceArray) -> Outer | None:
-        """`Outer` by voxels so wide that the whole vessel has no more of them than the grid has fine ones."""
+    def _above_and_below(self, light: DeviceArray) -> np.ndarray:
+        """Slices [mm] beyond the grid that rows with any light reach; none where one row stands for every height."""
+        lit = np.flatnonzero(extremes(Parts.whole(light), per_slice=True).greatest[:, IN] > 0)
+        if self.beam.flat or not lit.size:
+            return np.zeros(0)
+        edges = lit[[0, -1]] + [0, 1] - 0.5 * self.beam.pixels[1] + TAIL * self._spread.row * np.array([-1, 1])
+        low, high = edges * self.beam.pitch / self.grid.pitch + 0.5 * self.grid.shape[2]
+        k = np.arange(floor(low + 1e-9), ceil(high - 1e-9))
+        return self.grid.axes()[2][0] + k[(k < 0) | (k >= self.grid.shape[2])] * self.grid.pitch
+
+    def _farther(self, light: DeviceArray, z: np.ndarray, outer: Outer | None) -> Outer | None:
+        """`Outer` out to the wall, on voxels so wide that the whole vessel has no more than the grid has fine ones."""
         width = self.grid.pitch * ceil(0.5 * self.radius / self.corner)
-        disc, z, outer = self._disc(width, self.radius), self.grid.axes()[2], None
+        disc = self._disc(width, self.radius)
         for part in self._slabs(disc, z.size):
             dose = self._expose(disc, light, z[part], self.grid.pitch)
             outer = self._greatest(dose, (disc.axis, disc.axis, z[part]), width, outer)
@@ -199,7 +234,7 @@ class IndependentExposure:
         count = slices if each * slices <= self.memory else max(self.memory // (each * lanes), 1) * lanes
         while count != slices and count > lanes and self.device.lanes_for(count) != self.device.lanes_for(slices):
             count -= lanes
-        for first in range(0, slices, count):
+        for first in range(0, slices, count or 1):
             yield slice(first, first + count)
 
     def _expose(self, disc: _Disc, light: DeviceArray, z: np.ndarray, height: float) -> DeviceArray:
@@ -215,6 +250,12 @@ class IndependentExposure:
         pose = {"poses": tables["poses"], **disc.pose, "radius": float(disc.half)}
         device.launch(expose_voxels, profile=profile, **pose, dose=dose)
         return dose
+
+    def _averaged(self, disc: _Disc, fine: DeviceArray, around: Grid) -> DeviceArray:
+        """Mean of a disc's voxels over those of a grid, of as many slices."""
+        volume = self.device.empty((*around.shape[:2], fine.shape[2]))
+        self._average(disc, fine, volume, 0)
+        return volume
 
     def _average(self, disc: _Disc, fine: DeviceArray, volume: DeviceArray, first: int) -> None:
         """Mean of a disc's voxels over twice as wide ones about the axis, into slices of ``volume`` from ``first``."""
@@ -233,22 +274,40 @@ class IndependentExposure:
     def _greatest(
         self, dose: DeviceArray, axes: tuple[np.ndarray, ...], width: float, best: Outer | None
     ) -> Outer | None:
-        """The greatest dose beyond the judged cylinder, or the best so far if that is greater.
+        return greatest_beyond(self.grid, self.radius, dose, axes, width, best)
 
-        axes: centers of the voxels [mm]; slices of the dose beyond the last z do not count.
-        """
-        x, y, z = axes
-        distance = np.hypot(x[:, None], y[None, :])
-        beyond = (distance > self.grid.inscribed_radius * (1.0 + 1e-12)) & (distance <= self.radius)
-        if not beyond.any():
-            return best
-        mask = self.device.upload(np.broadcast_to(beyond[:, :, None], dose.shape))
-        greatest = extremes(Parts(dose, mask, reach=EVERYWHERE), per_slice=True).greatest[: z.size, IN]
-        k = int(np.argmax(greatest))
-        if best is not None and greatest[k] <= best.dose:
-            return best
-        i, j = np.unravel_index(int(np.argmax(np.where(beyond, dose.numpy()[:, :, k], -inf))), beyond.shape)
-        return Outer(float(greatest[k]), (float(x[i]), float(y[j]), float(z[k])), width, self.radius)
+
+def corner_of(grid: Grid) -> float:
+    """How far from the axis a grid reaches [mm]."""
+    return 0.5 * grid.pitch * hypot(*grid.shape[:2])
+
+
+def greatest_beyond(
+    grid: Grid, radius: float, dose: DeviceArray, axes: tuple[np.ndarray, ...], width: float, best: Outer | None = None
+) -> Outer | None:
+    """The greatest dose that the scores do not judge.
+
+    Args:
+        grid: of the part; its inscribed cylinder is judged, no higher than the grid.
+        radius: farthest from the axis [mm] that counts.
+        dose: [x, y, z]; slices beyond the last z do not count.
+        axes: centers of its voxels [mm].
+        width: of its voxels [mm].
+        best: what is returned where nothing is greater.
+    """
+    x, y, z = axes
+    distance = np.hypot(x[:, None], y[None, :])
+    beside, off = distance > grid.inscribed_radius * (1.0 + 1e-12), np.abs(z) > 0.5 * grid.shape[2] * grid.pitch
+    beyond = np.zeros(dose.shape, bool)
+    beyond[:, :, : z.size] = (distance <= radius)[:, :, None] & (beside[:, :, None] | off)
+    if not beyond.any():
+        return best
+    greatest = extremes(Parts(dose, dose.device.upload(beyond), reach=EVERYWHERE), per_slice=True).greatest[:, IN]
+    k = int(np.argmax(greatest))
+    if best is not None and greatest[k] <= best.dose:
+        return best
+    i, j = np.unravel_index(int(np.argmax(np.where(beyond[:, :, k], dose.numpy()[:, :, k], -inf))), beyond.shape[:2])
+    return Outer(float(greatest[k]), (float(x[i]), float(y[j]), float(z[k])), width, radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,4 +322,4 @@ class _Disc:
     @cached_property
     def axis(self) -> np.ndarray:
         """Centers of the voxels along x and along y [mm]."""
-        return np.arange(-self.half, self.half + 1) * self.width
+        return centers(2 * self.half + 1, self.width)

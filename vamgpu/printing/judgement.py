@@ -42,7 +42,7 @@ def judged(proof: Proof) -> Judgement:
     projector pairs for the finer dose, five to ten for the table, and some seconds of a processor for the surface.
     """
     A, at = proof.operator, proof.scores.threshold
-    depth = depth_of_fractions(proof.target.numpy(), A.grid)
+    depth = depth_of_fractions(proof.target.numpy(), A.grid, A.beam.flat)
     radius, voxels = A.grid.inscribed_radius, prod(A.grid.shape)
     slabs: Iterable[Any] = (OwnVoxels(A.grid, proof.dose),)
     if proof.independent:
@@ -61,7 +61,8 @@ def _surface(proof: Proof, slabs: list[Any] | None) -> SurfaceJudgement:
     else:
         dose = np.concatenate([slab.dose for slab in slabs], axis=2)
         place, pitch = [slabs[0].x[0], slabs[0].y[0], slabs[0].z[0]], slabs[0].pitch
-    return judge_surface(dose, place, pitch, proof.scores.threshold, fraction, grid, proof.solid)
+    at, thin = proof.scores.threshold, proof.unjudged
+    return judge_surface(dose, place, pitch, at, fraction, grid, proof.joined, thin=thin)
 
 
 class OwnVoxels:

@@ -43,7 +43,7 @@ def headline(proof: Proof, judgement: Judgement) -> list[Figure]:
     proved = Figure(signed(proof.scores.window), "proved process window", f"{window}; by rays traced for the proof")
     own = Figure(signed(proof.scores.window), "process window, not proved", f"{window}; by the operator that solved")
     at_half = Figure(signed(found.half_voxel), f"window at half a voxel, {1e3 * half:.3g} µm", share)
-    return [proved, at_half, _against_claim(proof), *_beyond(proof)] if proof.independent else [own, at_half]
+    return [*([proved, at_half, _against_claim(proof)] if proof.independent else [own, at_half]), *_beyond(proof)]
 
 
 def _against_claim(proof: Proof) -> Figure:
@@ -55,12 +55,11 @@ def _against_claim(proof: Proof) -> Figure:
 
 
 def _beyond(proof: Proof) -> list[Figure]:
-    """What the resin around the judged cylinder gets; empty where there is none."""
+    """What the resin beside, above and below the judged cylinder gets; empty where there is none."""
     if proof.outer is None:
         return []
-    place = f"greatest dose beyond the judged cylinder, {proof.outer.distance:.3g} mm from the axis; the resin ends at"
-    name = "of the threshold, beyond the cylinder"
-    return [Figure(f"{proof.outer_share:.2f}", name, f"{place} {proof.outer.radius:.3g} mm; from 1 on it prints")]
+    meaning = f"greatest dose beside, above and below the judged cylinder: {proof.outer.where}; from 1 on it prints"
+    return [Figure(f"{proof.outer_share:.2f}", "of the threshold, beyond the cylinder", meaning)]
 
 
 def _chart_note(proof: Proof) -> str:
@@ -77,19 +76,22 @@ def table(found: ToleranceTable) -> list[dict[str, Any]]:
     groups = [{"name": "As it should be", "first": "", "rows": [_cells(found.nominal)], "note": ""}]
     for name, rows in groupby(found.rows, key=lambda row: row.name):
         some = list(rows)
-        note = some[0].note
+        notes = "; ".join(dict.fromkeys(row.note for row in some if row.note))
         groups.append(
             {
                 "name": WORDS.get(name, name),
                 "first": _first(found.limits(name)),
-                "rows": [] if note else [_cells(row) for row in some],
-                "note": f"not exposed: {note}" if note else "",
+                "rows": [] if all(row.note for row in some) else [_cells(row) for row in some],
+                "note": f"not exposed: {notes}" if notes else "",
             }
         )
     return groups
 
 
 def _cells(row: Row) -> dict[str, str]:
+    """A row of the table, with dashes where there are no numbers."""
+    if row.wrong is None:
+        return {"change": row.change, "half": "–", "window": "–", "wrong": "–", "bad": ""}
     return {
         "change": row.change or "–",
         "half": signed(row.half_voxel),

@@ -13,10 +13,11 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.metrics import Parts, Scores, SliceScores
-from vamgpu.metrics.histogram import Histogram, histogram
+from vamgpu.metrics.histogram import Histogram, above, histogram
 from vamgpu.metrics.joined import joined
 from vamgpu.metrics.light import outside_over_inside
 from vamgpu.metrics.line import Line
+from vamgpu.metrics.parts import EVERYWHERE, IN
 from vamgpu.metrics.unjudged import Unjudged, unjudged
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.dose import absorbs
@@ -44,7 +45,8 @@ class Proof:
         part_share: power absorbed in the part over power sent, or the mean length [mm] of rays inside it where nothing
             is absorbed.
         claimed: the same scores by Aᵀ(light) of the operator itself.
-        outer: the greatest dose beyond the judged cylinder; None where no resin is there or nobody traced rays to it.
+        outer: the greatest dose beside, above and below the judged cylinder; None where there is nothing. By the
+            operator's own dose it is that of its grid alone.
         independent: whether the dose is by rays traced apart from the operator, on finer voxels; else it is the
             operator's own.
         exposure: predicted times, where irradiance and critical dose were given.
@@ -100,15 +102,49 @@ class Proof:
         return IndependentExposure(self.operator).fine(light, reach)
 
     @cached_property
+    def joined(self) -> Solid | None:
+        """The mesh without the surfaces that its bodies hide in each other."""
+        return joined(self.solid) if self.solid else None
+
+    @cached_property
     def unjudged(self) -> Unjudged:
         """What of the part is too thin for any voxel to stand for it, and so for any score to miss it."""
-        return unjudged(self.target.numpy(), self.operator.grid, joined(self.solid) if self.solid else None)
+        return unjudged(self.target.numpy(), self.operator.grid, self.joined)
+
+    @cached_property
+    def unjudged_voxels(self) -> int:
+        """Voxels of the part beyond the judged cylinder, which no score counts."""
+        return int(above(Parts(self.target, self.target, reach=EVERYWHERE), 0.0)[0, IN].sum()) - self.scores.in_voxels
 
     @property
     def perfect(self) -> bool:
-        """Whether every voxel is printed right, nothing beyond the judged cylinder, and no part was left unjudged."""
-        right = self.scores.missing == 0 and self.scores.excess == 0 and self.outer_share < 1.0
-        return right and not self.unjudged
+        """Whether traced rays print every voxel right and nothing beyond, and no part was left unjudged."""
+        return self.scores.missing + self.scores.excess == 0 and not self._doubts()
+
+    @property
+    def verdict(self) -> str:
+        """Whether the print is perfect, and all that keeps it from being so."""
+        s, doubts = self.scores, self._doubts()
+        total, wrong = s.in_voxels + s.out_voxels, s.missing + s.excess
+        if wrong:
+            first = f"{wrong:,} of {total:,} judged voxels print wrong: {s.missing:,} missing, {s.excess:,} excess"
+        else:
+            first = f"All {total:,} judged voxels print right" + (f", but {doubts.pop(0)}" if doubts else "")
+        return " ".join(f"{said[0].upper()}{said[1:]}." for said in (first, *doubts))
+
+    def _doubts(self) -> list[str]:
+        """What spoils a print beside wrong voxels."""
+        found = ["resin beyond the judged cylinder prints too"] if self.outer_share >= 1.0 else []
+        if self.unjudged_voxels:
+            found.append(
+                f"{self.unjudged_voxels:,} voxels of the part lie beyond the judged cylinder and could not be judged; "
+                "use a wider grid"
+            )
+        if self.unjudged:
+            found.append(self.unjudged.reason())
+        if not self.independent:
+            found.append("all this is by the operator's own dose, so that nothing is proved")
+        return found
 
     @property
     def outside_over_inside(self) -> float:
@@ -143,7 +179,7 @@ class Proof:
             Line("threshold", f"{s.threshold / (s.peak or 1.0):.4f}", "printed from this dose on, over peak"),
             Line("wrong voxels", f"{s.missing:,} + {s.excess:,}", "missing in the part + excess outside"),
             Line("judged voxels", f"{s.in_voxels:,} + {s.out_voxels:,}", "in the part + outside, in the cylinder"),
-            *([Line("not judged", f"{self.unjudged.volume:.3g} mm³", self.unjudged.reason())] if self.unjudged else []),
+            *_not_judged(self),
             Line("light efficiency", f"{100 * self.light_efficiency:.3g} %", bright),
             Line("share of the part", _share(self), share),
             Line("dose outside over inside", f"{self.outside_over_inside:.3f}", outside),
@@ -170,16 +206,25 @@ class Proof:
 
 def _judged(proof: Proof) -> Iterator[Line]:
     """Who judged, and what was claimed."""
-    if not proof.independent:
+    if proof.independent:
+        yield Line("judged by", "traced rays", "on voxels half as wide, shifted by a quarter, averaged over the part's")
+        yield Line("window claimed", f"{proof.claimed.window:+.4f}", "the strict window by the operator that solved")
+        yield Line("proved over claimed", f"{proof.ratio:.3f}", "the strict window by traced rays over the claimed one")
+    else:
         name = type(proof.operator).__name__
         yield Line("judged by", "its own operator", f"{name} has no rays to trace apart from it: nothing is proved")
-        return
-    yield Line("judged by", "traced rays", "on voxels half as wide, shifted by a quarter, averaged over the part's")
-    yield Line("window claimed", f"{proof.claimed.window:+.4f}", "the strict window by the operator that solved")
-    yield Line("proved over claimed", f"{proof.ratio:.3f}", "the strict window by traced rays over the claimed one")
     if proof.outer is not None:
-        where = f"{proof.outer.distance:.3g} of {proof.outer.radius:.3g} mm from the axis"
-        yield Line("dose beyond the cylinder", f"{proof.outer_share:.3f}", f"the greatest over the threshold, {where}")
+        where = f"the greatest over the threshold, {proof.outer.where}"
+        yield Line("dose beyond the cylinder", f"{proof.outer_share:.3f}", where)
+
+
+def _not_judged(proof: Proof) -> Iterator[Line]:
+    """What of the part no score counts; nothing where all is judged."""
+    if proof.unjudged:
+        yield Line("not judged", f"{proof.unjudged.volume:.3g} mm³", proof.unjudged.reason())
+    if proof.unjudged_voxels:
+        where = "voxels of the part farther from the axis than every angle lights; take a wider grid"
+        yield Line("part beyond the cylinder", f"{proof.unjudged_voxels:,}", where)
 
 
 def _share(proof: Proof) -> str:

@@ -49,7 +49,7 @@ def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) 
     return Page(
         "Print proof",
         proof.name,
-        _verdict(proof),
+        proof.verdict,
         proof.perfect,
         _tiles(proof),
         [
@@ -118,18 +118,6 @@ def _solids(proof: Proof, dose: np.ndarray, target: np.ndarray, cylinder: np.nda
 def _fullest(proof: Proof, slices: list[int]) -> int:
     """Which of the chosen slices to show first: the one with most of the part."""
     return int(np.argmax(proof.slices.in_voxels[slices]))
-
-
-def _verdict(proof: Proof) -> str:
-    scores = proof.scores
-    total = scores.in_voxels + scores.out_voxels
-    if proof.perfect:
-        return f"All {total:,} judged voxels print right."
-    wrong = scores.missing + scores.excess
-    parts = [f"{wrong:,} of {total:,} judged voxels print wrong: {scores.missing:,} missing, {scores.excess:,} excess."]
-    if proof.outer_share >= 1.0:
-        parts.append("Resin beyond the judged cylinder prints too.")
-    return " ".join(parts)
 
 
 def _tiles(proof: Proof) -> list[Figure]:

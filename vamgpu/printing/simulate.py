@@ -9,7 +9,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
-from vamgpu.methods.part import on_device
+from vamgpu.methods.part import check_cylinder, on_device
 from vamgpu.metrics import light_efficiency, score, score_slices
 from vamgpu.metrics.light import light_sent
 from vamgpu.metrics.parts import Parts
@@ -18,7 +18,7 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
 from vamgpu.printing.dark import check_dose
 from vamgpu.printing.exposure import expose
-from vamgpu.printing.independent import IndependentExposure, Outer
+from vamgpu.printing.independent import IndependentExposure, Outer, corner_of, greatest_beyond
 from vamgpu.printing.proof import Proof
 
 
@@ -48,9 +48,10 @@ def simulate(
     """Expose frames and judge the dose by a target; whole arrays stay on the device of ``A``.
 
     The dose is not ``A``'s: frames shine on voxels half as wide, shifted by a quarter, out to the inner wall, along
-    rays that are traced for it (see `IndependentExposure`), and the part's voxels take the mean. What ``A`` itself
-    would say is kept beside it, as claimed. Operators other than `Projection` have no such rays and are judged by
-    themselves; the proof then says so.
+    rays that are traced for it (see `IndependentExposure`), and the part's voxels take the mean. Resin above and below
+    the grid is exposed as far as there is light. What ``A`` itself would say is kept beside it, as claimed. Operators
+    other than `Projection` have no such rays and are judged by themselves on their own grid; the proof then says so,
+    and is never perfect.
 
     Args:
         A: what the frames were solved with.
@@ -68,13 +69,18 @@ def simulate(
     Raises:
         BadInput: a value out of its range.
         NoLight: the frames are dark, or their light misses the part.
+        EmptyMesh: no voxel in the judged cylinder belongs to the target.
         ShapeMismatch: frames or target of another geometry.
         DeviceError: an array of another device.
+
+    Warns:
+        OpticsWarning: some of the target lies beyond the judged cylinder.
     """
     _both_or_neither(irradiance, critical_dose)
     if threshold is not None:
         threshold = positive("threshold", threshold)
     fraction = on_device(A, target)
+    check_cylinder(fraction, A.grid)
     light = frames.irradiance(A.device)
     require(A.range, light, "the frames' light")
     _same_poses(A, frames)
@@ -119,8 +125,9 @@ class _Itself:
     operator: Any
 
     def averaged(self, light: DeviceArray) -> tuple[DeviceArray, Outer | None]:
-        """Its own dose, and nothing about what is beyond its grid."""
-        return self.operator.T(light), None
+        """Its own dose, and the greatest beyond the judged cylinder of its grid; nothing about what is farther."""
+        dose, grid = self.operator.T(light), self.operator.grid
+        return dose, greatest_beyond(grid, corner_of(grid), dose, grid.axes(), grid.pitch)
 
 
 def _both_or_neither(irradiance: float | None, critical_dose: float | None) -> None:

@@ -54,7 +54,7 @@ class RowShares(NamedTuple):
 
 def spread_of(beam: Beam) -> Spread:
     """The light of a beam's pixel. Sharp light takes finer bins; a single row is even along z."""
-    column, row = beam.sigma, 0.0 if beam.pixels[1] == 1 else beam.sigma
+    column, row = beam.sigma, 0.0 if beam.flat else beam.sigma
     return Spread(sqrt(beam.fill), column, row, 3 if column >= 0.4 else 5 if column >= 0.2 else 8)
 
 
@@ -85,7 +85,7 @@ def row_shares(spread: Spread, beam: Beam, z: np.ndarray, height: float, multipl
     """Mean light of slices ``height`` [mm] high about ``z`` [mm], per light of rows; padded to a multiple of slices."""
     rows = beam.pixels[1]
     center = z / beam.pitch + 0.5 * (rows - 1)
-    half, side = 0.5 * height / beam.pitch, 1.0 if rows == 1 else spread.side
+    half, side = 0.5 * height / beam.pitch, 1.0 if beam.flat else spread.side
     reach = half + 0.5 * side + TAIL * spread.row
     row = np.arange(rows)[:, None]
     shares = np.zeros((rows, -(-z.size // multiple) * multiple))
