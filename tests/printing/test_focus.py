@@ -129,7 +129,7 @@ def test_bad_input_is_refused_with_numbers() -> None:
         FocusMasks(4, 0.1, 9.0, (-1.0, -2.0))
     with pytest.raises(BadInput, match="thickness"):
         FocusMasks.around(PAPER, 7.5, 0.0)
-    with pytest.raises(ShapeMismatch, match="7 columns; wanted 1459"):
+    with pytest.raises(ShapeMismatch, match="7 columns; expected 1459"):
         split(np.zeros((3, 7, 4)), paper())
     with pytest.raises(BadInput, match="three-dimensional"):
         split(np.zeros(3), paper())

@@ -97,7 +97,7 @@ def test_bad_parameters_are_refused() -> None:
     [
         ("[gray]\nlevels = 0, 255\n", "line 2"),
         ("[lens]\npower = 1\n", r"no table \[gray\]"),
-        ("[gray]\nlevels = [0, 255]\n", "exactly levels and intensity"),
+        ("[gray]\nlevels = [0, 255]\n", "expected levels and intensity"),
         ("[gray]\nlevels = [0, 255]\nintensity = [2.0, 1.0]\n", r"projector.toml, \[gray\]: intensity falls"),
     ],
 )

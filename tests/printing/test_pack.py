@@ -219,7 +219,7 @@ def test_bad_plans_are_refused(device: Device) -> None:
         pack(plan_of(device, some_light()), bits=4)
     with pytest.raises(BadInput, match="scale"):
         pack(plan_of(device, some_light()), scale=-1.0)
-    with pytest.raises(BadInput, match="wanted a GrayCurve"):
+    with pytest.raises(BadInput, match="expected a GrayCurve"):
         pack(plan_of(device, some_light()), gray=2.2)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="ndarray"):
         pack(SimpleNamespace(sinogram=some_light(), operator=None))  # type: ignore[arg-type]

@@ -54,9 +54,9 @@ def align(
     """
     cloud = as_points(points)
     if len(cloud) < 3:
-        raise BadInput(f"got {len(cloud)} points to align; wanted at least 3, better thousands")
+        raise BadInput(f"got {len(cloud)} points to align; expected at least 3, better thousands")
     if not 0.1 <= keep <= 1.0:
-        raise BadInput(f"keep is {keep!r}; wanted a share of the points in 0.1..1")
+        raise BadInput(f"keep is {keep!r}; expected a share of the points in 0.1..1")
     most, size = counts("steps", (steps,), 1)[0], counts("samples", (samples,), 1)[0]
     if len(cloud) > size:
         cloud = cloud[np.random.default_rng(0).choice(len(cloud), size, replace=False)]

@@ -33,18 +33,18 @@ def contrast(
         return _share(float(total[IN]), float(total[IN] + total[OUT]))
     values, part = (np.asarray(a.numpy() if isinstance(a, DeviceArray) else a, np.float64) for a in (dose, target))
     if values.shape != part.shape or not values.size:
-        raise ShapeMismatch(f"the dose has shape {values.shape}, the target {part.shape}; wanted the same, not empty")
+        raise ShapeMismatch(f"the dose has shape {values.shape}, the target {part.shape}; expected the same, not empty")
     made = values if response is None else np.asarray(response(values))
     if made.shape != values.shape:
-        raise ShapeMismatch(f"the response made {made.shape} of a dose of {values.shape}; wanted the same shape")
+        raise ShapeMismatch(f"the response made {made.shape} of a dose of {values.shape}; expected the same shape")
     if not np.isfinite(made).all() or made.min() < 0:
         raise BadInput(
-            f"the response reaches from {made.min():g} to {made.max():g}; wanted finite numbers ≥ 0, as doses are"
+            f"the response reaches from {made.min():g} to {made.max():g}; expected finite numbers ≥ 0, as doses are"
         )
     return _share(float(made[part > 0].sum()), float(made.sum()))
 
 
 def _share(inside: float, everywhere: float) -> float:
     if not everywhere > 0:
-        raise BadInput(f"the response sums to {everywhere:g}; wanted some light: a contrast needs a dose above 0")
+        raise BadInput(f"the response sums to {everywhere:g}; expected some light: a contrast needs a dose above 0")
     return inside / everywhere

@@ -44,17 +44,17 @@ def fit_gaussian(values: npt.ArrayLike, bins: int = 100, limits: tuple[float, fl
     if number < 4 or data.size < 10 or not np.isfinite(data).all():
         bad = np.count_nonzero(~np.isfinite(data))
         raise BadInput(
-            f"got {data.size} values, {bad} of them not finite, and {number} bins; wanted 10 finite values and 4 bins"
+            f"got {data.size} values, {bad} of them not finite, and {number} bins; expected 10 finite values and 4 bins"
         )
     middle, spread = float(data.mean()), float(data.std())
     if spread <= 1e-12 * max(1.0, abs(middle)):
-        raise BadInput(f"all {data.size} values are {middle:g}; wanted some spread for a Gaussian")
+        raise BadInput(f"all {data.size} values are {middle:g}; expected some spread for a Gaussian")
     low, high = limits if limits else (max(data.min(), middle - 4 * spread), min(data.max(), middle + 4 * spread))
     if not low < high:
-        raise BadInput(f"limits are {low:g} and {high:g}; wanted the lower one first")
+        raise BadInput(f"limits are {low:g} and {high:g}; expected the lower one first")
     count, edges = np.histogram(data, number, (low, high))
     if count.sum() < 10:
-        raise BadInput(f"{count.sum()} of {data.size} values lie between {low:g} and {high:g}; wanted at least 10")
+        raise BadInput(f"{count.sum()} of {data.size} values lie between {low:g} and {high:g}; expected at least 10")
     place = 0.5 * (edges[1:] + edges[:-1])
     try:
         (height, mean, sigma), _ = curve_fit(_bell, place, count, (float(count.max()), middle, spread), maxfev=5000)

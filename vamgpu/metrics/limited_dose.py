@@ -25,7 +25,7 @@ def random_plane(n: int, seed: int = 1, filled: float = 0.45) -> Array:
     """
     size = counts("n", (n,), 1)[0]
     if not 0.0 < filled < 1.0 or size < 16:
-        raise BadInput(f"got n = {n} and filled = {filled!r}; wanted at least 16 voxels and a share between 0 and 1")
+        raise BadInput(f"got n = {n} and filled = {filled!r}; expected at least 16 voxels and a share between 0 and 1")
     k = np.fft.fftfreq(size) * size
     band = np.exp(-0.5 * ((np.hypot(k[:, None], k[None, :]) - size / 12) / (size / 20)) ** 2)
     noise = np.random.default_rng(seed).normal(size=(size, size))
@@ -47,7 +47,7 @@ def limited_dose(
     """
     part = np.asarray(target, np.float64)
     if part.ndim != 2 or part.shape[0] != part.shape[1] or not np.isin(part, (0.0, 1.0)).all() or not part.any():
-        raise BadInput(f"the target has shape {part.shape}; wanted a square [l, rho] of 0 and 1, not all 0")
+        raise BadInput(f"the target has shape {part.shape}; expected a square [l, rho] of 0 and 1, not all 0")
     light = _Light(part.shape[0], positive("pitch [mm]", pitch), steepest(ratio), angles, device)
     norm = light.norm()
     sent = np.maximum(light.forward(part), 0.0)

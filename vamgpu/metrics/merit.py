@@ -60,7 +60,7 @@ def merit(
 
     solid = np.asarray(printed, bool)
     if solid.ndim not in (2, 3):
-        raise BadInput(f"the print has shape {solid.shape}; wanted [x, y] or [x, y, z]")
+        raise BadInput(f"the print has shape {solid.shape}; expected [x, y] or [x, y, z]")
     solid = solid if solid.ndim == 3 else solid[:, :, None]
     pitch = positive("pitch [mm]", pitch)
     labels = np.asarray(label(solid)[0])  # type: ignore[index]
@@ -96,7 +96,7 @@ def acceptable(stops: Sequence[float], figures: npt.ArrayLike, above: float = 2.
     """
     values = np.asarray(figures, np.float64)
     if values.ndim != 2 or len(values) != len(stops) or np.any(np.diff(stops) <= 0):
-        raise BadInput(f"{len(stops)} stops and figures {values.shape}; wanted increasing stops and [stop, replicate]")
+        raise BadInput(f"{len(stops)} stops and figures {values.shape}; expected rising stops and [stop, replicate]")
     good, best, start = values.mean(axis=1) > above, (0, 0), 0
     for k in range(len(good) + 1):
         if k == len(good) or not good[k]:

@@ -75,7 +75,7 @@ def as_points(points: npt.ArrayLike) -> Array:
     """Points as float64 (n, 3), n ≥ 1, or `BadInput`."""
     array = np.asarray(points, np.float64)
     if array.ndim != 2 or array.shape[1:] != (3,) or not len(array):
-        raise BadInput(f"points have shape {array.shape}; wanted (n, 3) with n ≥ 1 [mm]")
+        raise BadInput(f"points have shape {array.shape}; expected (n, 3) with n ≥ 1 [mm]")
     if not np.isfinite(array).all():
         raise BadInput(f"{np.count_nonzero(~np.isfinite(array).all(axis=1))} points are NaN or infinite; drop them")
     return array

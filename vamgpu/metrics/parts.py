@@ -31,13 +31,13 @@ class Parts:
         if self.dose.shape != self.target.shape or len(self.dose.shape) != 3:
             raise ShapeMismatch(
                 f"the dose has shape {self.dose.shape}, the target {self.target.shape}; "
-                "wanted the same [x, y, z]: build both on one grid"
+                "expected the same [x, y, z]: build both on one grid"
             )
         self.dose.device.check_mine(self.target)
         if self.reach is None:
             object.__setattr__(self, "reach", 0.5 * (min(self.dose.shape[:2]) - 1))
         elif not self.reach >= 0:
-            raise BadInput(f"reach is {self.reach!r} voxels; wanted a number ≥ 0, or None for the inscribed cylinder")
+            raise BadInput(f"reach is {self.reach!r} voxels; expected a number ≥ 0, or None for the inscribed cylinder")
 
     @classmethod
     def whole(cls, field: DeviceArray) -> Parts:

@@ -27,7 +27,7 @@ def steepest(ratio: float) -> float:
     Raises `BadInput`.
     """
     if positive("index ratio m = n_medium/n_resin", ratio) > 1.0:
-        raise BadInput(f"index ratio m = n_medium/n_resin is {ratio:g}; wanted at most 1: beyond, no angle is lost")
+        raise BadInput(f"index ratio m = n_medium/n_resin is {ratio:g}; expected at most 1: beyond, no angle is lost")
     return asin(ratio)
 
 
@@ -65,7 +65,7 @@ def _width(fwhm: float, ratio: float, angles: int, along: float, depth: float) -
     while point_dose(np.array(high * along), np.array(high * depth), fwhm, ratio, angles) > 0.5:
         low, high = high, 2.0 * high
         if high > 1e6 * fwhm:
-            raise BadInput(f"at m = {ratio:g} and {angles} angles the point spread has no width; wanted more of either")
+            raise BadInput(f"at m = {ratio:g} and {angles} angles the point spread has no width; expected more")
     while high - low > 1e-9 * high:
         middle = 0.5 * (low + high)
         above = point_dose(np.array(middle * along), np.array(middle * depth), fwhm, ratio, angles) > 0.5
@@ -100,7 +100,7 @@ def limited(plane: npt.ArrayLike, pitch: tuple[float, float] | float, ratio: flo
     """
     values = np.asarray(plane, np.float64)
     if values.ndim not in (2, 3):
-        raise BadInput(f"the plane has shape {values.shape}; wanted [l, rho] or [l, rho, z]")
+        raise BadInput(f"the plane has shape {values.shape}; expected [l, rho] or [l, rho, z]")
     mask = wedge(values.shape[:2], pitch, ratio)  # type: ignore[arg-type]
     mask = mask if values.ndim == 2 else mask[..., None]
     return np.fft.ifft2(np.fft.fft2(values, axes=(0, 1)) * mask, axes=(0, 1)).real

@@ -50,9 +50,9 @@ def segment_windows(
     """
     values, part = (np.asarray(a.numpy() if isinstance(a, DeviceArray) else a) for a in (dose, target))
     if values.shape != part.shape or values.ndim != 3 or not values.size:
-        raise ShapeMismatch(f"the dose has shape {values.shape}, the target {part.shape}; wanted the same [l, rho, z]")
+        raise ShapeMismatch(f"the dose has shape {values.shape}, the target {part.shape}; expected one [l, rho, z]")
     if not np.isfinite(values).all():
-        raise BadInput(f"{np.count_nonzero(~np.isfinite(values))} doses are NaN or infinite; wanted finite numbers")
+        raise BadInput(f"{np.count_nonzero(~np.isfinite(values))} doses are NaN or infinite; expected finite numbers")
     length = counts("segment (voxels along l)", (segment,), 1)[0]
     top = float(values.max()) if peak is None else positive("peak", peak)
     start = np.arange(0, values.shape[0], length)

@@ -74,7 +74,7 @@ def print_to_print(prints: Sequence[Solid], *, aligned: bool = True, samples: in
     Both directions count alike. The inter-print RMS is the mean over pairs.  Raises as `surface_distance` does.
     """
     if len(prints) < 2:
-        raise BadInput(f"got {len(prints)} prints; wanted at least two to compare")
+        raise BadInput(f"got {len(prints)} prints; expected at least two to compare")
     surfaces = [Nearest(solid) for solid in prints]
     square = np.zeros((len(prints), len(prints)))
     for i, solid in enumerate(prints):
@@ -131,7 +131,7 @@ def iso_solid(
 
     values = np.asarray(field.numpy() if isinstance(field, DeviceArray) else field, np.float64)
     if values.ndim != 3 or not values.size or not np.isfinite(values).all():
-        raise BadInput(f"the field has shape {values.shape} and must be finite; wanted three axes of numbers")
+        raise BadInput(f"the field has shape {values.shape} and must be finite; expected three axes of numbers")
     edges = np.array([positive("pitch [mm]", p) for p in np.broadcast_to(np.asarray(pitch, np.float64), 3)])
     if not values.max() > level:
         raise EmptyMesh(f"the field reaches {values.max():g}, which is not above the level of {level:g}: lower it")

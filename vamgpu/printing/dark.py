@@ -26,12 +26,12 @@ def no_light(plan: Any, settings: Placement) -> NoLight:
         columns, rows = light.shape[1:]
         return NoLight(
             f"the plan has light, but its shift of {settings.shift} pixels moves all of it off the {columns} × {rows} "
-            "pixels of a frame; wanted a shift that keeps some: check its sign and its unit, pixels"
+            "pixels of a frame; expected a shift that keeps some: check its sign and its unit, pixels"
         )
     if low < 0.0:
         return NoLight(
-            f"the plan's light reaches from {low:.3g} to {high:.3g}, and mirrors take no light away; wanted some above "
-            "0: clip it as the methods do, or keep its two signs apart as two colors"
+            f"the plan's light reaches from {low:.3g} to {high:.3g}, and mirrors take no light away; expected some "
+            "above 0: clip it as the methods do, or keep its two signs apart as two colors"
         )
     operator = getattr(plan, "operator", None)
     if operator is not None and not _lights_anything(operator, light):
@@ -42,7 +42,7 @@ def no_light(plan: Any, settings: Placement) -> NoLight:
     method, steps = type(getattr(plan, "method", None)).__name__, len(getattr(plan, "history", ()))
     who = f"{method} found no light in {steps} iterations" if steps else "whatever made it found no light"
     return NoLight(
-        f"the plan is dark everywhere though its columns reach the grid: {who}; wanted some light above 0: look "
+        f"the plan is dark everywhere though its columns reach the grid: {who}; expected some light above 0: look "
         "whether the target is empty where it was solved for, then try another method"
     )
 
@@ -63,9 +63,9 @@ def check_dose(light: DeviceArray, parts: Parts) -> None:
     if extent(light, lower=-inf, upper=inf)[1] > 0.0:
         raise NoLight(
             "the frames have light, but none of it meets the cylinder that is judged: it passes beside it or is "
-            "absorbed before; wanted a dose above 0 there: check the shift, the beam's width and the absorption"
+            "absorbed before; expected a dose above 0 there: check the shift, the beam's width and the absorption"
         )
-    raise NoLight("every frame is dark; wanted light above 0: pack a plan that has some, at a smaller scale")
+    raise NoLight("every frame is dark; expected light above 0: pack a plan that has some, at a smaller scale")
 
 
 def _lights_anything(operator: Any, like: DeviceArray) -> bool:

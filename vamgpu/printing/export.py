@@ -31,7 +31,7 @@ def export(frames: Frames, path: str | Path, *, fps: float = 30.0, overwrite: bo
     place = Path(path)
     writer = FORMATS.get(place.suffix.lower())
     if writer is None:
-        raise BadInput(f"cannot export {place.name!r}: wanted .tif, .tiff, .npz, .mp4, or no ending for a PNG folder")
+        raise BadInput(f"cannot export {place.name!r}: expected .tif, .tiff, .npz, .mp4, or no ending for a PNG folder")
     if overwrite and place.is_dir():
         raise StorageError(f"{str(path)!r} is a folder; remove it or choose another path")
     rate = positive("frames per second", fps)

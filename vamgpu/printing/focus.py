@@ -44,7 +44,7 @@ class FocusMasks:
             positive(f"{name} [mm]", getattr(self, name))
         planes = np.array(self.planes, dtype=np.float64)
         if planes.ndim != 1 or not planes.size or not np.isfinite(planes).all() or (np.diff(planes) <= 0).any():
-            raise BadInput(f"planes is {self.planes!r}; wanted one or more rising depths [mm]")
+            raise BadInput(f"planes is {self.planes!r}; expected one or more rising depths [mm]")
         object.__setattr__(self, "planes", tuple(planes.tolist()))
 
     @classmethod
@@ -131,9 +131,9 @@ def split(shown: Shown, masks: FocusMasks) -> tuple[Shown, ...]:
     picture = isinstance(shown, np.ndarray) and shown.dtype == np.uint8
     axis = 2 if picture else 1
     if not isinstance(shown, (np.ndarray, DeviceArray)) or len(shown.shape) != 3:
-        raise BadInput(f"got {type(shown).__name__}; wanted Frames or three-dimensional light or bytes")
+        raise BadInput(f"got {type(shown).__name__}; expected Frames or three-dimensional light or bytes")
     if shown.shape[axis] != masks.columns:
-        raise ShapeMismatch(f"got the shape {shown.shape} with {shown.shape[axis]} columns; wanted {masks.columns}")
+        raise ShapeMismatch(f"got the shape {shown.shape} with {shown.shape[axis]} columns; expected {masks.columns}")
     if isinstance(shown, DeviceArray):
         return tuple(_light(shown, mask) for mask in masks.masks)
     return tuple(np.where(mask if picture else mask[:, None], shown, shown.dtype.type(0)) for mask in masks.masks)

@@ -39,12 +39,12 @@ class Frames:
 
     def __post_init__(self) -> None:
         if self.bits not in (1, 8):
-            raise BadInput(f"bits is {self.bits!r}; wanted 1 or 8")
+            raise BadInput(f"bits is {self.bits!r}; expected 1 or 8")
         positive("scale", self.scale)
         width = self.columns if self.bits == 8 else -(-self.columns // 8)
         if len(self.images.shape) != 3 or self.images.shape[2] != width or self.images.dtype != np.uint8:
             raise ShapeMismatch(
-                f"images is {self.images!r}; wanted uint8 [angle, row, {width}] for {self.columns} columns of "
+                f"images is {self.images!r}; expected uint8 [angle, row, {width}] for {self.columns} columns of "
                 f"{self.bits} bits"
             )
         if self.motion is not None and self.shape[0] % self.motion.angles:
@@ -59,7 +59,7 @@ class Frames:
     def from_bytes(cls, images: np.ndarray, device: str | Device | None = None, **fields: Any) -> Frames:
         """Frames of a NumPy array of bytes, put on a device; ``fields`` are those of the class."""
         if images.dtype != np.uint8:
-            raise BadInput(f"the bytes of frames are {images.dtype}; wanted uint8")
+            raise BadInput(f"the bytes of frames are {images.dtype}; expected uint8")
         return cls(open_device(device).upload(images, table=True), **fields)
 
     @property
@@ -125,10 +125,10 @@ def flattened(flat_field: Any, shape: tuple[int, ...]) -> np.ndarray:
     """A flat field [row, column] as float64, its brightest mirror 1. Raises `ShapeMismatch`, `BadInput`."""
     flat = np.asarray(flat_field, dtype=np.float64)
     if flat.shape != shape:
-        raise ShapeMismatch(f"the flat field has shape {flat.shape}; wanted {shape} = [row, column] of the frames")
+        raise ShapeMismatch(f"the flat field has shape {flat.shape}; expected {shape} = [row, column] of the frames")
     if not np.isfinite(flat).all() or flat.min() <= 0:
         raise BadInput(
-            f"the flat field goes from {flat.min():g} to {flat.max():g}; wanted finite brightness > 0: "
+            f"the flat field goes from {flat.min():g} to {flat.max():g}; expected finite brightness > 0: "
             "give dead mirrors that of the dimmest one that works"
         )
     return flat / flat.max()

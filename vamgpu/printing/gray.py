@@ -32,22 +32,22 @@ class GrayCurve:
         if len(levels) != len(light) or len(levels) < 2:
             raise BadInput(
                 f"a gray curve has {len(levels)} levels and {len(light)} intensities; "
-                "wanted one intensity a level, two of them at least"
+                "expected one intensity a level, two of them at least"
             )
         if (levels != np.round(levels)).any() or (np.diff(levels) <= 0).any() or (levels[0], levels[-1]) != (0, TOP):
             raise BadInput(
-                f"gray levels are {_short(levels)}; wanted whole numbers rising from 0 to {TOP}: measure both ends too"
+                f"gray levels are {_short(levels)}; expected whole numbers rising from 0 to {TOP}: measure both ends"
             )
         fall = np.flatnonzero(np.diff(light) < 0)
         if fall.size:
             at = int(fall[0])
             raise BadInput(
                 f"intensity falls from {light[at]:g} at level {levels[at]:g} to {light[at + 1]:g} at level "
-                f"{levels[at + 1]:g}; wanted one that never falls: average more readings"
+                f"{levels[at + 1]:g}; expected one that never falls: average more readings"
             )
         if light[0] < 0 or light[-1] <= light[0]:
             raise BadInput(
-                f"intensity goes from {light[0]:g} to {light[-1]:g}; wanted 0 ≤ black < full-on: "
+                f"intensity goes from {light[0]:g} to {light[-1]:g}; expected 0 ≤ black < full-on: "
                 "subtract the dark reading"
             )
         object.__setattr__(self, "levels", tuple(int(level) for level in levels))
@@ -82,7 +82,7 @@ class GrayCurve:
             raise BadInput(f"{file.name} is no valid TOML: {error}") from error
         table = data.get("gray")
         if not isinstance(table, dict):
-            raise BadInput(f"{file.name} has no table [gray]; wanted [gray] with levels = [...] and intensity = [...]")
+            raise BadInput(f"{file.name} has no table [gray]; expected [gray], levels = [...] and intensity = [...]")
         try:
             return cls.parse(table)
         except BadInput as error:
@@ -92,7 +92,7 @@ class GrayCurve:
     def parse(cls, table: dict[str, Any]) -> GrayCurve:
         """A curve from the keys ``levels`` and ``intensity``, as `describe` gives them. Raises `BadInput`."""
         if set(table) != {"levels", "intensity"}:
-            raise BadInput(f"got the keys {', '.join(map(str, table)) or 'none'}; wanted exactly levels and intensity")
+            raise BadInput(f"got the keys {', '.join(map(str, table)) or 'none'}; expected levels and intensity")
         return cls(table["levels"], table["intensity"])
 
     def describe(self) -> dict[str, Any]:
@@ -116,7 +116,7 @@ class GrayCurve:
     def table(self, bits: int) -> np.ndarray:
         """Relative light of every value a pixel of ``bits`` (1: off or on, 8: a gray level) can take; float64."""
         if bits not in (1, 8):
-            raise BadInput(f"bits is {bits!r}; wanted 1 or 8")
+            raise BadInput(f"bits is {bits!r}; expected 1 or 8")
         return self(np.array([0, TOP]) if bits == 1 else np.arange(TOP + 1))
 
 
@@ -125,9 +125,9 @@ def _numbers(name: str, values: Any) -> np.ndarray:
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise BadInput(f"{name} is {values!r}; wanted a list of numbers") from error
+        raise BadInput(f"{name} is {values!r}; expected a list of numbers") from error
     if array.ndim != 1 or not np.isfinite(array).all():
-        raise BadInput(f"{name} is {_short(array)}; wanted a plain list of finite numbers")
+        raise BadInput(f"{name} is {_short(array)}; expected a plain list of finite numbers")
     return array
 
 

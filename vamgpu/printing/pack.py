@@ -66,12 +66,12 @@ def pack(
     Everything runs on the plan's device. Raises `BadInput`, `ShapeMismatch`, `NoLight`.
     """
     if bits not in (1, 8):
-        raise BadInput(f"bits is {bits!r}; wanted 1 or 8")
+        raise BadInput(f"bits is {bits!r}; expected 1 or 8")
     light = _light(plan)
     settings = Placement(flip_r, flip_z, shift, None if scale is not None else quantile, dither)
     curve = GrayCurve.linear() if gray is None else gray
     if not isinstance(curve, GrayCurve):
-        raise BadInput(f"gray is {gray!r}; wanted a GrayCurve, such as GrayCurve.gamma(2.2)")
+        raise BadInput(f"gray is {gray!r}; expected a GrayCurve, such as GrayCurve.gamma(2.2)")
     motion = getattr(getattr(plan, "operator", None), "motion", None)
     motion = motion if isinstance(motion, Turntable) else None
     if dither == "error-diffusion" and motion is not None and motion.dwell is not None:
@@ -86,8 +86,8 @@ def pack(
     full = positive("scale", scale) if scale is not None else _quantile(plan, settings, shared)
     if not FAINTEST <= full <= BRIGHTEST:
         raise BadInput(
-            f"a full-on pixel is {full:.3g}; wanted {FAINTEST:g} to {BRIGHTEST:g}, within which float32 divides: scale "
-            "the plan's light"
+            f"a full-on pixel is {full:.3g}; expected {FAINTEST:g} to {BRIGHTEST:g}, within which float32 divides: "
+            "scale the plan's light"
         )
     steps = curve.table(bits)
     bounds = np.append(0.5 * (steps[1:] + steps[:-1]), np.full(257 - steps.size, NEVER))
@@ -137,7 +137,7 @@ def _folded(images: DeviceArray) -> DeviceArray:
 def _light(plan: Light) -> DeviceArray:
     light = getattr(plan, "sinogram", None)
     if not isinstance(light, DeviceArray) or len(light.shape) != 3:
-        raise BadInput(f"the plan's sinogram is a {type(light).__name__}; wanted a field [angle, r, z] on a device")
+        raise BadInput(f"the plan's sinogram is a {type(light).__name__}; expected a field [angle, r, z] on a device")
     operator = getattr(plan, "operator", None)
     if operator is not None:
         require(operator.range, light, "the plan's sinogram")

@@ -30,12 +30,12 @@ class Placement:
     def __post_init__(self) -> None:
         for name in ("flip_r", "flip_z"):
             if not isinstance(getattr(self, name), bool):
-                raise BadInput(f"{name} is {getattr(self, name)!r}; wanted True or False")
+                raise BadInput(f"{name} is {getattr(self, name)!r}; expected True or False")
         object.__setattr__(self, "shift", _pair(self.shift))
         if self.quantile is not None:
             object.__setattr__(self, "quantile", _share(self.quantile))
         if self.dither not in DITHERS:
-            raise BadInput(f"dither is {self.dither!r}; wanted {' or '.join(map(repr, DITHERS))}")
+            raise BadInput(f"dither is {self.dither!r}; expected {' or '.join(map(repr, DITHERS))}")
 
     def arguments(self) -> dict[str, Any]:
         """Kernel arguments: whole pixels, parts of one, and mirrored or not."""
@@ -54,9 +54,9 @@ def _pair(shift: Any) -> tuple[float, float]:
     try:
         dr, dz = (float(d) for d in shift)
     except (TypeError, ValueError) as error:
-        raise BadInput(f"shift is {shift!r}; wanted (dr, dz), two numbers of pixels") from error
+        raise BadInput(f"shift is {shift!r}; expected (dr, dz), two numbers of pixels") from error
     if not (isfinite(dr) and isfinite(dz) and max(abs(dr), abs(dz)) < 1e6):
-        raise BadInput(f"shift is {shift!r}; wanted two finite numbers of pixels")
+        raise BadInput(f"shift is {shift!r}; expected two finite numbers of pixels")
     return dr, dz
 
 
@@ -64,7 +64,7 @@ def _share(quantile: Any) -> float:
     try:
         share = float(quantile)
     except (TypeError, ValueError) as error:
-        raise BadInput(f"quantile is {quantile!r}; wanted a number") from error
+        raise BadInput(f"quantile is {quantile!r}; expected a number") from error
     if not 0 < share <= 1:
-        raise BadInput(f"quantile is {quantile!r}; wanted 0 < quantile ≤ 1, where 1 scales to the brightest pixel")
+        raise BadInput(f"quantile is {quantile!r}; expected 0 < quantile ≤ 1, where 1 scales to the brightest pixel")
     return share

@@ -48,13 +48,13 @@ class ScatterStop:
         positive("voxels of the part", self.voxels)
         positive("threshold [gray levels/voxel]", self.threshold)
         if isinstance(self.steady, bool) or not isinstance(self.steady, int) or self.steady < 1:
-            raise BadInput(f"steady is {self.steady!r}; wanted at least 1 frame")
+            raise BadInput(f"steady is {self.steady!r}; expected at least 1 frame")
 
     def see(self, seconds: float, image: npt.NDArray[np.generic]) -> Reading:
         """Take in one frame [row, column] in gray levels, the first one before the light. Raises `BadInput`."""
         total = self._total(image)
         if self.readings and seconds <= self.readings[-1].seconds:
-            raise BadInput(f"a frame at {seconds:g} s after one at {self.readings[-1].seconds:g} s; wanted later ones")
+            raise BadInput(f"a frame at {seconds:g} s after one at {self.readings[-1].seconds:g} s; expected one later")
         if not self.readings:
             self._background, self._shape = total, image.shape
         density = (total - self._background) / self.voxels
@@ -90,8 +90,8 @@ class ScatterStop:
 
     def _total(self, image: npt.NDArray[np.generic]) -> float:
         if image.ndim != 2 or (self._shape and image.shape != self._shape):
-            raise BadInput(f"a frame has shape {image.shape}; wanted {self._shape or '[row, column]'}, one camera's")
+            raise BadInput(f"a frame has shape {image.shape}; expected {self._shape or '[row, column]'}, one camera's")
         total = float(image.sum(dtype=np.float64))
         if not np.isfinite(total):
-            raise BadInput("a frame holds values that are not finite; wanted gray levels")
+            raise BadInput("a frame holds values that are not finite; expected gray levels")
         return total
