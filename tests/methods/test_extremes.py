@@ -13,7 +13,7 @@ from vamgpu.errors import BadInput, EmptyMesh, OpticsWarning
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.kernels.update import linear
 from vamgpu.methods import BCLP, LBFGS, METHODS, OSMO, GradientDescent, PenaltyMinimization, ProcessWindow, optimize
-from vamgpu.methods.band import Band
+from vamgpu.losses.band import Band
 from vamgpu.methods.work import Work
 from vamgpu.operators.projection import Projection
 

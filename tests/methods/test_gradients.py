@@ -11,7 +11,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, MemoryNotice
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.methods import BCLP, LBFGS, GeneralizedLogistic, Interpolated, Linear, Logistic, optimize
-from vamgpu.methods.band import Band
+from vamgpu.losses.band import Band
 from vamgpu.methods.ramp import capped_ramp, ramp
 from vamgpu.methods.work import Work
 from vamgpu.operators.projection import Projection

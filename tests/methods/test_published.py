@@ -10,7 +10,7 @@ import pytest
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.methods import BCLP, LBFGS, OSMO, GradientDescent, Linear, PenaltyMinimization, ProcessWindow, Recipe
 from vamgpu.methods import optimize as run
-from vamgpu.methods.band import Band
+from vamgpu.losses.band import Band
 from vamgpu.methods.descent import Descent
 from vamgpu.methods.dual import Colors, PointProjection, Tolerant, superpose
 from vamgpu.methods.entropy import CrossEntropy

@@ -7,8 +7,8 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.kernels.update import linear
 from vamgpu.methods.method import Criterion
+from vamgpu.operators.compose import combine
 
 if TYPE_CHECKING:
     from vamgpu.methods.work import Work
@@ -52,7 +52,7 @@ class Best:
             return False
         if "best" not in self.memory:
             self.memory["best"] = light.device.empty(light.shape)
-        light.device.launch(linear, a=1.0, x=light, b=0.0, y=light, floor=0.0, out=self.memory["best"])
+        combine(1.0, light, 0.0, light, self.memory["best"], floor=0.0)
         self.memory.update({"best loss": loss, "best window": window, "best iteration": iteration})
         return True
 
