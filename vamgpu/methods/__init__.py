@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from vamgpu.losses.response import GeneralizedLogistic, Interpolated, Linear, Logistic
 from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.calgd import GradientDescent
 from vamgpu.methods.descent import Descent
@@ -12,7 +13,6 @@ from vamgpu.methods.penalty import PenaltyMinimization
 from vamgpu.methods.plan import Plan, Step
 from vamgpu.methods.rebin import rebin
 from vamgpu.methods.recipe import Recipe
-from vamgpu.losses.response import GeneralizedLogistic, Interpolated, Linear, Logistic
 from vamgpu.methods.run import METHODS, optimize
 from vamgpu.methods.window import ProcessWindow
 

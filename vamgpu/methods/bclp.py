@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
+from vamgpu.losses.response import Logistic, Response
 from vamgpu.methods.descent import Descent
 from vamgpu.methods.method import Criterion, Steps
 from vamgpu.methods.papers import BAND, ROLL_TO_ROLL
-from vamgpu.losses.response import Logistic, Response
 from vamgpu.methods.work import Work
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from vamgpu.methods.descent import Descent
-from vamgpu.methods.method import Criterion, Steps
-from vamgpu.methods.papers import CAL, CAL_FIRST
 from vamgpu.losses.loss import Loss
 from vamgpu.losses.response import Logistic, Response
 from vamgpu.losses.sampled import cross_entropy
+from vamgpu.methods.descent import Descent
+from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.papers import CAL, CAL_FIRST
 from vamgpu.methods.work import Work
 
 

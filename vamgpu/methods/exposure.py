@@ -45,12 +45,12 @@ class Exposure:
             work.combine(1.0, self.dose, 1.0, self.rest, self.dose)
         held = self._dose_of_light(carried)
         window = 0.0 if pace.fixed else work.window(held)[0]
-        loss = self.judge(self.dose) + self._bright()
+        loss = work.loss(self.dose, self.loss) + self._bright()
         if pace.back <= 1.0 and loss > 0.0:  # projected also where the step is taken back: an iteration is one pair
             self.gradient()
         if pace.back <= 1.0 and held is not self.dose:  # the loss that counts is that of the light held
             work.scale(1.0, held, self.dose)
-            loss = self.judge(self.dose)
+            loss = work.loss(self.dose, self.loss)
         return loss, window
 
     def gradient(self) -> tuple[DeviceArray]:
@@ -59,9 +59,6 @@ class Exposure:
             self._bright()
             self._projected = True
         return (self._gradient,)
-
-    def judge(self, dose: DeviceArray) -> float:
-        return self.work.loss(dose, self.loss)
 
     def _bright(self) -> float:
         """What the light costs; its derivative is added to the gradient, which a value overwrites in vain."""

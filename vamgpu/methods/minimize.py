@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 from typing import Protocol
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.losses.loss import Loss
 from vamgpu.methods.method import Steps
 from vamgpu.methods.pairs import Pairs
 from vamgpu.methods.ramp import Taps
@@ -24,7 +26,9 @@ TRIES = 12
 
 
 class Objective(Protocol):
-    """What light is judged by."""
+    """What light is judged by, above all the loss of its dose."""
+
+    loss: Loss
 
     def value(self, carried: float = 0.0) -> tuple[float, float]:
         """Loss and strict window of the light held, or of the light ``ahead`` of it by ``carried`` of the last step."""
@@ -32,10 +36,6 @@ class Objective(Protocol):
 
     def gradient(self) -> Sequence[DeviceArray]:
         """Derivatives of the loss last valued by the light of each channel, ahead as it was; may be overwritten."""
-        ...
-
-    def judge(self, dose: DeviceArray) -> float:
-        """Loss of a dose, which is overwritten."""
         ...
 
 
@@ -197,7 +197,7 @@ def _moved(objective: Objective, channels: Sequence[Channel], pace: Pace) -> Non
         if pace.possible:
             combine(1.0, channel.ahead, 0.0, channel.ahead, channel.ahead, floor=0.0)
     lead.memory.update({"run": run + 1.0, "carried": 0.0 if pace.possible else momentum})
-    lead.best.unseen = objective.judge
+    lead.best.unseen = partial(lead.loss, loss=objective.loss)
 
 
 def _ratio(light: DeviceArray, gradient: DeviceArray) -> float:

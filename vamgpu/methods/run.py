@@ -187,7 +187,9 @@ def chosen(method: str | Method | Loss) -> Method:
             raise BadInput(f"no method {method!r}; there are {', '.join(METHODS)}, or give an instance")
         return METHODS[method]()
     if isinstance(method, type) or not hasattr(method, "steps"):
-        raise BadInput(f"got {method!r} as method; wanted a name ({', '.join(METHODS)}), a loss, or an instance such as OSMO()")
+        raise BadInput(
+            f"got {method!r} as method; wanted a name ({', '.join(METHODS)}), a loss, or an instance such as OSMO()"
+        )
     return method
 
 

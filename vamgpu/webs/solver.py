@@ -47,12 +47,12 @@ class Outcome:
 
 
 class Solver:
-    """Band-constrained descent on segments of one shape.
+    """Descent of a loss on segments of one shape.
 
     The light of a segment is its last: choosing the best of all iterations would make a place depend on the rest of the
     segment. The step is short enough that the loss of p ≥ 2 falls; where it rises all the same, this is told.
 
-    The loss is a sum over voxels (q = p), the step is fixed by the light of one pose and the response alone, and the
+    The loss is a sum over voxels, the step is fixed by the light of one pose and the loss's curvature alone, and the
     first light is filtered and scaled likewise: what happens at a place depends on what is near it, never on where a
     segment begins. An iteration carries influence one window further at most and weakens it, so that frames one window
     inside a segment come out as they would from the whole web.

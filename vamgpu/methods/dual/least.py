@@ -10,6 +10,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.chemistry.species import PAPER
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import Band
+from vamgpu.losses.loss import Loss
 from vamgpu.methods.dual.colors import Pass, constant
 from vamgpu.methods.dual.passes import Bench
 from vamgpu.methods.minimize import Channel, Pace, minimize
@@ -65,7 +66,7 @@ class _Difference:
 
     def __init__(self, bench: Bench, method: LeastSquares) -> None:
         self.bench, self.cost, colors = bench, method.cost, bench.colors
-        self.band = Band((-0.5 * method.below, 1.0), (0.5 * method.below, 0.0), (0.5, 0.5))
+        self.loss: Loss = Band((-0.5 * method.below, 1.0), (0.5 * method.below, 0.0), (0.5, 0.5))
         self.channels = tuple(self._channel(operator, method.cap) for operator in (colors.visible, colors.uv))
         self.signs = (1.0, -colors.strength)
         self.dose, self.under, self.over = bench.volume(), bench.volume(), bench.volume()
@@ -91,7 +92,7 @@ class _Difference:
             bench.expose(channel.work.operator, channel.ahead, dose)
         combine(1.0, self.dose, self.signs[1], self.under, self.dose)
         self.record = bench.compare(self.dose, bench.design, self.under, self.over)
-        loss = self.judge(self.dose)
+        loss = lead.loss(self.dose, self.loss)
         for channel, sign, gradient in zip(self.channels, self.signs, self.gradients, strict=True):
             channel.work.operator(self.dose, out=gradient)
             bench.pairs += 0.5
@@ -101,6 +102,3 @@ class _Difference:
 
     def gradient(self) -> tuple[DeviceArray, DeviceArray]:
         return self.gradients
-
-    def judge(self, dose: DeviceArray) -> float:
-        return self.channels[0].work.loss(dose, self.band)

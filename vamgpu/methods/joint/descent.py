@@ -60,10 +60,7 @@ class ColorDescent:
     def value(self, carried: float = 0.0) -> tuple[float, float]:
         self._dose = self.model.expose(Pair(*(channel.ahead for channel in self.channels)))
         window, _ = self.work.window(self._dose)
-        return self.judge(self._dose), window
+        return self.work.loss(self._dose, self.loss), window
 
     def gradient(self) -> Pair:
         return self.model.gradient(self._dose)
-
-    def judge(self, dose: DeviceArray) -> float:
-        return self.work.loss(dose, self.loss)
