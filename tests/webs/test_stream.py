@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,8 @@ from slanted import BEAM, EDGE, SECTION, WINDOW, Slanted, part, stream, tiled
 
 from vamgpu.errors import BadInput, ShapeMismatch, StorageError, TileError
 from vamgpu.geometry import Beam
-from vamgpu.methods import optimize
-from vamgpu.methods.bclp import BCLP
+from vamgpu.losses import Band, VoxelLoss
+from vamgpu.methods import BCLP, LBFGS, Descent, optimize
 from vamgpu.operators.web import WebProjection
 from vamgpu.optics.film import Film
 from vamgpu.optics.lens import TunableLens
@@ -126,13 +127,36 @@ def test_a_tile_that_does_not_fit_ends_the_stream_there(odd: object, said: str, 
     assert list(stream([Tile(part(60), EDGE)], core=2.0))
 
 
+OWN = VoxelLoss(lambda dose: np.maximum(0.0, dose - 0.7) ** 2, lambda dose: np.exp(-6.0 * dose))
+LOCAL = ["bclp", "cal", "penalty", "window", "lbfgs", OWN + 0.1 * Band.thresholds(0.7, 0.9), Descent(OWN, momentum=0.5)]
+
+
+@pytest.mark.parametrize("method", LOCAL, ids=["bclp", "cal", "penalty", "window", "lbfgs", "sum", "own"])
+def test_every_loss_that_is_a_sum_over_voxels_is_lowered_without_a_seam(method: Any) -> None:
+    target, lights = part(LONG), []
+    for core in (2.0, 30.0):
+        job = stream(target, method=method, core=core, iterations=15)
+        own = slice(job.layout.overlap, None)
+        cut = [(job.solver.held().numpy()[own][: len(segment.images)], segment) for segment in job]
+        lights.append(np.concatenate([light for light, _ in cut]))
+        assert all(last < 0.9 * first for first, last in (segment.loss for _, segment in cut if segment.target.any()))
+    assert np.abs(lights[0] - lights[1]).max() <= 1e-6 * lights[1].max()
+
+
 def test_what_couples_a_web_is_refused() -> None:
-    with pytest.raises(BadInput, match="q is 1.0 with p = 3.0: that couples the whole web"):
-        stream(part(60), method=BCLP(p=3.0, q=1.0))
-    with pytest.raises(BadInput, match="weight"):
-        stream(part(60), method=BCLP(weight=np.ones((60, *SECTION))))
-    with pytest.raises(BadInput, match="wanted BCLP"):
-        stream(part(60), method="osmo")
+    for method, said in (
+        (BCLP(p=3.0, q=1.0), "q is 1.0 with p = 3.0: that couples the whole web"),
+        (BCLP(weight=np.ones((60, *SECTION))), "a weight of single voxels has no place on an endless web"),
+        (VoxelLoss(np.square, np.sqrt, weight=np.ones((60, *SECTION))), "a weight of single voxels"),
+        (LBFGS(efficiency=0.1), "efficiency is 0.1: its price is set by all light"),
+        (OWN**0.5, "a power of a sum couples all of its voxels"),
+        ("osmo", r"OSMO\(.*lowers no loss: its light is scaled by the dose of the whole web"),
+        ("recipe", "lowers no loss"),
+        ("fbp", "lowers no loss"),
+        ("magic", "there are default"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            stream(part(60), method=method)
 
 
 def test_bad_numbers_are_refused() -> None:

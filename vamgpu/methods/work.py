@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from functools import cached_property
-from math import inf, isfinite, prod
+from math import inf, isfinite
 from typing import Any
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Grid
 from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.kernels.filter import filter_rows, filtered_step
 from vamgpu.kernels.update import free_gradient, paint
@@ -22,7 +21,6 @@ from vamgpu.methods.ramp import Taps
 from vamgpu.operators.compose import NO_FLOOR, combine
 from vamgpu.operators.reductions import dot, extent, folded, parts_for, window
 from vamgpu.operators.space import require
-from vamgpu.web import WebGrid
 
 
 class Work:
@@ -38,7 +36,6 @@ class Work:
         self.device = operator.device
         self.reach = reach_of(operator.grid)
         self.pairs = float(memory.get("pairs", 0.0))
-        self.voxels = _judged(operator.grid)
 
     def volume(self) -> DeviceArray:
         """An uninitialized volume."""
@@ -170,8 +167,3 @@ class Work:
             light=self.held("light"),
             ahead=self.held("ahead"),
         )
-
-
-def _judged(grid: Grid | WebGrid) -> float:
-    """Voxels that count."""
-    return max(float(grid.cylinder().sum()) * grid.shape[2], 1.0) if isinstance(grid, Grid) else float(prod(grid.shape))

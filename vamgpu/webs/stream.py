@@ -60,8 +60,8 @@ class Stream:
     and the folder says which plane shows which column.  section: voxels along rho and z; by default those of a film of
     ``wrap``, a slice a row, and as many layers as come nearest the pitch and fill the film.  pitch: voxel edges [mm]
     along l, rho, z; by default one pose along l and the beam's pitch.  length: of the web [mm]; tiles may leave it out
-    and end when they like.  method: any whose loss is a sum over voxels (`BCLP` with q = p, CAL, penalty minimization, two
-    thresholds), its name, or such a loss; steps are fixed, as a `Solver` finds them, whatever the method does elsewhere.
+    and end when they like.  method: any whose loss is a sum over voxels (`BCLP` with q = p,
+    CAL, penalty minimization, two thresholds), its name, or such a loss; the length of steps is the `Solver`'s own.
     iterations: of each segment, the method's own by default.
     core, overlap: of a segment, in windows of light.  gray: of the projector.  scale: light of a full-on pixel; by
     default what the first segment needs, and from then on the same for all: a projector's lamp cannot change from
