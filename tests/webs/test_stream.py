@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -131,16 +131,40 @@ OWN = VoxelLoss(lambda dose: np.maximum(0.0, dose - 0.7) ** 2, lambda dose: np.e
 LOCAL = ["bclp", "cal", "penalty", "window", "lbfgs", OWN + 0.1 * Band.thresholds(0.7, 0.9), Descent(OWN, momentum=0.5)]
 
 
+def pieces(method: Any, core: float, longer: float = 1.0) -> tuple[np.ndarray, list[tuple[float, float]]]:
+    """Light of a web by steps so many times longer, and the losses of its segments that print."""
+    job = stream(part(LONG), method=method, core=core, iterations=15)
+    job.solver.pace = replace(job.solver.pace, step=longer * job.solver.step)
+    own = slice(job.layout.overlap, None)
+    cut = [(job.solver.held().numpy()[own][: len(segment.images)], segment) for segment in job]
+    losses = [segment.loss for _, segment in cut if segment.target.any()]
+    return np.concatenate([light for light, _ in cut]), losses
+
+
 @pytest.mark.parametrize("method", LOCAL, ids=["bclp", "cal", "penalty", "window", "lbfgs", "sum", "own"])
 def test_every_loss_that_is_a_sum_over_voxels_is_lowered_without_a_seam(method: Any) -> None:
-    target, lights = part(LONG), []
-    for core in (2.0, 30.0):
-        job = stream(target, method=method, core=core, iterations=15)
-        own = slice(job.layout.overlap, None)
-        cut = [(job.solver.held().numpy()[own][: len(segment.images)], segment) for segment in job]
-        lights.append(np.concatenate([light for light, _ in cut]))
-        assert all(last < 0.9 * first for first, last in (segment.loss for _, segment in cut if segment.target.any()))
-    assert np.abs(lights[0] - lights[1]).max() <= 1e-6 * lights[1].max()
+    (cut, losses), (whole, _) = pieces(method, 2.0), pieces(method, 30.0)
+    assert all(last < 0.9 * first for first, last in losses)
+    assert np.abs(cut - whole).max() <= 1e-6 * whole.max()
+
+
+@pytest.mark.filterwarnings("ignore::vamgpu.errors.DivergenceWarning")
+def test_steps_along_a_web_have_no_ear_for_its_loss() -> None:
+    """Where it rises, in one segment and not in another, they go on alike: else segments would not meet."""
+    (cut, losses), (whole, _) = pieces("window", 2.0, 3.0), pieces("window", 30.0, 3.0)
+    assert any(last > first for first, last in losses)
+    assert np.abs(cut - whole).max() <= 1e-6 * whole.max()
+
+
+def test_a_web_by_a_loss_of_ones_own_is_resumed_by_that_loss_alone(tmp_path: Path) -> None:
+    def leaks(allowed: float) -> VoxelLoss:
+        return VoxelLoss(lambda dose: np.maximum(0.0, dose - allowed) ** 2, lambda dose: np.exp(-6.0 * dose))
+
+    place = tmp_path / "web.vam"
+    folder = stream(part(60), method=leaks(0.7)).write(place)
+    assert stream(part(60), method=leaks(0.7)).write(place) == folder
+    with pytest.raises(StorageError, match="with other method"):
+        stream(part(60), method=leaks(0.6)).write(place)
 
 
 def test_what_couples_a_web_is_refused() -> None:

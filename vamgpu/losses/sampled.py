@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -39,11 +40,13 @@ class VoxelLoss(Loss):
         BadInput: For functions that do not give a finite number for every dose.
     """
 
-    void: Function
-    part: Function
+    void: Function = field(compare=False)
+    part: Function = field(compare=False)
     response: Response = Linear()
     binary: bool = False
     weight: Any = field(default=None, compare=False, repr=False)
+    digest: str = field(init=False, repr=False)
+    """Of the samples, by which losses are the same, also those of another run of a script."""
 
     def __post_init__(self) -> None:
         for name, curve in zip(("void", "part"), self.curves, strict=True):
@@ -52,6 +55,8 @@ class VoxelLoss(Loss):
                     f"{name} of a VoxelLoss gave {curve.values.shape} values for {SAMPLES} doses from 0 to {REACH:g}, "
                     "or some that are not finite; expected a number for each dose"
                 )
+        samples = np.concatenate([curve.values for curve in self.curves])
+        object.__setattr__(self, "digest", hashlib.sha256(samples.data).hexdigest())
 
     @cached_property
     def curves(self) -> tuple[Curve, Curve]:
