@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.losses.loss import Loss
 from vamgpu.methods.method import Criterion
 from vamgpu.operators.compose import combine
 
 if TYPE_CHECKING:
     from vamgpu.methods.work import Work
-
-Judge = Callable[[DeviceArray], float]
-"""Loss of a dose, which may be overwritten."""
 
 
 class Best:
@@ -27,7 +24,7 @@ class Best:
 
     def __init__(self, memory: dict[str, Any], criterion: Criterion) -> None:
         self.memory, self.criterion = memory, criterion
-        self.unseen: Judge | None = None  # set where ``light`` in memory has not been evaluated yet
+        self.unseen: Loss | None = None  # that of ``light`` in memory where it has not been evaluated yet
 
     def better(self, loss: float, window: float) -> bool:
         """Whether a light of this loss and strict window is better than the one kept; never where one is not finite."""
@@ -85,7 +82,7 @@ class Best:
             return chosen, window, self.iteration if "best" in self.memory else work.iteration
         dose = work.operator.T(last)
         window, _ = work.window(dose)
-        loss = self.unseen(dose) if self.criterion == "loss" else 0.0
+        loss = work.loss(dose, self.unseen) if self.criterion == "loss" else 0.0
         if "best" not in self.memory or self.better(loss, window):
             return last, window, work.iteration
         return self.memory["best"], self.window, self.iteration

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from math import inf
 from typing import Protocol
 
@@ -197,7 +196,7 @@ def _moved(objective: Objective, channels: Sequence[Channel], pace: Pace) -> Non
         if pace.possible:
             combine(1.0, channel.ahead, 0.0, channel.ahead, channel.ahead, floor=0.0)
     lead.memory.update({"run": run + 1.0, "carried": 0.0 if pace.possible else momentum})
-    lead.best.unseen = partial(lead.loss, loss=objective.loss)
+    lead.best.unseen = objective.loss
 
 
 def _ratio(light: DeviceArray, gradient: DeviceArray) -> float:
