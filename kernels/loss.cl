@@ -1,11 +1,11 @@
 #include "partial.h"
 
-// Samples at a vector of doses, and their slope by dose; a straight line needs no looking up.
+// Samples at a vector of doses, and their rise from one to the next; a straight line needs no looking up.
 static inline Vector look_up(Vector dose, __global const float *restrict samples, int n_sample, float start,
                              float density, Vector *slope) {
     const Vector position = (dose - start) * density;
     if (n_sample == 2) {
-        *slope = (samples[1] - samples[0]) * density;
+        *slope = samples[1] - samples[0];
         return samples[0] + (samples[1] - samples[0]) * position;
     }
     float at[WIDTH], first[WIDTH], rise[WIDTH];
@@ -15,9 +15,8 @@ static inline Vector look_up(Vector dose, __global const float *restrict samples
         rise[k] = samples[cell + 1] - samples[cell];
         first[k] = samples[cell] - rise[k] * cell;
     }
-    const Vector steep = PASTE(vload, WIDTH)(0, rise);
-    *slope = steep * density;
-    return PASTE(vload, WIDTH)(0, first) + steep * position;
+    *slope = PASTE(vload, WIDTH)(0, rise);
+    return PASTE(vload, WIDTH)(0, first) + *slope * position;
 }
 
 #ifdef COMPILE_band_loss
@@ -37,7 +36,7 @@ static inline Vector band(Vector *dose, Vector f, Vector weight, __global const 
     const Vector amount = fmax(excess, 1e-30f);
     const Vector root = power == 2.0f ? amount : power == 1.0f ? (Vector)(1.0f) : pow(amount, (Vector)(power - 1.0f));
     const Vector gain = MASKED(wrong, weight);
-    *dose = (copysign(gain * power * root, difference) + 2.0f * ridge * value) * slope;
+    *dose = (copysign(gain * power * root, difference) + 2.0f * ridge * value) * slope * density;
     return gain * root * amount + ridge * value * value;
 }
 
@@ -99,7 +98,7 @@ FIELD_KERNEL sampled_loss(__global float *dose, __global const float *target, __
             if (weighted) gain = LOAD(weight + at);
             const Vector void_loss = look_up(here, outer, n_sample, start, density, &below);
             const Vector part_loss = look_up(here, inner, n_sample, start, density, &above);
-            STORE(dose + at, gain * (below + (above - below) * f));
+            STORE(dose + at, gain * (below + (above - below) * f) * density);
             sum[v] += MASKED(REAL_LANES, gain * (void_loss + (part_loss - void_loss) * f));
         }
     }

@@ -17,11 +17,11 @@ Response = Annotated[np.ndarray, Table("float32", ("sample",))]
 
 
 def look_up(dose: np.ndarray, samples: np.ndarray, start: float, density: float) -> tuple[np.ndarray, np.ndarray]:
-    """Samples at a dose, a line between two of them and beyond the ends, and their slope by dose."""
+    """Samples at a dose, a line between two of them and beyond the ends, and their rise from one to the next."""
     position = (dose - start) * density
     cell = np.clip(np.floor(position).astype(int), 0, len(samples) - 2)
     rise = samples[cell + 1] - samples[cell]
-    return samples[cell] + rise * (position - cell), rise * density
+    return samples[cell] + rise * (position - cell), rise
 
 
 @kernel(over="dose", cpu=CPU, gpu=GPU)
@@ -63,7 +63,7 @@ def band_loss(
     parts[...] = 0.0
     parts[0] = np.sum(gain * excess**power + ridge * value**2 * near)
     pull = gain * power * excess ** (power - 1) * np.sign(difference) + 2.0 * ridge * value * near
-    dose[...] = pull * slope
+    dose[...] = pull * slope * density
 
 
 @kernel(over="dose", cpu=CPU, gpu=GPU)
@@ -91,4 +91,4 @@ def sampled_loss(
     (value, slope), (within, steep) = (look_up(dose, samples, start, density) for samples in (outer, inner))
     parts[...] = 0.0
     parts[0] = np.sum(gain * (value + (within - value) * f))
-    dose[...] = gain * (slope + (steep - slope) * f)
+    dose[...] = gain * (slope + (steep - slope) * f) * density
