@@ -1,7 +1,7 @@
 """How far a dose is from what a target asks, and which way is better: a band of doses each voxel should lie in.
 
 Source: the band constraint Lp norm, C. C. Li et al., Additive Manufacturing (2024) 104447; with wide bands and the
-identity as response it is the two-threshold loss.
+identity as response it is the two-threshold loss. Or any loss of a dose at all, known by samples of it.
 """
 
 from __future__ import annotations
@@ -14,6 +14,14 @@ from vamgpu.kernels.reduce import CPU, GPU, Parts, disc
 from vamgpu.kernels.signature import Array, ArrayOut, Integer, Real, Table, kernel
 
 Response = Annotated[np.ndarray, Table("float32", ("sample",))]
+
+
+def look_up(dose: np.ndarray, samples: np.ndarray, start: float, density: float) -> tuple[np.ndarray, np.ndarray]:
+    """Samples at a dose, a line between two of them and beyond the ends, and their rise from one to the next."""
+    position = (dose - start) * density
+    cell = np.clip(np.floor(position).astype(int), 0, len(samples) - 2)
+    rise = samples[cell + 1] - samples[cell]
+    return samples[cell] + rise * (position - cell), rise
 
 
 @kernel(over="dose", cpu=CPU, gpu=GPU)
@@ -45,10 +53,7 @@ def band_loss(
     ``reach`` samples from the axis.
     """
     f = np.where(target >= 0.5, 1.0, 0.0) if binary else target
-    position = (dose - start) * density
-    cell = np.clip(np.floor(position).astype(int), 0, len(response) - 2)
-    slope = response[cell + 1] - response[cell]
-    value = response[cell] + slope * (position - cell)
+    value, slope = look_up(dose, response, start, density)
     difference = value - (low + (high - low) * f)
     excess = np.abs(difference) - (slack_low + (slack_high - slack_low) * f)
     near = disc(dose.shape[0], dose.shape[1], reach)[:, :, None]
@@ -59,3 +64,31 @@ def band_loss(
     parts[0] = np.sum(gain * excess**power + ridge * value**2 * near)
     pull = gain * power * excess ** (power - 1) * np.sign(difference) + 2.0 * ridge * value * near
     dose[...] = pull * slope * density
+
+
+@kernel(over="dose", cpu=CPU, gpu=GPU)
+def sampled_loss(
+    dose: ArrayOut,
+    target: Array,
+    weight: Array,
+    weighted: Integer,
+    outer: Response,
+    inner: Response,
+    start: Real,
+    density: Real,
+    binary: Integer,
+    reach: Real,
+    parts: Parts,
+) -> None:
+    """Σ parts = Σ w·((1 − f)·outer(dose) + f·inner(dose)); dose becomes the derivative of that by dose.
+
+    Both are sampled as a response is. f is the target, or with ``binary`` whether it is at least one half; w = weight
+    where ``weighted``, else 1, and 0 farther than ``reach`` samples from the axis.
+    """
+    f = np.where(target >= 0.5, 1.0, 0.0) if binary else target
+    near = disc(dose.shape[0], dose.shape[1], reach)[:, :, None]
+    gain = near * weight if weighted else near * 1.0
+    (value, slope), (within, steep) = (look_up(dose, samples, start, density) for samples in (outer, inner))
+    parts[...] = 0.0
+    parts[0] = np.sum(gain * (value + (within - value) * f))
+    dose[...] = gain * (slope + (steep - slope) * f) * density

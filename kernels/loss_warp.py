@@ -83,3 +83,45 @@ def band_loss(
                 slopes[k] = slopes[k] + 2.0 * ridge * value * answer[1]
         dose[slab, i, j, lane] = slopes
     parts[part_index(slab, tile, j, lane, n_i, n_j, dose.shape[3])] = result
+
+
+@wp.kernel
+def sampled_loss(
+    dose: wp.array4d(dtype=wp.vec4),
+    target: wp.array4d(dtype=wp.vec4),
+    weight: wp.array4d(dtype=wp.vec4),
+    weighted: int,
+    outer: wp.array(dtype=float),
+    inner: wp.array(dtype=float),
+    start: float,
+    density: float,
+    binary: int,
+    reach: float,
+    parts: wp.array(dtype=float),
+    n_i: int,
+    n_j: int,
+    n_z: int,
+    n_sample: int,
+    n_part: int,
+):
+    slab, tile, j, lane = wp.tid()
+    count = real_lanes(slab, lane, dose.shape[3], n_z)
+    result = float(0.0)
+    for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_i)):
+        slopes = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        if disc_distance(i, j, n_i, n_j) <= reach * reach:
+            doses = dose[slab, i, j, lane]
+            fractions = target[slab, i, j, lane]
+            weights = wp.vec4(1.0, 1.0, 1.0, 1.0)
+            if weighted != 0:
+                weights = weight[slab, i, j, lane]
+            for k in range(count):
+                f = fractions[k]
+                if binary != 0:
+                    f = wp.where(f >= 0.5, 1.0, 0.0)
+                answer = (1.0 - f) * respond(doses[k], outer, start, density, n_sample)
+                answer += f * respond(doses[k], inner, start, density, n_sample)
+                result += weights[k] * answer[0]
+                slopes[k] = weights[k] * answer[1]
+        dose[slab, i, j, lane] = slopes
+    parts[part_index(slab, tile, j, lane, n_i, n_j, dose.shape[3])] = result

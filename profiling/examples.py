@@ -253,6 +253,13 @@ def _band(n: int) -> Example:
     return Example({**example.sizes, "sample": 40}, example.given, combine=example.combine)
 
 
+def _sampled(n: int) -> Example:
+    curve = np.tanh(np.linspace(-1.0, 2.0, 40))
+    given = {"weighted": 1, "outer": curve, "inner": curve[::-1] ** 2, "start": -1.0, "density": 13.0, "binary": 0}
+    example = _partial(n, **given, reach=0.4 * n)
+    return Example({**example.sizes, "sample": 40}, example.given, combine=example.combine)
+
+
 def _counted(n: int) -> Example:
     ranges = np.broadcast_to(np.array([0.05, 0.9, 62 / 0.85]), (1, 2, 3))
     given = {"ranges": ranges, "level": 0.5, "radius": 0.45 * n}
@@ -532,6 +539,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "filter_rows": lambda n: _filtered(n, floor=0.0),
     "filtered_step": lambda n: _filtered(n, step=0.3, momentum=0.8),
     "band_loss": _band,
+    "sampled_loss": _sampled,
     "tally": _counted,
     "fold_counts": _folded,
     "survey": _surveyed,

@@ -12,8 +12,8 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, EmptyMesh, OpticsWarning
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.kernels.update import linear
+from vamgpu.losses.band import Band
 from vamgpu.methods import BCLP, LBFGS, METHODS, OSMO, GradientDescent, PenaltyMinimization, ProcessWindow, optimize
-from vamgpu.methods.band import Band
 from vamgpu.methods.work import Work
 from vamgpu.operators.projection import Projection
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ import pytest
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, MemoryNotice
 from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.losses.band import Band
 from vamgpu.methods import BCLP, LBFGS, GeneralizedLogistic, Interpolated, Linear, Logistic, optimize
-from vamgpu.methods.band import Band
 from vamgpu.methods.ramp import capped_ramp, ramp
 from vamgpu.methods.work import Work
 from vamgpu.operators.projection import Projection
@@ -44,7 +45,7 @@ def test_the_gradient_by_light_is_the_slope_of_the_loss(band: Band, weighted: bo
     def loss(step: float) -> tuple[float, np.ndarray]:
         dose, gradient = work.volume(), work.sinogram()
         work.expose(work.device.upload(light + step * way), dose)
-        value = work.loss(dose, band, weight)
+        value = work.loss(dose, replace(band, weight=weight))
         work.project(dose, gradient)
         return value, gradient.numpy()
 

@@ -10,7 +10,7 @@ import pytest
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.kernels.filter import filter_rows, filtered_step
-from vamgpu.kernels.loss import band_loss
+from vamgpu.kernels.loss import band_loss, sampled_loss
 from vamgpu.kernels.signature import Field, Kernel
 from vamgpu.kernels.update import correct_by_difference, correct_by_ratio, free_gradient, linear, paint
 from vamgpu.operators.reductions import folded, parts_for
@@ -48,7 +48,9 @@ CASES: list[tuple[Kernel, dict[str, Any]]] = [
     (band_loss, {**BAND, **LINE, "response": FLAT, "power": 2.0}),
     (band_loss, {**BAND, "response": CURVE, "power": 3.0, "weighted": 1, "ridge": 0.2}),
     (band_loss, {**BAND, **LINE, "response": FLAT, "power": 1.0, "binary": 1}),
-]
+    *((sampled_loss, {"weighted": k, "outer": CURVE, "inner": CURVE[::-1] ** 2, "start": -1.0, "density": 13.0,
+                      "binary": 1 - k, "reach": 15.0}) for k in (0, 1)),
+]  # fmt: skip
 
 
 def outcome(device: Device, kernel: Kernel, fixed: dict[str, Any]) -> list[np.ndarray]:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.losses import Band, cross_entropy
 from vamgpu.methods import BCLP, LBFGS, OSMO, GradientDescent, Linear, PenaltyMinimization, ProcessWindow, Recipe
 from vamgpu.methods import optimize as run
-from vamgpu.methods.band import Band
-from vamgpu.methods.descent import Descent
 from vamgpu.methods.dual import Colors, PointProjection, Tolerant, superpose
-from vamgpu.methods.entropy import CrossEntropy
+from vamgpu.methods.exposure import Exposure
+from vamgpu.methods.minimize import Channel, Pace, minimize
 from vamgpu.methods.ramp import capped_ramp, identity
 from vamgpu.methods.work import Work
 from vamgpu.operators.projection import Projection
@@ -130,7 +130,7 @@ def test_what_cal_descends_is_the_cross_entropy() -> None:
     work = Work(slice_operator(), slice_operator().device.upload(target()), {})
     dose = np.random.default_rng(3).random(F.size) * 1.2
     field = work.device.upload(dose.reshape(target().shape))
-    loss = CrossEntropy(work, GradientDescent().response)(work, field)
+    loss = work.loss(field, cross_entropy(GradientDescent().response))
     chance = np.where(F > 0.5, logistic(dose), 1.0 - logistic(dose))
     dark = np.where(F > 0.5, 1.0, 1.0 - logistic(np.zeros(F.size)))  # out of the part nothing is wrong in darkness
     assert loss == pytest.approx(float((DISC * np.log(dark / chance)).sum()) / 10.0, rel=1e-3)
@@ -140,7 +140,7 @@ def test_what_cal_descends_is_the_cross_entropy() -> None:
 def test_cal_of_a_linear_response_is_least_squares() -> None:
     work = Work(slice_operator(), slice_operator().device.upload(target()), {})
     dose = np.random.default_rng(4).random(F.size)
-    loss = CrossEntropy(work, Linear())(work, work.device.upload(dose.reshape(target().shape)))
+    loss = work.loss(work.device.upload(dose.reshape(target().shape)), cross_entropy(Linear()))
     assert loss == pytest.approx(0.5 * float((DISC * (dose - F) ** 2).sum()), rel=1e-3)
 
 
@@ -203,9 +203,11 @@ def test_momentum_is_dropped_where_the_loss_rises() -> None:
     """Adaptive restart by function values: after a rise the point ahead is the light itself."""
     work = Work(slice_operator(), slice_operator().device.upload(target()), {})
     work.memory["light"] = work.device.upload(first_light().reshape(work.operator.range.shape))
-    descent = Descent(Band((0.0, 1.0), (0.0, 0.0), (0.5, 0.5)), identity(work.operator), share=0.15)
+    pace = Pace(share=0.15, soon=1.0)
+    exposure = Exposure(work, Band((0.0, 1.0), (0.0, 0.0), (0.5, 0.5)), pace)
+    steps = minimize(exposure, (Channel(work, identity(work.operator)),), pace)
     losses, restarts = [], 0
-    for (loss, _), _ in zip(descent.steps(work), range(150), strict=False):
+    for (loss, _), _ in zip(steps, range(150), strict=False):
         apart = np.abs(work.held("ahead").numpy() - work.held("light").numpy()).max()
         if losses and loss > losses[-1]:
             restarts += 1

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,8 @@ from slanted import BEAM, EDGE, SECTION, WINDOW, Slanted, part, stream, tiled
 
 from vamgpu.errors import BadInput, ShapeMismatch, StorageError, TileError
 from vamgpu.geometry import Beam
-from vamgpu.methods import optimize
-from vamgpu.methods.bclp import BCLP
+from vamgpu.losses import Band, VoxelLoss
+from vamgpu.methods import BCLP, LBFGS, Descent, optimize
 from vamgpu.operators.web import WebProjection
 from vamgpu.optics.film import Film
 from vamgpu.optics.lens import TunableLens
@@ -126,13 +127,60 @@ def test_a_tile_that_does_not_fit_ends_the_stream_there(odd: object, said: str, 
     assert list(stream([Tile(part(60), EDGE)], core=2.0))
 
 
+OWN = VoxelLoss(lambda dose: np.maximum(0.0, dose - 0.7) ** 2, lambda dose: np.exp(-6.0 * dose))
+LOCAL = ["bclp", "cal", "penalty", "window", "lbfgs", OWN + 0.1 * Band.thresholds(0.7, 0.9), Descent(OWN, momentum=0.5)]
+
+
+def pieces(method: Any, core: float, longer: float = 1.0) -> tuple[np.ndarray, list[tuple[float, float]]]:
+    """Light of a web by steps so many times longer, and the losses of its segments that print."""
+    job = stream(part(LONG), method=method, core=core, iterations=15)
+    job.solver.pace = replace(job.solver.pace, step=longer * job.solver.step)
+    own = slice(job.layout.overlap, None)
+    cut = [(job.solver.held().numpy()[own][: len(segment.images)], segment) for segment in job]
+    losses = [segment.loss for _, segment in cut if segment.target.any()]
+    return np.concatenate([light for light, _ in cut]), losses
+
+
+@pytest.mark.parametrize("method", LOCAL, ids=["bclp", "cal", "penalty", "window", "lbfgs", "sum", "own"])
+def test_every_loss_that_is_a_sum_over_voxels_is_lowered_without_a_seam(method: Any) -> None:
+    (cut, losses), (whole, _) = pieces(method, 2.0), pieces(method, 30.0)
+    assert all(last < 0.9 * first for first, last in losses)
+    assert np.abs(cut - whole).max() <= 1e-6 * whole.max()
+
+
+@pytest.mark.filterwarnings("ignore::vamgpu.errors.DivergenceWarning")
+def test_steps_along_a_web_have_no_ear_for_its_loss() -> None:
+    """Where it rises, in one segment and not in another, they go on alike: else segments would not meet."""
+    (cut, losses), (whole, _) = pieces("window", 2.0, 3.0), pieces("window", 30.0, 3.0)
+    assert any(last > first for first, last in losses)
+    assert np.abs(cut - whole).max() <= 1e-6 * whole.max()
+
+
+def test_a_web_by_a_loss_of_ones_own_is_resumed_by_that_loss_alone(tmp_path: Path) -> None:
+    def leaks(allowed: float) -> VoxelLoss:
+        return VoxelLoss(lambda dose: np.maximum(0.0, dose - allowed) ** 2, lambda dose: np.exp(-6.0 * dose))
+
+    place = tmp_path / "web.vam"
+    folder = stream(part(60), method=leaks(0.7)).write(place)
+    assert stream(part(60), method=leaks(0.7)).write(place) == folder
+    with pytest.raises(StorageError, match="with other method"):
+        stream(part(60), method=leaks(0.6)).write(place)
+
+
 def test_what_couples_a_web_is_refused() -> None:
-    with pytest.raises(BadInput, match="q is 1.0 with p = 3.0: that couples the whole web"):
-        stream(part(60), method=BCLP(p=3.0, q=1.0))
-    with pytest.raises(BadInput, match="weight"):
-        stream(part(60), method=BCLP(weight=np.ones((60, *SECTION))))
-    with pytest.raises(BadInput, match="wanted BCLP"):
-        stream(part(60), method="osmo")
+    for method, said in (
+        (BCLP(p=3.0, q=1.0), "q is 1.0 with p = 3.0: that couples the whole web"),
+        (BCLP(weight=np.ones((60, *SECTION))), "a weight of single voxels has no place on an endless web"),
+        (VoxelLoss(np.square, np.sqrt, weight=np.ones((60, *SECTION))), "a weight of single voxels"),
+        (LBFGS(efficiency=0.1), "efficiency is 0.1: its price is set by all light"),
+        (OWN**0.5, "a power of a sum couples all of its voxels"),
+        ("osmo", r"OSMO\(.*lowers no loss: its light is scaled by the dose of the whole web"),
+        ("recipe", "lowers no loss"),
+        ("fbp", "lowers no loss"),
+        ("magic", "there are default"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            stream(part(60), method=method)
 
 
 def test_bad_numbers_are_refused() -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from vamgpu.losses.response import GeneralizedLogistic, Interpolated, Linear, Logistic
 from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.calgd import GradientDescent
+from vamgpu.methods.descent import Descent
 from vamgpu.methods.fbp import FilteredBackProjection
 from vamgpu.methods.lbfgs import LBFGS
 from vamgpu.methods.osmo import OSMO
@@ -11,7 +13,6 @@ from vamgpu.methods.penalty import PenaltyMinimization
 from vamgpu.methods.plan import Plan, Step
 from vamgpu.methods.rebin import rebin
 from vamgpu.methods.recipe import Recipe
-from vamgpu.methods.response import GeneralizedLogistic, Interpolated, Linear, Logistic
 from vamgpu.methods.run import METHODS, optimize
 from vamgpu.methods.window import ProcessWindow
 
@@ -20,6 +21,7 @@ __all__ = [
     "LBFGS",
     "METHODS",
     "OSMO",
+    "Descent",
     "FilteredBackProjection",
     "GeneralizedLogistic",
     "GradientDescent",

@@ -7,13 +7,12 @@ from math import inf
 from typing import Any, ClassVar
 
 from vamgpu.errors import BadInput
-from vamgpu.methods.band import Band
+from vamgpu.losses.band import Band
+from vamgpu.losses.loss import Loss
+from vamgpu.losses.response import Logistic, Response
 from vamgpu.methods.descent import Descent
-from vamgpu.methods.fbp import filtered_light
 from vamgpu.methods.method import Criterion, Steps
 from vamgpu.methods.papers import BAND, ROLL_TO_ROLL
-from vamgpu.methods.ramp import identity
-from vamgpu.methods.response import Logistic, Response
 from vamgpu.methods.work import Work
 
 
@@ -64,13 +63,11 @@ class BCLP:
     iterations: ClassVar[int] = 100
 
     def __post_init__(self) -> None:
-        self.band()
         if self.q is not None and (not 1 <= self.q < inf or (self.ridge > 0 and self.q != self.p)):
             raise BadInput(
                 f"q is {self.q} with p = {self.p} and ridge = {self.ridge}; wanted q ≥ 1, and q = p with a ridge"
             )
-        if not (0 < self.share < inf and 1 <= self.growth < inf and 0 <= self.momentum < 1):
-            raise BadInput(f"{self!r}: wanted share > 0, growth ≥ 1 and 0 ≤ momentum < 1")
+        self._descent()
 
     @classmethod
     def paper_002(cls) -> BCLP:
@@ -83,19 +80,24 @@ class BCLP:
 
     def band(self) -> Band:
         """The loss of a voxel."""
-        return Band((0.0, 1.0), self.slack, self.price, self.p, self.ridge, response=self.response)
+        return Band(
+            (0.0, 1.0), self.slack, self.price, self.p, self.ridge, response=self.response, weight=self.weight
+        )  # fmt: skip
+
+    @property
+    def loss(self) -> Loss:
+        """The whole loss."""
+        return self.band() if self.q in (None, self.p) else self.band() ** (self.q / self.p)
+
+    @property
+    def coupling(self) -> str:
+        """Why places far apart on a web depend on each other; empty where they do not."""
+        if self.q in (None, self.p):
+            return self.loss.coupling
+        return f"q is {self.q} with p = {self.p}: that couples the whole web; wanted q = p, or None"
+
+    def _descent(self) -> Descent:
+        return Descent(self.loss, self.share, self.growth, self.momentum)
 
     def steps(self, work: Work) -> Steps:
-        if "light" not in work.memory:
-            filtered_light(work, work.volume())
-        order = self.q if self.q is not None and self.q != self.p else None
-        yield from Descent(
-            self.band(),
-            identity(work.operator),
-            share=self.share,
-            growth=self.growth,
-            momentum=self.momentum,
-            guarded=True,
-            order=order,
-            weight=work.field(self.weight),
-        ).steps(work)
+        yield from self._descent().steps(work)

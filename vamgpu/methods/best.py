@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.kernels.update import linear
+from vamgpu.losses.loss import Loss
 from vamgpu.methods.method import Criterion
+from vamgpu.operators.compose import combine
 
 if TYPE_CHECKING:
     from vamgpu.methods.work import Work
-
-Judge = Callable[[DeviceArray], float]
-"""Loss of a dose, which may be overwritten."""
 
 
 class Best:
@@ -27,7 +24,7 @@ class Best:
 
     def __init__(self, memory: dict[str, Any], criterion: Criterion) -> None:
         self.memory, self.criterion = memory, criterion
-        self.unseen: Judge | None = None  # set where ``light`` in memory has not been evaluated yet
+        self.unseen: Loss | None = None  # that of ``light`` in memory where it has not been evaluated yet
 
     def better(self, loss: float, window: float) -> bool:
         """Whether a light of this loss and strict window is better than the one kept; never where one is not finite."""
@@ -52,7 +49,7 @@ class Best:
             return False
         if "best" not in self.memory:
             self.memory["best"] = light.device.empty(light.shape)
-        light.device.launch(linear, a=1.0, x=light, b=0.0, y=light, floor=0.0, out=self.memory["best"])
+        combine(1.0, light, 0.0, light, self.memory["best"], floor=0.0)
         self.memory.update({"best loss": loss, "best window": window, "best iteration": iteration})
         return True
 
@@ -84,7 +81,8 @@ class Best:
         last = work.held("light")
         dose = work.operator.T(last)
         window, _ = work.window(dose)
-        loss = self.unseen(dose) if self.unseen and self.criterion == "loss" else 0.0
+        weighed = self.unseen is not None and self.criterion == "loss"
+        loss = work.loss(dose, self.unseen) if weighed else 0.0
         if kept is None or self.better(loss, window):
             return last, window, work.iteration
         return kept, self.window, self.iteration

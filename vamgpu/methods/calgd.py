@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 from typing import ClassVar
 
-from vamgpu.errors import BadInput
-from vamgpu.methods.band import Band
+from vamgpu.losses.loss import Loss
+from vamgpu.losses.response import Logistic, Response
+from vamgpu.losses.sampled import cross_entropy
 from vamgpu.methods.descent import Descent
-from vamgpu.methods.entropy import CrossEntropy
-from vamgpu.methods.fbp import filtered_light
 from vamgpu.methods.method import Criterion, Steps
 from vamgpu.methods.papers import CAL, CAL_FIRST
-from vamgpu.methods.ramp import identity
-from vamgpu.methods.response import Logistic, Response
 from vamgpu.methods.work import Work
 
 
@@ -28,7 +24,7 @@ class GradientDescent:
 
     The error is projected as it is, without the slope of the sigmoid, so that voxels far on the wrong side count in
     full. That makes A(M(d) − f) the exact gradient of a convex function of light, the cross entropy of M(d) and f over
-    s (`CrossEntropy`); it is the loss reported, by which the best light is chosen.
+    s (`cross_entropy`); it is the loss reported, by which the best light is chosen.
 
     What differs here: doses are in units of the part's (published: over the greatest dose, with μ chosen anew each
     time), the step η is not fixed but grows, and a step that raises the loss is taken back and halved.
@@ -53,18 +49,15 @@ class GradientDescent:
     criterion: ClassVar[Criterion] = "loss"
 
     def __post_init__(self) -> None:
-        if not (0 < self.share < inf and 1 <= self.growth < inf and 0 <= self.momentum < 1):
-            raise BadInput(f"{self!r}: wanted share > 0, growth ≥ 1 and 0 ≤ momentum < 1")
+        self._descent()
+
+    @property
+    def loss(self) -> Loss:
+        """What the projected error is the gradient of."""
+        return cross_entropy(self.response)
+
+    def _descent(self) -> Descent:
+        return Descent(self.loss, self.share, self.growth, self.momentum)
 
     def steps(self, work: Work) -> Steps:
-        if "light" not in work.memory:
-            filtered_light(work, work.volume())
-        yield from Descent(
-            Band((0.0, 1.0), (0.0, 0.0), response=self.response),
-            identity(work.operator),
-            share=self.share,
-            growth=self.growth,
-            momentum=self.momentum,
-            loss=CrossEntropy(work, self.response),
-            guarded=True,
-        ).steps(work)
+        yield from self._descent().steps(work)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from vamgpu.errors import BadInput
-from vamgpu.methods.band import Band
+from vamgpu.losses.band import Band
+from vamgpu.losses.response import Logistic
 from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.calgd import GradientDescent
 from vamgpu.methods.fbp import FilteredBackProjection
@@ -16,7 +17,6 @@ from vamgpu.methods.penalty import PenaltyMinimization
 from vamgpu.methods.plan import Plan
 from vamgpu.methods.projector import Projector
 from vamgpu.methods.recipe import Recipe
-from vamgpu.methods.response import Logistic
 from vamgpu.methods.run import optimize
 from vamgpu.methods.window import ProcessWindow
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.methods.band import Band
+from vamgpu.losses.band import Band
 from vamgpu.methods.method import Criterion, Steps
 from vamgpu.methods.papers import RAMP
 from vamgpu.methods.quadrature import check_complete

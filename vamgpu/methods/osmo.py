@@ -8,7 +8,7 @@ from typing import ClassVar
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.kernels.update import correct_by_difference
-from vamgpu.methods.band import MOST, Band
+from vamgpu.losses.band import MOST, Band
 from vamgpu.methods.method import Criterion, Steps
 from vamgpu.methods.papers import OBJECT_SPACE
 from vamgpu.methods.ramp import Taps, ramp

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 from typing import ClassVar
 
-from vamgpu.errors import BadInput
-from vamgpu.methods.band import MOST, Band
+from vamgpu.losses.band import Band
+from vamgpu.losses.loss import Loss
 from vamgpu.methods.descent import Descent
-from vamgpu.methods.fbp import filtered_light
 from vamgpu.methods.method import Criterion, Steps
 from vamgpu.methods.papers import PENALTY
-from vamgpu.methods.ramp import identity
 from vamgpu.methods.work import Work
 
 
@@ -55,23 +52,17 @@ class PenaltyMinimization:
 
     def __post_init__(self) -> None:
         Band.thresholds(self.outside, self.inside)
-        priced = len(self.price) == 2 and all(0 <= price < MOST for price in self.price)
-        if not (priced and 0 < self.share < inf and 1 <= self.growth < inf and 0 <= self.momentum < 1):
-            raise BadInput(
-                f"{self!r}: wanted two prices ≥ 0 and below {MOST:g}, share > 0, growth ≥ 1 and 0 ≤ momentum < 1"
-            )
+        self._descent()
 
-    def steps(self, work: Work) -> Steps:
-        if "light" not in work.memory:
-            filtered_light(work, work.volume())
+    @property
+    def loss(self) -> Loss:
+        """The sum of penalties."""
         far = 10.0  # a ceiling no dose reaches, low enough for float32
         center, slack = (0.5 * self.outside, 0.5 * (self.inside + far)), (0.5 * self.outside, 0.5 * (far - self.inside))
-        band = Band(center, slack, self.price, 1.0, binary=True)
-        yield from Descent(
-            band,
-            identity(work.operator),
-            share=self.share,
-            growth=self.growth,
-            momentum=self.momentum,
-            guarded=True,
-        ).steps(work)
+        return Band(center, slack, self.price, 1.0, binary=True)
+
+    def _descent(self) -> Descent:
+        return Descent(self.loss, self.share, self.growth, self.momentum)
+
+    def steps(self, work: Work) -> Steps:
+        yield from self._descent().steps(work)

@@ -10,7 +10,7 @@ from vamgpu.chemistry.diffusion import Diffusion, Spread
 from vamgpu.chemistry.precompensate import contrast
 from vamgpu.errors import BadInput
 from vamgpu.kernels.update import correct_by_ratio, paint
-from vamgpu.methods.band import Band
+from vamgpu.losses.band import Band
 from vamgpu.methods.method import Criterion, Steps
 from vamgpu.methods.papers import AUTOMATIC_EXPOSURE, RAMP
 from vamgpu.methods.ramp import ramp

@@ -13,9 +13,11 @@ from typing import Any
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, Cancelled, Diverged, DivergenceWarning
 from vamgpu.geometry import counts, positive
+from vamgpu.losses.loss import Loss
 from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.calgd import GradientDescent
 from vamgpu.methods.course import Course
+from vamgpu.methods.descent import Descent
 from vamgpu.methods.fbp import FilteredBackProjection
 from vamgpu.methods.lbfgs import LBFGS
 from vamgpu.methods.method import Method
@@ -27,6 +29,7 @@ from vamgpu.methods.projector import Projector
 from vamgpu.methods.recipe import Recipe
 from vamgpu.methods.window import ProcessWindow
 from vamgpu.methods.work import Work
+from vamgpu.operators.compose import combine
 
 METHODS: dict[str, type[Any]] = {
     "default": ProcessWindow,
@@ -47,7 +50,7 @@ Progress = Callable[[Step], None]
 def optimize(
     operator: Projector,
     target: Any,
-    method: str | Method = "default",
+    method: str | Method | Loss = "default",
     iterations: int | None = None,
     *,
     tolerance: float = 0.0,
@@ -63,7 +66,7 @@ def optimize(
     Args:
         operator: The projector.
         target: A `Target`, or fractions [x, y, z] (NumPy or on the device).
-        method: A name of `METHODS` or an instance.
+        method: A name of `METHODS`, an instance, or a `vamgpu.losses.Loss` that `Descent` lowers.
         iterations: In all, those of ``resume`` included; None takes the method's own, or what ``pairs`` allows.
         tolerance: Stop once the loss has fallen below this share of the first one (0: only when nothing is left to
             gain).
@@ -85,13 +88,13 @@ def optimize(
         DivergenceWarning: When more than half of what the loss had fallen is lost again, with the iteration from which
             it rose. A loss that exceeds a thousand times its first value ends the run.
     """
-    chosen = _method(method if resume is None or method != "default" else resume.method)
-    limit = _limit(chosen, iterations, pairs)
+    how = chosen(resume.method if resume is not None and method == "default" else method)
+    limit = _limit(how, iterations, pairs)
     tolerance = positive("tolerance", tolerance, zero=True)
     field_ = fractions_of(operator, target)
-    work = Work(operator, field_, _memory(operator, chosen, resume), chosen.criterion)
+    work = Work(operator, field_, _memory(operator, how, resume), how.criterion)
     work.most_pairs = inf if pairs is None else positive("pairs", pairs)
-    run = _Run(operator, chosen, work, _name(target), resume)
+    run = _Run(operator, how, work, _name(target), resume)
     with _reporting(progress, limit) as report:
         run.go(limit, tolerance, report, cancel or (lambda: False))
     return run.plan()
@@ -175,13 +178,18 @@ class _Run:
         )
 
 
-def _method(method: str | Method) -> Method:
+def chosen(method: str | Method | Loss) -> Method:
+    """The method meant by a name, an instance, or a loss to lower. Raises `BadInput`."""
+    if isinstance(method, Loss):
+        return Descent(method)
     if isinstance(method, str):
         if method not in METHODS:
             raise BadInput(f"no method {method!r}; there are {', '.join(METHODS)}, or give an instance")
         return METHODS[method]()
     if isinstance(method, type) or not hasattr(method, "steps"):
-        raise BadInput(f"got {method!r} as method; wanted a name ({', '.join(METHODS)}) or an instance such as OSMO()")
+        raise BadInput(
+            f"got {method!r} as method; wanted a name ({', '.join(METHODS)}), a loss, or an instance such as OSMO()"
+        )
     return method
 
 
@@ -221,11 +229,7 @@ def _memory(operator: Projector, method: Method, resume: Plan | None) -> dict[st
 
 def _copied(operator: Projector, value: Any) -> Any:
     if isinstance(value, DeviceArray):
-        from vamgpu.kernels.update import linear
-
-        twin = operator.device.empty(value.shape)
-        operator.device.launch(linear, a=1.0, x=value, b=0.0, y=value, floor=-3e38, out=twin)
-        return twin
+        return combine(1.0, value, 0.0, value, operator.device.empty(value.shape))
     if isinstance(value, dict):
         return {name: _copied(operator, part) for name, part in value.items()}
     if isinstance(value, (list, tuple)):

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from vamgpu.errors import BadInput
-from vamgpu.methods.band import MOST, Band
-from vamgpu.methods.descent import Descent
+from vamgpu.losses.band import MOST, Band
+from vamgpu.losses.loss import Loss
+from vamgpu.methods.exposure import Exposure
 from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.minimize import Channel, Pace, minimize
 from vamgpu.methods.papers import AUTOMATIC_EXPOSURE, NESTEROV, RAMP, RESTART, THRESHOLDS, TWO_METRIC
 from vamgpu.methods.ramp import capped_ramp
 from vamgpu.methods.recipe import Recipe
@@ -44,20 +46,22 @@ class ProcessWindow:
     criterion: ClassVar[Criterion] = "window"
 
     def __post_init__(self) -> None:
-        self._band()
+        Band.thresholds(self.outside, self.inside, self.most)
         Recipe(self.background)
         if self.passes < 1 or not 0.0 < self.cap <= 0.5 or not 0.0 < self.step < MOST:
             raise BadInput(f"{self!r}: wanted passes ≥ 1, 0 < cap ≤ 0.5 and step > 0")
 
-    def _band(self) -> Band:
+    @property
+    def loss(self) -> Loss:
+        """That of the accelerated steps."""
         return Band.thresholds(self.outside, self.inside, self.most)
 
     def steps(self, work: Work) -> Steps:
         yield from self._warm(work)
         work.memory.setdefault("stage", work.iteration)  # from here on the loss is another one
-        step = self.step / work.number("gain", 1.0)
-        descent = Descent(self._band(), capped_ramp(work.operator, self.cap, SPAN), step=step)
-        yield from descent.steps(work)
+        pace = Pace(self.step / work.number("gain", 1.0), soon=1.0)
+        channel = Channel(work, capped_ramp(work.operator, self.cap, SPAN))
+        yield from minimize(Exposure(work, self.loss, pace), (channel,), pace)
 
     def _warm(self, work: Work) -> Steps:
         recipe = Recipe(self.background).steps(work)

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 from functools import cached_property
-from math import inf, isfinite, prod
+from math import inf, isfinite
 from typing import Any
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Grid
 from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.kernels.filter import filter_rows, filtered_step
-from vamgpu.kernels.loss import band_loss
-from vamgpu.kernels.update import free_gradient, linear, paint
-from vamgpu.methods.band import MOST, Band
+from vamgpu.kernels.update import free_gradient, paint
+from vamgpu.losses.band import MOST
+from vamgpu.losses.loss import Loss
 from vamgpu.methods.best import Best
 from vamgpu.methods.method import Criterion
 from vamgpu.methods.part import reach_of, uploaded
 from vamgpu.methods.projector import Projector
 from vamgpu.methods.ramp import Taps
+from vamgpu.operators.compose import NO_FLOOR, combine
 from vamgpu.operators.reductions import dot, extent, folded, parts_for, window
 from vamgpu.operators.space import require
-from vamgpu.web import WebGrid
-
-NO_FLOOR = -3e38
 
 
 class Work:
@@ -39,7 +36,6 @@ class Work:
         self.device = operator.device
         self.reach = reach_of(operator.grid)
         self.pairs = float(memory.get("pairs", 0.0))
-        self.voxels = _judged(operator.grid)
 
     def volume(self) -> DeviceArray:
         """An uninitialized volume."""
@@ -119,38 +115,16 @@ class Work:
         """Dose over target in the part, each voxel counted by its target."""
         return max(dot(dose, self.target) / max(self._target_square, 1e-30), 1e-30)
 
-    def loss(self, dose: DeviceArray, band: Band, weight: DeviceArray | None = None) -> float:
-        """The band's loss; the dose becomes its gradient."""
-        parts, curve = parts_for(band_loss, dose), band.response.curve()
-        self.device.launch(
-            band_loss,
-            dose=dose,
-            target=self.target,
-            weight=self.target if weight is None else weight,
-            weighted=int(weight is not None),
-            response=self.device.table(curve.values),
-            start=curve.start,
-            density=curve.density,
-            low=band.center[0],
-            high=band.center[1],
-            slack_low=band.slack[0],
-            slack_high=band.slack[1],
-            gain_low=band.gain[0],
-            gain_high=band.gain[1],
-            power=band.power,
-            ridge=band.ridge,
-            binary=int(band.binary),
-            reach=self.reach,
-            parts=parts,
-        )
-        return folded(parts)
+    def loss(self, dose: DeviceArray, loss: Loss) -> float:
+        """The loss of a dose, which becomes its gradient."""
+        return loss.value_and_gradient(dose, self.target, dose, self.reach)
 
     # ---- elementwise -----------------------------------------------------------------------------------------
     def combine(
         self, a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray, floor: float = NO_FLOOR
     ) -> None:
         """out = max(floor, a·x + b·y); out may be x or y."""
-        self.device.launch(linear, a=a, x=x, b=b, y=y, floor=floor, out=out)
+        combine(a, x, b, y, out, floor)
 
     def scale(self, factor: float, x: DeviceArray, out: DeviceArray) -> None:
         """out = factor·x."""
@@ -193,8 +167,3 @@ class Work:
             light=self.held("light"),
             ahead=self.held("ahead"),
         )
-
-
-def _judged(grid: Grid | WebGrid) -> float:
-    """Voxels that count."""
-    return max(float(grid.cylinder().sum()) * grid.shape[2], 1.0) if isinstance(grid, Grid) else float(prod(grid.shape))

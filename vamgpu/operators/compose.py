@@ -26,6 +26,14 @@ class Derived(LinearOperator):
     vessel: Any
 
 
+def combine(
+    a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray, floor: float = NO_FLOOR
+) -> DeviceArray:
+    """out = max(floor, a·x + b·y), returned; out may be x or y."""
+    out.device.launch(linear, a=a, x=x, b=b, y=y, floor=floor, out=out)
+    return out
+
+
 def inherit(operator: LinearOperator, source: LinearOperator) -> None:
     """Give ``operator`` the geometry of ``source``, as far as that has one."""
     for name in GEOMETRY:
@@ -111,11 +119,8 @@ class Sum(Derived):
     def _add(self, actions: list, x: DeviceArray, out: DeviceArray) -> None:
         actions[0](x, out)
         if self.weights[0] != 1.0:
-            self._combine(self.weights[0], out, 0.0, out, out)
+            combine(self.weights[0], out, 0.0, out, out)
         part = self.device.empty(out.shape) if len(actions) > 1 else out
         for weight, action in zip(self.weights[1:], actions[1:], strict=True):
             action(x, part)
-            self._combine(1.0, out, weight, part, out)
-
-    def _combine(self, a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray) -> None:
-        self.device.launch(linear, a=a, x=x, b=b, y=y, floor=NO_FLOOR, out=out)
+            combine(1.0, out, weight, part, out)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -14,9 +13,11 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, Diverged, DivergenceWarning
 from vamgpu.geometry import Beam
 from vamgpu.kernels.update import linear
-from vamgpu.methods.band import Band
-from vamgpu.methods.bclp import BCLP
+from vamgpu.losses.loss import Loss
 from vamgpu.methods.course import Course
+from vamgpu.methods.exposure import Exposure
+from vamgpu.methods.method import Method
+from vamgpu.methods.minimize import Channel, Pace, minimize
 from vamgpu.methods.ramp import Taps, bar, identity, ramp
 from vamgpu.methods.work import Work
 from vamgpu.operators.rows import Rows
@@ -46,12 +47,12 @@ class Outcome:
 
 
 class Solver:
-    """Band-constrained descent on segments of one shape.
+    """Descent of a loss on segments of one shape.
 
     The light of a segment is its last: choosing the best of all iterations would make a place depend on the rest of the
     segment. The step is short enough that the loss of p ≥ 2 falls; where it rises all the same, this is told.
 
-    The loss is a sum over voxels (q = p), the step is fixed by the light of one pose and the response alone, and the
+    The loss is a sum over voxels, the step is fixed by the light of one pose and the loss's curvature alone, and the
     first light is filtered and scaled likewise: what happens at a place depends on what is near it, never on where a
     segment begins. An iteration carries influence one window further at most and weakens it, so that frames one window
     inside a segment come out as they would from the whole web.
@@ -60,17 +61,19 @@ class Solver:
     """
 
     def __init__(
-        self, layout: Layout, grid: WebGrid, beam: Beam, light: Propagation, method: BCLP, device: Device
+        self, layout: Layout, grid: WebGrid, beam: Beam, light: Propagation, method: Method, device: Device
     ) -> None:
-        _check(method)
-        self.layout, self.method, self.device = layout, method, device
+        self.loss = local_loss(method)
+        self.layout, self.device = layout, device
         whole = WebGrid((layout.columns, *grid.shape[1:]), grid.pitch)
         self.operator = WebProjection.from_light(
             whole, light, float(layout.step), beam, device, poses=layout.poses, start=0.0
         )
-        self.band = method.band()
-        stable = 2.0 * (1.0 + method.momentum) / (1.0 + 2.0 * method.momentum)
-        self.step = PACE * stable / (self._norm() * curvature(self.band))
+        momentum = getattr(method, "momentum", None)
+        steady = 1.0 if momentum is None else momentum  # Nesterov's comes near 1
+        stable = 2.0 * (1.0 + steady) / (1.0 + 2.0 * steady)
+        self.step = PACE * stable / (self._norm() * self.loss.curvature())
+        self.pace = Pace(self.step, momentum=momentum, fixed=True)
         self._fields: dict[str, DeviceArray] = {}
 
     def _norm(self) -> float:
@@ -149,14 +152,11 @@ class Solver:
         work.memory["ahead"] = self._field("ahead")
         work.scale(1.0, work.held("light"), work.held("ahead"))
         rest = self.device.upload(fractions * unlit)
-        dose, gradient, plain = self._field("dose"), self._field("gradient"), identity(self.operator)
+        dose, plain = self._field("dose"), identity(self.operator)
+        exposure = Exposure(work, self.loss, self.pace, rest=rest, dose=dose, gradient=self._field("gradient"))
         losses = []
-        for _ in range(iterations):
-            work.expose(work.held("ahead"), dose)
-            work.combine(1.0, dose, 1.0, rest, dose)
-            losses.append(work.loss(dose, self.band))
-            work.project(dose, gradient)
-            work.step(gradient, plain, self.step, self.method.momentum)
+        for _, (loss, _) in zip(range(iterations), minimize(exposure, (Channel(work, plain),), self.pace)):  # noqa: B905
+            losses.append(loss)
             if Course(losses).lost:
                 raise Diverged(Course(losses).message(LAST), None, Course(losses).began)
         course = Course(losses)
@@ -176,25 +176,19 @@ class Solver:
         return self._fields[name]
 
 
-def curvature(band: Band) -> float:
-    """Greatest second derivative by dose of a voxel's loss, in or out of the part."""
-    curve = band.response.curve()
-    dose = np.linspace(curve.start, curve.start + (len(curve.values) - 1) / curve.density, 257)
-    value = np.interp((dose - curve.start) * curve.density, np.arange(len(curve.values)), curve.values)
-    most = 0.0
-    for inside in (0, 1):
-        excess = np.maximum(0.0, np.abs(value - band.center[inside]) - band.slack[inside])
-        loss = band.gain[inside] * excess**band.power + band.ridge * value**2
-        slope = np.gradient(loss, dose)
-        most = max(most, float(np.abs(np.gradient(slope, dose)).max()))
-    return most
+def local_loss(method: Method) -> Loss:
+    """The loss of a method, if it can be lowered piece by piece along a web.
 
-
-def _check(method: Any) -> None:
-    """Refuse what would make a place depend on the rest of the web."""
-    if not isinstance(method, BCLP):
-        raise BadInput(f"got {method!r} as method of a web; wanted BCLP, such as BCLP.paper_002()")
-    if method.q is not None and method.q != method.p:
-        raise BadInput(f"q is {method.q} with p = {method.p}: that couples the whole web; wanted q = p, or None")
-    if method.weight is not None:
-        raise BadInput("a weight of single voxels has no place on an endless web; use price for inside and outside")
+    Raises:
+        BadInput: Where a place would depend on the rest of the web.
+    """
+    loss = getattr(method, "loss", None)
+    if not isinstance(loss, Loss):
+        raise BadInput(
+            f"{method!r} lowers no loss: its light is scaled by the dose of the whole web, of which a segment knows "
+            "nothing; wanted a method whose loss is a sum over voxels, such as BCLP.paper_002(), or such a loss"
+        )
+    coupling = getattr(method, "coupling", "") or loss.coupling
+    if coupling:
+        raise BadInput(f"{method!r} cannot be solved piece by piece along a web: {coupling}")
+    return loss

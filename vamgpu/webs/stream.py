@@ -16,7 +16,10 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError, TileError
 from vamgpu.geometry import Beam, positive
+from vamgpu.losses.loss import Loss
 from vamgpu.methods.bclp import BCLP
+from vamgpu.methods.method import Method
+from vamgpu.methods.run import chosen
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.optics.lens import TunableLens
 from vamgpu.printing.focus import FocusMasks
@@ -57,7 +60,9 @@ class Stream:
     and the folder says which plane shows which column.  section: voxels along rho and z; by default those of a film of
     ``wrap``, a slice a row, and as many layers as come nearest the pitch and fill the film.  pitch: voxel edges [mm]
     along l, rho, z; by default one pose along l and the beam's pitch.  length: of the web [mm]; tiles may leave it out
-    and end when they like.  method: `BCLP` with q = p.  iterations: of each segment, the method's own by default.
+    and end when they like.  method: any whose loss is a sum over voxels (`BCLP` with q = p,
+    CAL, penalty minimization, two thresholds), its name, or such a loss; the length of steps is the `Solver`'s own.
+    iterations: of each segment, the method's own by default.
     core, overlap: of a segment, in windows of light.  gray: of the projector.  scale: light of a full-on pixel; by
     default what the first segment needs, and from then on the same for all: a projector's lamp cannot change from
     frame to frame.
@@ -69,7 +74,7 @@ class Stream:
     wrap: Wrap
     beam: Beam
     lens: TunableLens | FocusMasks | None = None
-    method: BCLP = field(default_factory=BCLP.paper_002)
+    method: str | Method | Loss = field(default_factory=BCLP.paper_002)
     section: tuple[int, int] | None = None
     pitch: tuple[float, float, float] | None = None
     length: float | None = None
@@ -87,6 +92,7 @@ class Stream:
             raise BadInput(f"got {self.beam!r} as beam; wanted a Beam")
         if self.scale is not None:
             self.scale = positive("scale", self.scale)
+        self.method = chosen(self.method)
         count = self.method.iterations if self.iterations is None else self.iterations
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise BadInput(f"iterations is {count!r}; wanted a whole number ≥ 1")

@@ -7,8 +7,7 @@ from typing import Any
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, ShapeMismatch
-from vamgpu.kernels.update import linear
-from vamgpu.operators.compose import NO_FLOOR
+from vamgpu.operators.compose import combine
 from vamgpu.operators.linear import LinearOperator
 
 
@@ -91,11 +90,6 @@ class DualPlan:
     def dose(self) -> DeviceArray:
         """Effective buildup [x, y, z] on the device: visible dose − strength · UV dose; may be negative."""
         return self.colors.dose(self.visible, self.uv)
-
-
-def combine(a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray, floor: float = NO_FLOOR) -> None:
-    """out = max(floor, a·x + b·y); out may be x or y."""
-    out.device.launch(linear, a=a, x=x, b=b, y=y, floor=floor, out=out)
 
 
 def constant(value: float, shape: tuple[int, int, int], like: DeviceArray) -> DeviceArray:

@@ -14,7 +14,8 @@ from typing import ClassVar
 from vamgpu.backend.array import DeviceArray
 from vamgpu.chemistry.species import PAPER
 from vamgpu.errors import BadInput
-from vamgpu.methods.dual.colors import Colors, Pass, combine, constant
+from vamgpu.methods.dual.colors import Colors, Pass, constant
+from vamgpu.operators.compose import combine
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.reductions import dot, extent
 

@@ -8,10 +8,10 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
 from vamgpu.kernels.inhibition import inhibition_adjoint, inhibition_step
-from vamgpu.kernels.update import linear, paint
+from vamgpu.kernels.update import paint
 from vamgpu.methods.joint.poses import PoseRuns
 from vamgpu.methods.joint.resin import TwoColorResin
-from vamgpu.operators.compose import NO_FLOOR, same_device
+from vamgpu.operators.compose import combine, same_device
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import EVERYWHERE
 
@@ -60,15 +60,12 @@ class LinearModel:
     def expose(self, light: Pair) -> DeviceArray:
         doses = [A.T(part) for A, part in zip(self.operators, light, strict=True)]
         a, b = self.turns * self.resin.visible, -self.turns * self.resin.subtraction
-        self.device.launch(linear, a=a, x=doses[0], b=b, y=doses[1], floor=NO_FLOOR, out=doses[0])
-        return doses[0]
+        return combine(a, doses[0], b, doses[1], doses[0])
 
     def gradient(self, slope: DeviceArray) -> Pair:
         gains = (self.turns * self.resin.visible, -self.turns * self.resin.subtraction)
         slopes = [A(slope) for A in self.operators]
-        for gain, values in zip(gains, slopes, strict=True):
-            self.device.launch(linear, a=gain, x=values, b=0.0, y=values, floor=NO_FLOOR, out=values)
-        return Pair(*slopes)
+        return Pair(*(combine(gain, values, 0.0, values, values) for gain, values in zip(gains, slopes, strict=True)))
 
 
 class KineticModel:
@@ -112,8 +109,8 @@ class KineticModel:
                 self._step(sub, state, spare)
                 state, spare = spare, state
         a, b, _, x = state
-        self._combine(1.0, x, -1.0, a, x)
-        self._combine(1.0, x, -1.0 / self.resin.alpha, b, x)
+        combine(1.0, x, -1.0, a, x)
+        combine(1.0, x, -1.0 / self.resin.alpha, b, x)
         return x
 
     def gradient(self, slope: DeviceArray) -> Pair:
@@ -122,9 +119,9 @@ class KineticModel:
         count = len(self._doses) * self.steps
         slopes = [Pair(*(self._constant(0.0) for _ in range(2))) for _ in self._doses]
         a, b, c = self._volumes(3)
-        self._combine(-1.0, slope, 0.0, slope, a)
-        self._combine(-1.0 / self.resin.alpha, slope, 0.0, slope, b)
-        self._combine(0.0, slope, 0.0, slope, c)
+        combine(-1.0, slope, 0.0, slope, a)
+        combine(-1.0 / self.resin.alpha, slope, 0.0, slope, b)
+        combine(0.0, slope, 0.0, slope, c)
         path = [self._volumes(3) for _ in range(count)]
         x = self._constant(1.0)
         for start in reversed(self._starts):
@@ -183,7 +180,7 @@ class KineticModel:
         if turn >= len(self._starts):
             self._starts.append(self._volumes(3))
         for kept, value in zip(self._starts[turn], state[:3], strict=True):
-            self._combine(1.0, value, 0.0, value, kept)
+            combine(1.0, value, 0.0, value, kept)
 
     def _volumes(self, count: int) -> tuple[DeviceArray, ...]:
         return tuple(self.device.empty(self.shape) for _ in range(count))
@@ -196,6 +193,3 @@ class KineticModel:
     def _finite(self) -> DeviceArray:
         """Any volume without NaN."""
         return self._doses[0].visible
-
-    def _combine(self, a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray) -> None:
-        self.device.launch(linear, a=a, x=x, b=b, y=y, floor=NO_FLOOR, out=out)

@@ -12,17 +12,16 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.chemistry.species import PAPER
 from vamgpu.errors import BadInput, Cancelled
-from vamgpu.kernels.update import linear
-from vamgpu.methods.band import Band
+from vamgpu.losses.band import Band
 from vamgpu.methods.joint.contrast import EffectiveContrast
-from vamgpu.methods.joint.descent import Descent
+from vamgpu.methods.joint.descent import ColorDescent
 from vamgpu.methods.joint.models import LinearModel, Model, Pair
 from vamgpu.methods.joint.resin import TwoColorResin
 from vamgpu.methods.papers import NESTEROV, RAMP, RESTART, TWO_METRIC
 from vamgpu.methods.part import fractions_of
 from vamgpu.methods.plan import Step
 from vamgpu.methods.run import optimize
-from vamgpu.operators.compose import NO_FLOOR
+from vamgpu.operators.compose import combine
 from vamgpu.operators.space import require
 
 LINEAR = 4
@@ -106,7 +105,7 @@ def optimize_colors(
     begun, count = time.perf_counter(), _whole("iterations", Aims.iterations if iterations is None else iterations)
     fractions = fractions_of(model.operators[0], target)
     light = _warm(model, fractions, aims, _whole("warm", warm)) if start is None else _copied(model, start)
-    descent, history = Descent(model, fractions, aims.band(model.resin), light, aims.share), []
+    descent, history = ColorDescent(model, fractions, aims.band(model.resin), light, aims.share), []
 
     def plan() -> ColorPlan:
         papers = (PAPER, NESTEROV, RESTART, RAMP, TWO_METRIC)
@@ -139,12 +138,12 @@ def _warm(model: Model, target: DeviceArray, aims: Aims, iterations: int) -> Pai
     device, light = visible.device, found.sinogram
     dose = found.dose().numpy()[target.numpy() >= 0.5]
     scale = 0.5 * (aims.inside + aims.most) / max(float(dose.mean()) * model.turns * model.resin.visible, 1e-30)
-    device.launch(linear, a=scale, x=light, b=0.0, y=light, floor=NO_FLOOR, out=light)
+    combine(scale, light, 0.0, light, light)
     pair = Pair(light, device.upload(np.zeros(ultraviolet.range.shape, np.float32)))
     if isinstance(model, LinearModel):
         return pair
     line = LinearModel(visible, ultraviolet, model.resin, model.turns)
-    descent = Descent(line, target, aims.band(model.resin), pair, aims.share)
+    descent = ColorDescent(line, target, aims.band(model.resin), pair, aims.share)
     for _ in zip(range(LINEAR * iterations), descent.steps()):  # noqa: B905 - whichever ends first
         pass
     return descent.light
@@ -157,6 +156,5 @@ def _copied(model: Model, start: Pair | ColorPlan) -> Pair:
         require(A.range, light, "the light to start from")
         given = light if isinstance(light, DeviceArray) else A.device.upload(light)
         A.device.check_mine(given)
-        copies.append(A.device.empty(A.range.shape))
-        A.device.launch(linear, a=1.0, x=given, b=0.0, y=given, floor=0.0, out=copies[-1])
+        copies.append(combine(1.0, given, 0.0, given, A.device.empty(A.range.shape), floor=0.0))
     return Pair(*copies)

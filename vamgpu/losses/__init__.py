@@ -1,0 +1,20 @@
+"""What a dose is judged by: small objects of a value and a gradient that compose with weights and responses."""
+
+from __future__ import annotations
+
+from vamgpu.losses.band import Band
+from vamgpu.losses.loss import Loss
+from vamgpu.losses.response import GeneralizedLogistic, Interpolated, Linear, Logistic, Response
+from vamgpu.losses.sampled import VoxelLoss, cross_entropy
+
+__all__ = [
+    "Band",
+    "GeneralizedLogistic",
+    "Interpolated",
+    "Linear",
+    "Logistic",
+    "Loss",
+    "Response",
+    "VoxelLoss",
+    "cross_entropy",
+]

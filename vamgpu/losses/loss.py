@@ -1,0 +1,150 @@
+"""What a loss is, and how losses compose: sums, factors, powers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.losses.response import REACH
+from vamgpu.operators.compose import combine
+from vamgpu.operators.reductions import EVERYWHERE
+
+DOSES = 257
+"""At which curvatures are looked for."""
+
+
+class Loss(ABC):
+    """A number for a dose, the less the better, and which way it changes.
+
+    Losses add (``a + b``), take factors ≥ 0 (``0.1 * a``) and powers (``a ** 0.5``). One of your own is a `VoxelLoss`,
+    written in NumPy, or a subclass with `value_and_gradient`.
+    """
+
+    @property
+    def coupling(self) -> str:
+        """Why what a voxel asks for depends on other voxels.
+
+        Empty for a sum over voxels of losses of their own dose and target, which can be lowered piece by piece.
+        """
+        return f"{type(self).__name__} does not say that it is a sum over voxels; define its coupling as empty if it is"
+
+    @property
+    def separable(self) -> bool:
+        """Whether it is a sum over voxels."""
+        return not self.coupling
+
+    @abstractmethod
+    def value_and_gradient(
+        self, dose: DeviceArray, target: DeviceArray, out: DeviceArray, reach: float = EVERYWHERE
+    ) -> float:
+        """The loss of a dose, on its device.
+
+        Args:
+            dose: [x, y, z] in units of the part's; stays as it is unless it is ``out``.
+            target: Fractions [x, y, z].
+            out: Takes the derivative by dose; may be ``dose``.
+            reach: Voxels farther from the axis, counted in voxels, do not count: their derivative is 0.
+
+        Returns:
+            The loss.
+        """
+        ...
+
+    def curvature(self) -> float:
+        """Greatest second derivative of a voxel's loss by its dose, which bounds the length of steps.
+
+        Raises:
+            BadInput: Where the loss does not know.
+        """
+        raise BadInput(f"{self!r} does not know its curvature, on which steps along a web depend; define curvature()")
+
+    def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
+        """The same with its weights of voxels as ``field`` makes them of what was given: on a device."""
+        return self
+
+    def __add__(self, other: Loss) -> Loss:
+        return Sum((*_terms(self), *_terms(other)))
+
+    def __mul__(self, factor: float) -> Loss:
+        return Power(self, 1.0, factor)
+
+    __rmul__ = __mul__
+
+    def __pow__(self, exponent: float) -> Loss:
+        return Power(self, exponent)
+
+
+@dataclass(frozen=True)
+class Sum(Loss):
+    """Losses added up; takes one volume more, and another unless ``out`` is apart from the dose."""
+
+    terms: tuple[Loss, ...]
+
+    @property
+    def coupling(self) -> str:
+        return next((term.coupling for term in self.terms if term.coupling), "")
+
+    def value_and_gradient(
+        self, dose: DeviceArray, target: DeviceArray, out: DeviceArray, reach: float = EVERYWHERE
+    ) -> float:
+        given = combine(1.0, dose, 0.0, dose, dose.device.empty(dose.shape)) if out is dose else dose
+        value, part = self.terms[0].value_and_gradient(given, target, out, reach), dose.device.empty(dose.shape)
+        for term in self.terms[1:]:
+            value += term.value_and_gradient(given, target, part, reach)
+            combine(1.0, out, 1.0, part, out)
+        return value
+
+    def curvature(self) -> float:
+        return sum(term.curvature() for term in self.terms)
+
+    def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
+        return replace(self, terms=tuple(term.on(field) for term in self.terms))
+
+
+@dataclass(frozen=True)
+class Power(Loss):
+    """factor·loss^exponent, of a loss that is never negative unless the exponent is 1. Raises `BadInput`."""
+
+    loss: Loss
+    exponent: float
+    factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.exponent < inf and 0.0 <= self.factor < inf):
+            raise BadInput(f"{self!r}: wanted an exponent > 0 and a factor ≥ 0, both finite")
+
+    @property
+    def coupling(self) -> str:
+        return self.loss.coupling or ("" if self.exponent == 1.0 else "a power of a sum couples all of its voxels")
+
+    def value_and_gradient(
+        self, dose: DeviceArray, target: DeviceArray, out: DeviceArray, reach: float = EVERYWHERE
+    ) -> float:
+        value = self.loss.value_and_gradient(dose, target, out, reach)
+        plain = self.exponent == 1.0 or value <= 0.0  # where the loss is 0 so is its gradient
+        outer = self.factor * (1.0 if plain else self.exponent * value ** (self.exponent - 1.0))
+        combine(outer, out, 0.0, out, out)
+        return self.factor * (value if plain else value**self.exponent)
+
+    def curvature(self) -> float:
+        return self.factor * self.loss.curvature()
+
+    def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
+        return replace(self, loss=self.loss.on(field))
+
+
+def steepest(loss: Callable[[np.ndarray], np.ndarray], least: float = 0.0, most: float = REACH) -> float:
+    """Greatest second derivative of a function of doses from ``least`` to ``most``."""
+    dose = np.linspace(least, most, DOSES)
+    return float(np.abs(np.gradient(np.gradient(loss(dose), dose), dose)).max())
+
+
+def _terms(loss: Loss) -> tuple[Loss, ...]:
+    return loss.terms if isinstance(loss, Sum) else (loss,)

@@ -1,0 +1,120 @@
+"""Losses written in NumPy as functions of a voxel's dose: sampled once, looked up on the device."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.kernels.loss import look_up, sampled_loss
+from vamgpu.losses.band import SINGLE
+from vamgpu.losses.loss import Loss, steepest
+from vamgpu.losses.response import REACH, SAMPLES, Curve, Linear, Response
+from vamgpu.operators.compose import combine
+from vamgpu.operators.reductions import EVERYWHERE, folded, parts_for
+
+Function = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class VoxelLoss(Loss):
+    """Σ w·((1 − f)·void(M) + f·part(M)) with M = response(dose) and the target's fraction f.
+
+    ``void`` and ``part`` are functions of NumPy arrays. Both are sampled at 1024 doses from 0 to 3 times the part's, go
+    on straight beyond, and run on every device: no kernel has to be written.
+
+    Args:
+        void: Loss of a voxel out of the part.
+        part: Loss of a voxel in the part.
+        response: M.
+        binary: A voxel is in the part from a fraction of one half on, never between.
+        weight: w of each voxel [x, y, z], NumPy or on the device; None for 1.
+
+    Raises:
+        BadInput: For functions that do not give a finite number for every dose.
+    """
+
+    void: Function = field(compare=False)
+    part: Function = field(compare=False)
+    response: Response = Linear()
+    binary: bool = False
+    weight: Any = field(default=None, compare=False, repr=False)
+    digest: str = field(init=False, repr=False)
+    """Of the samples, by which losses are the same, also those of another run of a script."""
+
+    def __post_init__(self) -> None:
+        for name, curve in zip(("void", "part"), self.curves, strict=True):
+            if curve.values.shape != (SAMPLES,) or not np.isfinite(curve.values).all():
+                raise BadInput(
+                    f"{name} of a VoxelLoss gave {curve.values.shape} values for {SAMPLES} doses from 0 to {REACH:g}, "
+                    "or some that are not finite; expected a number for each dose"
+                )
+        samples = np.concatenate([curve.values for curve in self.curves])
+        object.__setattr__(self, "digest", hashlib.sha256(samples.data).hexdigest())
+
+    @cached_property
+    def curves(self) -> tuple[Curve, Curve]:
+        """Samples of both losses by dose."""
+        doses = np.linspace(0.0, REACH, SAMPLES)
+        felt = self.response.curve()
+        value, _ = look_up(doses, np.asarray(felt.values), felt.start, felt.density)
+        outer, inner = (
+            Curve(np.asarray(loss(value), float), 0.0, (SAMPLES - 1) / REACH) for loss in (self.void, self.part)
+        )
+        return outer, inner
+
+    @property
+    def coupling(self) -> str:
+        return "" if self.weight is None else SINGLE
+
+    def value_and_gradient(
+        self, dose: DeviceArray, target: DeviceArray, out: DeviceArray, reach: float = EVERYWHERE
+    ) -> float:
+        if out is not dose:
+            combine(1.0, dose, 0.0, dose, out)
+        parts, (outer, inner) = parts_for(sampled_loss, out), self.curves
+        out.device.launch(
+            sampled_loss,
+            dose=out,
+            target=target,
+            weight=target if self.weight is None else self.weight,
+            weighted=int(self.weight is not None),
+            outer=out.device.table(outer.values),
+            inner=out.device.table(inner.values),
+            start=outer.start,
+            density=outer.density,
+            binary=int(self.binary),
+            reach=reach,
+            parts=parts,
+        )
+        return folded(parts)
+
+    def curvature(self) -> float:
+        return max(steepest(lambda dose, c=c: look_up(dose, c.values, c.start, c.density)[0]) for c in self.curves)
+
+    def on(self, field: Callable[[Any], DeviceArray | None]) -> VoxelLoss:
+        return self if self.weight is None else replace(self, weight=field(self.weight))
+
+
+def cross_entropy(response: Response) -> VoxelLoss:
+    """Σ (1 − f)·P(d) + f·(P(d) − d − c), P = ∫₀ M, c the least of P(d) − d; its derivative by dose is M(d) − f.
+
+    For a logistic M of steepness s and a target of 0 and 1 this is the cross entropy of M(d) and f over s, less that of
+    darkness out of the part. It is convex where M rises, and never negative. For M(d) = d it is half the square error.
+    P is interpolated between its samples, so that M comes in steps: a logistic of steepness 10 to 0.4 %.
+
+    response: M; beyond the doses it is sampled at it keeps its last value.
+    """
+    doses, curve = np.linspace(0.0, REACH, SAMPLES), response.curve()
+    values, _ = look_up(doses, np.asarray(curve.values), curve.start, curve.density)
+    primitive = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * doses[1])])
+    least = (primitive - doses).min()
+    return VoxelLoss(
+        lambda dose: np.interp(dose, doses, primitive), lambda dose: np.interp(dose, doses, primitive) - dose - least
+    )
