@@ -21,9 +21,9 @@ from vamgpu.curethrough.sliced import MeshStack
 from vamgpu.curethrough.stack import ARCHIVES, layer_height, open_stack
 from vamgpu.curethrough.weighed import Told
 from vamgpu.errors import JobError, SliceWarning
-from vamgpu.jobs.model import Count, Listed, Section
-from vamgpu.jobs.quantity import Background, DoseValue, Exposure, Irradiance, Length, Speed, Thickness
 from vamgpu.jobs.read import checked, read_text
+from vamgpu.schema.quantities import Background, Count, Dose, Exposure, Irradiance, Length, Speed, Thickness
+from vamgpu.schema.read import Listed, Section
 
 EXAMPLE = """\
 # The continuous printer of the cure-through paper.
@@ -55,7 +55,7 @@ class PrinterSection(Section):
     """
 
     absorption_height: Length
-    critical_dose: DoseValue
+    critical_dose: Dose
     slice_height: Length
     speed: Speed | None = None
     exposure: Exposure | None = None

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vamgpu.backend import open_device
 from vamgpu.errors import JobError, StorageError
-from vamgpu.jobs.build import describe, packing_of, projection_from, projection_of, target_of
+from vamgpu.jobs.build import describe, packing_of, projection_from, projection_of, target_of, with_diffusion
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.record import PlanRecord
 from vamgpu.storage.folder import Entry, Folder
 from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:
-    from vamgpu.methods.method import Method
     from vamgpu.methods.plan import Step
     from vamgpu.printing.proof import Proof
 
@@ -52,21 +51,30 @@ def solve(job: Job, path: str | Path, *, overwrite: bool = False, told: Told = _
 
     wanted = job.wanted
     _refuse_taken(Path(path), overwrite)
-    method = _method(wanted.solve.method)
+    method = wanted.method or _method(wanted.solve.method)
     limit = wanted.solve.iterations or method.iterations
     device = open_device(wanted.solve.device)
     packing = packing_of(wanted.frames, job.folder)
     told("voxels", 0.0)
     target = target_of(job, device)
-    A = projection_of(wanted, target, device, job.folder)
+    light = projection_of(wanted, target, device, job.folder)
+    A = with_diffusion(wanted, light, job.folder)
+    geometry = describe(A)  # refuse what no manifest can describe before the long work
     told("light", 0.0)
-    plan = optimize(A, target, method=method, iterations=limit, progress=_share(told, limit))
+    if wanted.resin.precompensate:  # the method itself lets the dose of the plain light diffuse
+        method, solved = replace(method, diffusion=A.inner.diffusion), light
+    else:
+        solved = A
+    plan = optimize(
+        solved, target, method=method, iterations=limit, tolerance=wanted.solve.tolerance, pairs=wanted.solve.pairs,
+        progress=_share(told, limit),
+    )  # fmt: skip
     told("frames", 0.0)
     frames = pack(plan, **packing)
     told("folder", 0.0)
     inputs = {
         "job": job.given,
-        "geometry": describe(A),
+        "geometry": geometry,
         "target": {key: getattr(target, key) for key in ("name", "radius", "volume", "height")},
         "plan": asdict(PlanRecord.of(plan)),
         "print": None if wanted.print is None else wanted.print.model_dump(),
@@ -99,7 +107,7 @@ def _refuse_taken(place: Path, overwrite: bool) -> None:
         raise StorageError(f"{str(place)!r} exists; choose another path, or allow overwriting it (--overwrite)")
 
 
-def _method(name: str) -> Method:
+def _method(name: str) -> Any:
     """The method of that name with its default parameters."""
     from vamgpu.methods import METHODS
 
