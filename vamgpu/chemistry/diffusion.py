@@ -85,7 +85,8 @@ def heat_taps(variance: float) -> np.ndarray:
 class Spread(LinearOperator):
     """Doses [x, y, z] after diffusion, on a device; 0 beyond the volume, and what leaves it does not return.
 
-    Each Gaussian is made from the one before by the difference of their variances, three short convolutions.
+    grid: of the doses.  diffusion: over an exposure.  Each Gaussian is made from the one before by the difference of
+    their variances, three short convolutions.
     """
 
     def __init__(self, grid: Grid | WebGrid, diffusion: Diffusion, device: str | Device | None = None) -> None:

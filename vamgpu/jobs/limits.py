@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -53,21 +53,28 @@ density = "1100 kg/m3"
 
 
 Roll = noun("wrap", kind="roller", without=("film",))
-Lens = noun("lens", without=("index",), beside={"depth_of_focus": (Length, 3.8)})
-"""A lens focuses in the bath of the film. depth_of_focus: of the projector."""
+Depth = Annotated[Length, Field(description="of the projector: where its light is less than √2 wider")]
+Lens = noun("lens", without=("index",), beside={"depth_of_focus": (Depth, 3.8)})
+"""A lens that focuses in the bath of the film."""
 Plain: Any = Field(default={}, validate_default=True)
 """A table that may be left out."""
 
 
 class WebSection(Section):
-    """What is wanted of the web."""
+    """What is wanted of the web.
+
+    speed: of its neutral line.  length: to be printed.
+    """
 
     speed: Speed
     length: Length = 600.0
 
 
 class ResinSection(Section):
-    """How the uncured resin flows; a gel has no viscosity."""
+    """How the uncured resin flows.
+
+    density: of the resin.  viscosity: a gel has none.
+    """
 
     density: Density = Limits.density
     viscosity: Viscosity | None = None

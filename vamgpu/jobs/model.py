@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 from vamgpu.geometry import FULL_TURN
 from vamgpu.jobs.material import with_material
 from vamgpu.schema.quantities import (
+    Absorption,
     Angle,
     Count,
     Dose,
@@ -32,11 +33,18 @@ from vamgpu.schema.read import Listed, Misplaced, OneOrMany, Section, noun
 
 Row = tuple[float, float, float]
 Places = Annotated[Any, OneOrMany(Place, Annotated[tuple[Place, ...], Listed])]
+Missed = Annotated[Positive, Field(description="largest share by which the width may miss its formula")]
+TOLERANCE = {"tolerance": (Missed, 0.02)}
 LENGTH = Quantity("a length", least=0.0)
 
 
 class TargetSection(Section):
-    """The part: a mesh file or a bundled shape, its size and its voxels."""
+    """The part: a mesh file or a bundled shape, its size and its voxels.
+
+    mesh: file of the part (STL, PLY, OBJ, 3MF).  shape: a bundled one in place of a mesh, such as "boat".  height: of
+    the part along z.  factor: by which it is scaled, in place of a height.  pitch: edge of a voxel.  orientation: 3 × 3
+    matrix that turns the part first.  margin: voxels between the part and the rim.
+    """
 
     mesh: str | None = None
     shape: str | None = None
@@ -66,11 +74,12 @@ def _length_or_file(text: Any) -> float | str:
 
 
 class BeamSection(Section):
-    """The projector's light: pixel edge in air, and how many; by default as many as the part needs.
+    """The projector's light.
 
-    fill: share of a pixel's area that is lit.  spread: standard deviation of the point spread in the resin, "0 um" for
-    a perfect lens, or the result of `vam calibrate mtf`; half a pixel where nothing is said.  footprint: how a pixel
-    meets a voxel: "exact", by its area, or "joseph", by one ray.
+    pitch: edge of a pixel in air.  pixels: columns and rows; by default as many as the part needs.  fill: share of a
+    pixel's area that is lit.  spread: standard deviation of the point spread in the resin, "0 um" for a perfect lens,
+    or the result of `vam calibrate mtf`; half a pixel where nothing is said.  footprint: how a pixel meets a voxel:
+    "exact", by its area, or "joseph", by one ray.
     """
 
     pitch: Length
@@ -88,7 +97,10 @@ def _count_or_file(value: Any) -> Any:
 
 
 class TurntableSection(Section):
-    """The motion: even angles over a full turn or a range of it, or measured ones from a file."""
+    """The motion: even angles over a full turn or a range of it, or measured ones from a file.
+
+    angles: how many, or a CSV file of measured ones.  range: part of a turn that they are even over.
+    """
 
     angles: Annotated[int | str, BeforeValidator(_count_or_file)] = 360
     range: Angle | None = None
@@ -103,7 +115,11 @@ class TurntableSection(Section):
 
 
 class WobbleSection(Section):
-    """Where the axis stands: across the light and along it at every pose, or on a circle that it runs once a turn."""
+    """Where the axis stands.
+
+    across, along: off its place across the light and along it, always or at every pose.  radius: of a circle that it
+    runs once a turn instead.  phase: angle from x of the point of the table that carries it.
+    """
 
     across: Places = 0.0
     along: Places = 0.0
@@ -121,9 +137,9 @@ class ResinSection(Section):
     """What the resin is, and what its inhibitor does while the light is on.
 
     material: a bundled resin, or a file. It gives index and absorption at the wavelength to the vessel, and the
-    critical dose to [print].  inhibitor: diffuses as fast as the resin's viscosity says, at its temperature or
-    this one.  exposure: time it has for it.
-    diffusion: the same in numbers of one's own. Any method then seeks light for the dose after diffusion.
+    critical dose to [print].  wavelength: of the light.  inhibitor: that diffuses as fast as the resin's viscosity
+    says.  temperature: of the resin, where it is not its material's.  exposure: time the inhibitor has.
+    diffusion: the same in numbers of one's own; any method then seeks light for the dose after diffusion.
     precompensate: the recipe starts from a target that is sharpened for it.
     """
 
@@ -148,15 +164,21 @@ class ColorsSection(Section):
     """A second color that undoes the dose of the first.
 
     absorption: of the resin for the second color.  strength: dose of the first that one unit of the second undoes.
+    rule: by which the two are found.
     """
 
-    absorption: Annotated[float, Quantity("an absorption", least=0.0)]
+    absorption: Absorption
     strength: Positive = 1.0
     rule: noun("rule") = Field(default={}, validate_default=True)  # type: ignore[valid-type]
 
 
 class SolveSection(Section):
-    """How light is found."""
+    """How light is found.
+
+    method: by its name, with its own parameters; the table [method] sets them.  iterations: in all; the method's own by
+    default.  tolerance: share of the first loss at which to stop.  pairs: projector pairs that may be spent.  device:
+    where to compute; the best one here by default.
+    """
 
     method: str = "default"
     iterations: Count | None = None
@@ -166,7 +188,12 @@ class SolveSection(Section):
 
 
 class FramesSection(Section):
-    """How light becomes pictures."""
+    """How light becomes pictures.
+
+    bits: of a pixel.  gray: file of the projector's gray curve.  flip_r, flip_z: mirror columns, rows.  shift: columns
+    and rows by which pictures are moved.  quantile: of the lit pixels that a full-on pixel shows.  dither: round to the
+    nearest level, or carry the error on to the next angle.
+    """
 
     bits: Literal[1, 8] = 8
     gray: str | None = None
@@ -178,10 +205,15 @@ class FramesSection(Section):
 
 
 class PrintSection(Section):
-    """What it takes to predict times."""
+    """What it takes to predict times.
+
+    irradiance: of a full-on pixel in air.  critical_dose: from which the resin is solid.
+    absorption: of the resin, where the vessel says none.
+    """
 
     irradiance: Irradiance
     critical_dose: Dose
+    absorption: Absorption | None = None
 
 
 class JobFile(Section):
@@ -199,7 +231,7 @@ class JobFile(Section):
     vessel: noun("vessel") | None = None  # type: ignore[valid-type]
     light: noun("light", "vessel") | None = None  # type: ignore[valid-type]
     wobble: WobbleSection | None = None
-    defocus: noun("defocus", beside={"tolerance": (Positive, 0.02)}) | None = None  # type: ignore[valid-type]
+    defocus: noun("defocus", beside=TOLERANCE) | None = None  # type: ignore[valid-type]
     tiles: noun("operator", kind="tiles", without=("operator",)) | None = None  # type: ignore[valid-type]
     resin: ResinSection = ResinSection()
     colors: ColorsSection | None = None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ from vamgpu.errors import JobError, StorageError
 from vamgpu.jobs.build import describe, packing_of, projection_from, projection_of, target_of, with_diffusion
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.record import PlanRecord
+from vamgpu.schema.registry import family, find, nearest
 from vamgpu.storage.folder import Entry, Folder
 from vamgpu.targets.target import Target
 
@@ -109,13 +109,11 @@ def _refuse_taken(place: Path, overwrite: bool) -> None:
 
 def _method(name: str) -> Any:
     """The method of that name with its default parameters."""
-    from vamgpu.methods import METHODS
-
-    if name not in METHODS:
-        close = get_close_matches(name, METHODS, n=1)
-        hint = f"did you mean {close[0]!r}?" if close else "correct the name"
-        raise JobError(f"solve.method: got {name!r}; wanted one of {', '.join(METHODS)}: {hint}")
-    return METHODS[name]()
+    methods = family("method")
+    known = ("default", *methods.nouns)
+    if name not in known:
+        raise JobError(f"solve.method: got {name!r}; wanted one of {', '.join(known)}{nearest(name, known)}")
+    return find("method", str(methods.default) if name == "default" else name)()
 
 
 def _share(told: Told, limit: int) -> Callable[[Step], None]:

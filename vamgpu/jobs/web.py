@@ -30,6 +30,9 @@ class WebTarget(Section):
     """What is printed on the web: a lattice, a mesh repeated along it, or an array of fractions [l, rho, z].
 
     A mesh stays where it is: its x along the web, its y from the roller's side outwards, its z across about the middle.
+
+    lattice: one of `vamgpu.targets.lattices`.  cell: its edge.  strut: thickness of its struts.  level: of its surface.
+    mesh: file of a part.  period: from one part to the next.  tiles: NumPy file.
     """
 
     lattice: str | None = None
@@ -50,21 +53,31 @@ class WebTarget(Section):
 
 
 class WebLength(Section):
-    """The web: how long, and how fast where that is known."""
+    """The web.
+
+    length: to be printed.  speed: where it is known.
+    """
 
     length: Length
     speed: Speed | None = None
 
 
 class WebBeam(Section):
-    """The light: pixel edge in the bath, and how high it stands; it is as wide as the film about the roller."""
+    """The light, which is as wide as the film about the roller.
+
+    pitch: edge of a pixel in the bath.  height: of the light.
+    """
 
     pitch: Length
     height: Length
 
 
 class WebSolve(Section):
-    """How light is found: core and overlap of a segment are in windows of light."""
+    """How light is found.
+
+    iterations: of each segment.  core, overlap: of a segment, in windows of light.  device: where to compute; the best
+    one here by default.
+    """
 
     iterations: Count = 100
     core: Positive = 2.0
@@ -73,7 +86,10 @@ class WebSolve(Section):
 
 
 class WebFrames(Section):
-    """How light becomes pictures; scale is the light of a full-on pixel."""
+    """How light becomes pictures.
+
+    gray: file of the projector's gray curve.  scale: light of a full-on pixel.
+    """
 
     gray: str | None = None
     scale: Positive | None = None

@@ -116,8 +116,8 @@ class Defocused(Derived):
     between pixels included (where that alone is wider, light stays that wide). Depths are counted
     along the rays from where they pass the axis. Every pair costs as many as there are nodes.
 
-    operator: a `Projection` or an `Oblique`.  tolerance: largest share by which the FWHM may miss the formula between
-    nodes.  Raises `BadInput`.
+    operator: a `Projection` or an `Oblique`.  defocus: width of its light at every depth.  tolerance: largest share by
+    which the FWHM may miss the formula between nodes.  Raises `BadInput`.
     """
 
     def __init__(self, operator: Projection | Oblique, defocus: Defocus, tolerance: Positive = 0.02) -> None:

@@ -64,7 +64,8 @@ class Wobbled(Derived):
     Only `Wobble.across` moves them, by parts of a pixel: parallel light is the same all along its way. For light that
     is not, give the wobble to `Oblique`, which also has no need to interpolate.
 
-    operator: any projector to [angle, r, z].  Raises `BadInput` for a wobble beyond the beam.
+    operator: any projector to [angle, r, z].  wobble: places of the axis.
+    Raises `BadInput` for a wobble beyond the beam.
     """
 
     def __init__(self, operator: LinearOperator, wobble: Wobble) -> None:

@@ -26,7 +26,10 @@ EXTRAPOLATE = np.array([[10.0, -20.0, 15.0, -4.0], [4.0, -6.0, 4.0, -1.0]])
 
 @dataclass(frozen=True)
 class Region:
-    """Where rays are marched: a·x² + b·y² + c·z² ≤ radius², and inside a box.  Lengths in mm."""
+    """Where rays are marched: a·x² + b·y² + c·z² ≤ radius², and inside a box.
+
+    weights: a, b, c.  radius: [mm].  low, high: corners of the box [mm].
+    """
 
     weights: tuple[float, float, float] = (0.0, 0.0, 0.0)
     radius: Length = 1.0
@@ -92,7 +95,8 @@ class IndexField(Protocol):
 class FormulaField:
     """n² = P(s)/Q(s) with s = a·x² + b·y² + c·z², P and Q cubic at most; lengths in mm.
 
-    weights: a, b, c.  above, below: coefficients of P and Q from the constant up.  Raises `BadInput`.
+    weights: a, b, c.  above, below: coefficients of P and Q from the constant up.
+    region: where it is looked at.  Raises `BadInput`.
     """
 
     weights: tuple[float, float, float]

@@ -44,7 +44,7 @@ def fields_of(cls: type[Any]) -> tuple[Field, ...]:
     hints = _hints(cls)
     taken = [p for p in inspect.signature(cls).parameters.values() if p.name not in GIVEN and p.kind not in (
         inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)]  # fmt: skip
-    docs = _docs(cls, [p.name for p in taken])
+    docs = docs_of(cls, [p.name for p in taken])
     return tuple(Field(p.name, hints.get(p.name, Any), p.default, docs.get(p.name, "")) for p in taken)
 
 
@@ -53,11 +53,11 @@ def _hints(cls: type[Any]) -> dict[str, Any]:
     return get_type_hints(cls if generated else cls.__init__, include_extras=True)
 
 
-def _docs(cls: type[Any], names: list[str]) -> dict[str, str]:
+def docs_of(cls: type[Any], names: list[str]) -> dict[str, str]:
     """What docstrings of a class and those above it say of names, be it under ``Args:`` or in a line of them."""
     found: dict[str, str] = {}
     name = "|".join(map(re.escape, names)) or "$."
-    listed = rf"(?:^|\n|  )((?:{name})(?:, (?:{name}))*): "
+    listed = rf"(?:^|\n|  )((?:{name})(?:, (?:{name}))*):\s+"
     entry = re.compile(rf"{listed}(.*?)(?={listed}|\n\n|\.\s+(?:Raises|Sources?)\b|\Z)", re.DOTALL)
     for part in reversed(cls.__mro__):
         text = "\n".join(line.strip() for line in (part.__doc__ or "").splitlines())

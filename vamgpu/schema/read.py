@@ -17,7 +17,7 @@ from pydantic_core import core_schema
 from vamgpu.errors import BadInput
 from vamgpu.schema.noun import GIVEN, fields_of, quantity_in
 from vamgpu.schema.quantities import PLAIN
-from vamgpu.schema.registry import families_of, family, find
+from vamgpu.schema.registry import families_of, family, find, nearest
 
 
 class Section(BaseModel):
@@ -42,20 +42,30 @@ def tupled(value: Any) -> Any:
 Listed = BeforeValidator(tupled)
 
 
+NOUN = "noun"
+"""In place of ``$ref`` until all nouns are defined; see `vamgpu.schema.explain.json_schema`."""
+
+
 class Nouns:
     """The type of a key whose table is a noun; an annotation for pydantic.
 
     Args:
-        choices: (family, kind) of every noun that may stand there.
+        choices: (family, kind) of the nouns that may stand there; kind is None for all of a family.
         without: fields that are given elsewhere.
         beside: keys of the table that are no fields, their types and defaults. With these two a `Partial` is read.
     """
 
     def __init__(
-        self, choices: Iterable[tuple[str, str]], without: tuple[str, ...] = (),
+        self, choices: Iterable[tuple[str, str | None]], without: tuple[str, ...] = (),
         beside: Mapping[str, tuple[Any, Any]] | None = None,
     ) -> None:  # fmt: skip
-        self.choices, self.without, self.beside = tuple(choices), without, dict(beside or {})
+        self.given, self.without, self.beside = tuple(choices), without, dict(beside or {})
+
+    @property
+    def choices(self) -> tuple[tuple[str, str], ...]:
+        """(family, kind) of every noun that may stand there, those named since included."""
+        every = ((name, family(name).nouns if kind is None else (kind,)) for name, kind in self.given)
+        return tuple((name, kind) for name, kinds in every for kind in kinds)
 
     def model(self, table: Mapping[str, Any]) -> type[BaseModel]:
         """The pydantic model of a table; raises `BadInput`."""
@@ -72,7 +82,8 @@ class Nouns:
         if kind is None:
             raise BadInput(f"kind is missing; add kind = one of {', '.join(kinds)}")
         if kind not in kinds:
-            return find(next(iter(kinds.values())), kind)  # says what was meant
+            what = " or ".join(dict.fromkeys(kinds.values()))
+            raise BadInput(f"no {what} {kind!r}; wanted one of {', '.join(kinds)}{nearest(kind, kinds)}")
         return find(kinds[kind], kind)
 
     def read(self, table: Any, info: Any = None) -> Any:
@@ -95,8 +106,15 @@ class Nouns:
         return core_schema.with_info_plain_validator_function(self.read)
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        refs = [{"$ref": f"#/$defs/{name}.{kind}"} for name, kind in self.choices]
-        return refs[0] if len(refs) == 1 else {"oneOf": refs}
+        if self.without or self.beside:
+            return self.model({}).model_json_schema()
+        refs = [{NOUN: f"{name}.{kind}"} for name, kind in self.choices]
+        if len(refs) == 1:
+            return refs[0]
+        usual = {kind for name, kind in self.choices if family(name).default == kind}
+        said = [ref if kind in usual else {"allOf": [ref, {"required": ["kind"]}]}
+                for ref, (_, kind) in zip(refs, self.choices, strict=True)]  # fmt: skip
+        return {"anyOf": said}
 
 
 @dataclass(frozen=True)
@@ -120,8 +138,7 @@ def noun(
 
     without, beside: as for `Nouns`.
     """
-    choices = [(name, one) for name in names for one in (family(name).nouns if kind is None else (kind,))]
-    return Annotated[Any, Nouns(choices, without, beside)]
+    return Annotated[Any, Nouns(((name, kind) for name in names), without, beside)]
 
 
 @cache
@@ -129,7 +146,7 @@ def model_of(cls: type[Any], without: tuple[str, ...] = ()) -> type[BaseModel]:
     """A pydantic model of a noun's fields; those that no file can write are None, or left out."""
     found: dict[str, Any] = {}
     for field in fields_of(cls):
-        kind = _in_files(field.kind)
+        kind = in_files(field.kind)
         kind = NoneType if kind is None and field.default is None else kind
         if kind is not None and field.name not in without:
             described = Annotated[kind, Described(description=field.doc)] if field.doc else kind
@@ -137,19 +154,19 @@ def model_of(cls: type[Any], without: tuple[str, ...] = ()) -> type[BaseModel]:
     return create_model(cls.__name__, __base__=Section, __doc__=cls.__doc__, **found)
 
 
-def _in_files(kind: Any) -> Any:
+def in_files(kind: Any) -> Any:
     """A field's type as pydantic reads it; None for what files do not write."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin is Annotated:
-        return kind if quantity_in(kind) is not None else _in_files(parts[0])
+        return kind if quantity_in(kind) is not None else in_files(parts[0])
     if origin in (Union, UnionType):
-        known = [_in_files(part) for part in parts if part is not NoneType]
+        known = [in_files(part) for part in parts if part is not NoneType]
         kept = _joined([part for part in known if part is not None])
         return None if kept is None else (kept | None if NoneType in parts else kept)
     if origin is Sequence:
-        return _in_files(tuple[parts[0], ...])  # type: ignore[valid-type]
+        return in_files(tuple[parts[0], ...])  # type: ignore[valid-type]
     if origin is tuple:
-        inner = tuple(part if part is Ellipsis else _in_files(part) for part in parts)
+        inner = tuple(part if part is Ellipsis else in_files(part) for part in parts)
         return None if None in inner else Annotated[tuple[inner], Listed]  # type: ignore[valid-type]
     if origin is Literal or kind in (str, int, float, bool):
         return kind
@@ -164,7 +181,7 @@ def _joined(kinds: list[Any]) -> Any:
     nouns = [part for kind in kinds for part in getattr(kind, "__metadata__", ()) if isinstance(part, Nouns)]
     plain = [kind for kind in kinds if not any(isinstance(part, Nouns) for part in getattr(kind, "__metadata__", ()))]
     if nouns:
-        plain.append(Annotated[Any, Nouns(choice for part in nouns for choice in part.choices)])
+        plain.append(Annotated[Any, Nouns(choice for part in nouns for choice in part.given)])
     lists = [kind for kind in plain if get_origin(get_args(kind)[0] if get_args(kind) else None) is tuple]
     if lists and len(plain) > 1:
         return Annotated[Any, OneOrMany(next(kind for kind in plain if kind not in lists), lists[0])]
@@ -202,7 +219,7 @@ def read(name: str, table: Mapping[str, Any], *, units: bool = True, device: Any
     context = {} if units else dict(PLAIN)
     if device is not None:
         context["device"] = device
-    nouns = Nouns((name, kind) for kind in family(name).nouns)
+    nouns = Nouns([(name, None)])
     try:
         return nouns.read(table, _Info(context))
     except ValidationError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cache
@@ -130,22 +131,31 @@ def installed() -> None:
         register(family, kind, entry.value)
 
 
+def families() -> dict[str, Family]:
+    """All families, with what installed packages name."""
+    installed()
+    return FAMILIES
+
+
 def family(name: str) -> Family:
     """A family by name; raises `BadInput`."""
-    installed()
-    if name not in FAMILIES:
+    if name not in families():
         raise BadInput(f"no family {name!r} of nouns; there are {', '.join(FAMILIES)}")
     return FAMILIES[name]
 
 
 def find(name: str, kind: str) -> type[Any]:
-    """The class of a kind; raises `BadInput` with the nearest known kind."""
+    """The class of a kind; raises `BadInput`."""
     nouns = family(name).nouns
     if kind not in nouns:
-        close = get_close_matches(str(kind), nouns, n=1)
-        hint = f"did you mean {close[0]!r}?" if close else "correct the name"
-        raise BadInput(f"no {name} {kind!r}; wanted one of {', '.join(nouns)}: {hint}")
+        raise BadInput(f"no {name} {kind!r}; wanted one of {', '.join(nouns)}{nearest(kind, nouns)}")
     return load(nouns[kind])
+
+
+def nearest(name: Any, known: Iterable[str]) -> str:
+    """What a name that is unknown was meant to be, to end a complaint."""
+    close = get_close_matches(str(name), list(known), n=1)
+    return f": did you mean {close[0]!r}?" if close else ": correct the name"
 
 
 def load(path: str) -> Any:
@@ -156,19 +166,17 @@ def load(path: str) -> Any:
 
 def name_of(cls: type[Any]) -> tuple[str, str] | None:
     """Family and kind of a class; None for one that has no name."""
-    installed()
-    for name, members in FAMILIES.items():
+    for name, members in families().items():
         for kind, path in members.nouns.items():
             if path.endswith(f":{cls.__name__}") and load(path) is cls:
                 return name, kind
     return None
 
 
-def families_of(cls: type[Any]) -> tuple[tuple[str, str], ...]:
-    """(family, kind) of every noun that a constructor takes which asks for ``cls``."""
-    installed()
-    for name, members in FAMILIES.items():
+def families_of(cls: type[Any]) -> tuple[tuple[str, str | None], ...]:
+    """(family, kind) of the nouns that a constructor takes which asks for ``cls``; kind is None for a whole family."""
+    for name, members in families().items():
         if members.stands.endswith(f":{cls.__name__}") and load(members.stands) is cls:
-            return tuple((name, kind) for kind in members.nouns)
+            return ((name, None),)
     one = name_of(cls)
     return () if one is None else (one,)

@@ -16,10 +16,11 @@ from vamgpu.schema.quantities import DataRate, Length, Rate, Time
 class Display:
     """The mirrors that show pictures, and the wires to them and to the lens.
 
-    rate: most pictures a second of this many ``bits``.  pixels: columns, rows.  pitch: pixel edge in the bath [mm].
-    wire: seconds that the command for a lens power takes.  link: most bytes a second that reach the mirrors from the
-    host; inf where all pictures are loaded before.  turning: the order of the focus planes turns at every pose, so that
-    the lens moves one time less.  Defaults: 8 bits on 1080p mirrors, ten bytes at 38,400 baud. Raises `BadInput`.
+    rate: most pictures a second of this many ``bits``.  bits: of a pixel.  pixels: columns, rows.  pitch: pixel edge in
+    the bath [mm].  wire: seconds that the command for a lens power takes.  link: most bytes a second that reach the
+    mirrors from the host; inf where all pictures are loaded before.  turning: the order of the focus planes turns at
+    every pose, so that the lens moves one time less.  Defaults: 8 bits on 1080p mirrors, ten bytes at 38,400 baud.
+    Raises `BadInput`.
     """
 
     rate: Rate = 266.0
