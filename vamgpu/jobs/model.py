@@ -256,6 +256,8 @@ class JobFile(Section):
             raise Misplaced('got "joseph" and [light], whose pixels are one ray anyway; remove it', "beam", "footprint")
         if self.method is not None and self.solve.method != "default":
             raise Misplaced("got a method here and [method]; remove one", "solve", "method")
+        if self.method is not None and self.colors is not None:
+            raise Misplaced("got [method] and [colors]; wanted the rule of two colors in [colors.rule]", "method")
         if self.resin.precompensate and not hasattr(self.method, "diffusion"):
             raise Misplaced('wanted [method] kind = "recipe", which starts from the target', "resin", "precompensate")
         return self
