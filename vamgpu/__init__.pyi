@@ -2,6 +2,15 @@
 
 from vamgpu.backend import devices as devices
 from vamgpu.backend import open_device as open_device
+from vamgpu.chemistry.aging import fit_aging as fit_aging
+from vamgpu.chemistry.diffusion import Diffusion as Diffusion
+from vamgpu.chemistry.diffusion import Spread as Spread
+from vamgpu.chemistry.efficiency import RotatingLight as RotatingLight
+from vamgpu.chemistry.exposure_plan import plan_exposure as plan_exposure
+from vamgpu.chemistry.induction import fit_induction as fit_induction
+from vamgpu.chemistry.materials import Resin as Resin
+from vamgpu.chemistry.printrun import PrintRun as PrintRun
+from vamgpu.chemistry.stationary import stationary as stationary
 from vamgpu.geometry import Beam as Beam
 from vamgpu.geometry import Grid as Grid
 from vamgpu.geometry import Turntable as Turntable
@@ -35,6 +44,14 @@ from vamgpu.methods import (
 from vamgpu.methods import (
     optimize as optimize,
 )
+from vamgpu.methods.compare import compared as compared
+from vamgpu.methods.dual import Colors as Colors
+from vamgpu.methods.dual import superpose as superpose
+from vamgpu.methods.joint import Aims as Aims
+from vamgpu.methods.joint import KineticModel as KineticModel
+from vamgpu.methods.joint import TwoColorResin as TwoColorResin
+from vamgpu.methods.joint import optimize_colors as optimize_colors
+from vamgpu.metrics.merit import merit as merit
 from vamgpu.operators.bundle import RayBundle as RayBundle
 from vamgpu.operators.carried import Carried as Carried
 from vamgpu.operators.defocus import Defocus as Defocus
@@ -55,6 +72,7 @@ from vamgpu.optics.occluder import Occluded as Occluded
 from vamgpu.optics.rising import Cone as Cone
 from vamgpu.optics.rising import Inclined as Inclined
 from vamgpu.optics.roller import Roller as Roller
+from vamgpu.optics.shadowgram import shadowgram as shadowgram
 from vamgpu.optics.vat import Vat as Vat
 from vamgpu.optics.vial import Vial as Vial
 from vamgpu.printing.export import export as export
@@ -64,9 +82,13 @@ from vamgpu.printing.gray import GrayCurve as GrayCurve
 from vamgpu.printing.pack import pack as pack
 from vamgpu.printing.proof import Proof as Proof
 from vamgpu.printing.simulate import simulate as simulate
+from vamgpu.targets.designs import gray_wedges as gray_wedges
+from vamgpu.targets.designs import usaf as usaf
+from vamgpu.targets.spiral import Spiral as Spiral
 from vamgpu.targets.target import Target as Target
 from vamgpu.web import WebGrid as WebGrid
 from vamgpu.webs.stream import Stream as Stream
+from vamgpu.webs.timetable import timetable as timetable
 
 __all__: list[str]
 __version__: str

@@ -6,31 +6,22 @@ grid and beam is centered on it. With θ the pose, ``r = y·cosθ − x·sinθ``
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput
+from vamgpu.quantity import positive
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Fill, Length, Positive, Turn, Width
 
 HALF_A_PIXEL = 0.5
 """Standard deviation [pixels] of the point spread of a projector in focus, where nobody measured it."""
 FULL_TURN = 2.0 * np.pi
 SAME_ANGLE = 1e-9
 """Angles [rad] this close are the same: files write decimals."""
-
-
-def positive(name: str, value: float, *, zero: bool = False) -> float:
-    """``value`` as a float if it is finite and positive (or zero, where allowed), else `BadInput`."""
-    try:
-        number = float(value) if not isinstance(value, (str, bytes)) else float("nan")
-    except (TypeError, ValueError, OverflowError) as error:
-        raise BadInput(f"{name} is {value!r}; wanted a number") from error
-    if not isfinite(number) or number < 0 or (number == 0 and not zero):
-        raise BadInput(f"{name} is {value!r}; wanted a finite number {'≥' if zero else '>'} 0")
-    return number
 
 
 def counts(name: str, values: object, length: int) -> tuple[int, ...]:
@@ -58,11 +49,11 @@ class Grid:
     """
 
     shape: tuple[int, int, int]
-    pitch: float
+    pitch: Length
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", counts("Grid shape", self.shape, 3))
-        object.__setattr__(self, "pitch", positive("Grid pitch [mm]", self.pitch))
+        check(self)
 
     @property
     def voxel_volume(self) -> float:
@@ -106,19 +97,14 @@ class Beam:
     """
 
     pixels: tuple[int, int]
-    pitch: float
-    fill: float = 1.0
-    spread: Any = None
+    pitch: Length
+    fill: Fill = 1.0
+    spread: Width | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", counts("Beam pixels", self.pixels, 2))
-        object.__setattr__(self, "pitch", positive("Beam pitch [mm]", self.pitch))
-        object.__setattr__(self, "fill", positive("Beam fill", self.fill))
-        if self.fill > 1.0:
-            raise BadInput(f"Beam fill is {self.fill:g}; expected a share of the pixel's area, above 0 and at most 1")
-        if self.spread is not None:
-            measured = getattr(self.spread, "width", self.spread)
-            object.__setattr__(self, "spread", positive("Beam spread [mm]", measured, zero=True))
+        object.__setattr__(self, "spread", getattr(self.spread, "width", self.spread))
+        check(self)
 
     @property
     def pixel_area(self) -> float:
@@ -167,7 +153,9 @@ class Turntable:
     theta: tuple[float, ...] | None
     dwell: tuple[float, ...] | None
 
-    def __init__(self, angles: int | ArrayLike, dwell: ArrayLike | None = None) -> None:
+    def __init__(
+        self, angles: int | Sequence[Turn] | np.ndarray, dwell: Sequence[Positive] | np.ndarray | None = None
+    ) -> None:
         listed = isinstance(angles, (list, tuple, range)) or np.ndim(angles) > 0  # pyright: ignore[reportArgumentType]
         theta = _finite("Turntable angles [rad]", angles) if listed else None
         count = counts("Turntable angles", (angles,), 1)[0] if theta is None else theta.size
@@ -183,7 +171,9 @@ class Turntable:
         object.__setattr__(self, "dwell", None if dwell is None else _relative(dwell, count))
 
     @classmethod
-    def arc(cls, angles: int, span: float, start: float = 0.0, dwell: ArrayLike | None = None) -> Turntable:
+    def arc(
+        cls, angles: int, span: float, start: float = 0.0, dwell: Sequence[float] | np.ndarray | None = None
+    ) -> Turntable:
         """Even poses over a part of a turn: θ = start + span·k / angles, so that a half turn has no direction twice.
 
         Args:
@@ -202,6 +192,10 @@ class Turntable:
         if self.dwell is not None:
             object.__setattr__(piece, "dwell", self.dwell[first:stop])
         return piece
+
+    def described(self) -> dict[str, Any]:
+        """What its constructor was given."""
+        return {"angles": self.angles if self.theta is None else self.theta, "dwell": self.dwell}
 
     @property
     def poses(self) -> np.ndarray:

@@ -6,6 +6,7 @@ import re
 from math import isfinite
 from typing import Any
 
+from vamgpu.errors import BadInput
 from vamgpu.units import NAMES
 
 QUANTITY = re.compile(r"\s*([-+]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*")
@@ -13,7 +14,7 @@ SPELLINGS = {
     "a length": ("mm", "um", "µm", "cm", "m"),
     "an absorption": ("1/mm", "/mm", "1/cm", "/cm"),
     "an irradiance": ("mW/cm2", "W/cm2", "mW/mm2"),
-    "a dose": ("mJ/cm3", "J/cm3", "mJ/mm3"),
+    "a dose": ("mJ/cm3", "mJ/mm3", "J/cm3"),
     "a speed": ("mm/min", "mm/s", "mm/h", "m/min"),
     "an angle": ("deg", "°", "rad"),
     "a time": ("ms", "s", "us", "µs", "min"),
@@ -51,7 +52,23 @@ def spelled(unit: str) -> str:
     return plain if per is None else f"{per[1]}/{per[2]}{per[3] if per[3] != '1' else ''}"
 
 
-def parse(text: Any, kind: str, *, zero: bool = False) -> float:
+def positive(name: str, value: float, *, zero: bool = False) -> float:
+    """``value`` as a float if it is finite and positive (or zero, where allowed), else `BadInput`."""
+    try:
+        number = float(value) if not isinstance(value, (str, bytes)) else float("nan")
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadInput(f"{name} is {value!r}; wanted a number") from error
+    if not isfinite(number) or number < 0 or (number == 0 and not zero):
+        raise BadInput(f"{name} is {value!r}; wanted a finite number {'≥' if zero else '>'} 0")
+    return number
+
+
+def unit_of(kind: str) -> str:
+    """The unit of a kind that the library computes in, or else its most usual one."""
+    return next((unit for unit in SPELLINGS[kind] if NAMES[unit] == 1.0), SPELLINGS[kind][0])
+
+
+def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False) -> float:
     """A quantity in mm, s and mJ; ``kind`` is a key of `SPELLINGS`. Raises `ValueError` saying what was wanted."""
     example = f'write it like "{EXAMPLES[kind]}"'
     if not isinstance(text, str):
@@ -64,6 +81,6 @@ def parse(text: Any, kind: str, *, zero: bool = False) -> float:
         got = f"unit {match[2]!r}" if unit else "no unit"
         raise ValueError(f"{got}; wanted {kind} in {', '.join(SPELLINGS[kind])}: {example}")
     value = number * NAMES[unit]
-    if not isfinite(value) or value < 0 or (value == 0 and not zero):
-        raise ValueError(f"wanted {kind} {'≥' if zero else '>'} 0: {example}")
+    if not isfinite(value) or (not signed and (value < 0 or (value == 0 and not zero))):
+        raise ValueError(f"wanted {kind}{'' if signed else ' ≥ 0' if zero else ' > 0'}: {example}")
     return value

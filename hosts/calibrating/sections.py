@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from vamgpu.jobs.model import Count, Section
-from vamgpu.jobs.quantity import Exposure, Length, Speed, Thickness, Time
+from vamgpu.schema.quantities import Count, Exposure, Length, Speed, Thickness, Time
+from vamgpu.schema.read import Section
 
 
 class CameraSection(Section):

@@ -20,8 +20,8 @@ from vamgpu.hosts.rigs.sections import (
     SafetySection,
     StageSection,
 )
-from vamgpu.jobs.model import Misplaced, Section
 from vamgpu.jobs.read import checked
+from vamgpu.schema.read import Misplaced, Section
 
 EMULATED = """\
 # A rehearsal: every machine is emulated and time is a program's, so that nothing shines and an hour takes seconds.

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from vamgpu.hosts.protocols.controller import LONGEST_LEASE_MS, STEEPEST
-from vamgpu.jobs.model import Count, Listed, Section
-from vamgpu.jobs.quantity import Exposure, Irradiance, Length, Rate, Time
 from vamgpu.optics.lens import TunableLens
+from vamgpu.schema.quantities import Count, Exposure, Irradiance, Length, Rate, Time
+from vamgpu.schema.read import Listed, Section
 
 Share = Annotated[float, Field(gt=0, le=1)]
 Baud = Annotated[int, Field(ge=300, le=4_000_000)]

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vamgpu.jobs.quantity import SPELLINGS, parse
+from vamgpu.quantity import SPELLINGS, parse
 from vamgpu.units import NAMES
 
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, sqrt
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput
-from vamgpu.geometry import Grid, positive
+from vamgpu.geometry import Grid
 from vamgpu.kernels.blur import blur_slices
 from vamgpu.kernels.filter import filter_rows
 from vamgpu.kernels.gauss import blur_planes
@@ -21,6 +20,8 @@ from vamgpu.kernels.update import linear
 from vamgpu.operators.compose import NO_FLOOR
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.space import VolumeSpace, WebSpace
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Diffusivity, Exposure, Quantity, Thickness
 from vamgpu.web import WebGrid
 
 DROPPED = 1e-7
@@ -40,17 +41,13 @@ class Diffusion:
     the mean over the exposure is derived here.  Raises `BadInput`.
     """
 
-    diffusivity: float
-    seconds: float
-    optical: float = 0.0
-    stages: int = 4
+    diffusivity: Diffusivity
+    seconds: Exposure
+    optical: Thickness = 0.0
+    stages: Annotated[int, Quantity(least=1, most=16, whole=True, hint="1 to 16 Gaussians")] = 4
 
     def __post_init__(self) -> None:
-        positive("diffusivity [mm²/s]", self.diffusivity)
-        positive("seconds", self.seconds)
-        positive("optical [mm]", self.optical, zero=True)
-        if self.stages not in range(1, 17):
-            raise BadInput(f"stages is {self.stages!r}; wanted 1 to 16 Gaussians")
+        check(self)
 
     @property
     def deviation(self) -> float:
@@ -88,7 +85,8 @@ def heat_taps(variance: float) -> np.ndarray:
 class Spread(LinearOperator):
     """Doses [x, y, z] after diffusion, on a device; 0 beyond the volume, and what leaves it does not return.
 
-    Each Gaussian is made from the one before by the difference of their variances, three short convolutions.
+    grid: of the doses.  diffusion: over an exposure.  Each Gaussian is made from the one before by the difference of
+    their variances, three short convolutions.
     """
 
     def __init__(self, grid: Grid | WebGrid, diffusion: Diffusion, device: str | Device | None = None) -> None:

@@ -169,6 +169,35 @@ def limits(machine: Path, *, png: Path | None = None, settings: Settings = None)
 
 
 @app.command
+def keys(table: str | None = None, /) -> None:
+    """List the keys that job files may have, what they hold and what they mean.
+
+    Args:
+        table: one of a file, such as beam or web.beam, or a noun, such as vessel.fan; all, as markdown, by default
+    """
+    from vamgpu.jobs.keys import keys_of, reference
+
+    if table is None:
+        return print(reference(), end="")
+    sheet = Table("key", "holds", "default", "meaning", title=table)
+    for key in keys_of(table):
+        sheet.add_row(key.name, escape(key.what), escape(key.default or "wanted"), escape(key.doc))
+    console().print(sheet)
+
+
+@app.command
+def schema(file: Literal["vial", "web", "machine", "slices"] = "vial", /) -> None:
+    """Write the JSON Schema of a job file, by which editors complete and check TOML.
+
+    Args:
+        file: what the job file is for
+    """
+    from vamgpu.jobs.keys import schema_of
+
+    print(json.dumps(schema_of(file), indent=2, ensure_ascii=False))
+
+
+@app.command
 def devices() -> None:
     """List the devices that work here, the best first."""
     screen = console()

@@ -21,9 +21,9 @@ from vamgpu.curethrough.sliced import MeshStack
 from vamgpu.curethrough.stack import ARCHIVES, layer_height, open_stack
 from vamgpu.curethrough.weighed import Told
 from vamgpu.errors import JobError, SliceWarning
-from vamgpu.jobs.model import Count, Listed, Section
-from vamgpu.jobs.quantity import Background, DoseValue, Exposure, Irradiance, Length, Speed, Thickness
 from vamgpu.jobs.read import checked, read_text
+from vamgpu.schema.quantities import Background, Count, Dose, Exposure, Irradiance, Length, Speed, Thickness
+from vamgpu.schema.read import Listed, Section
 
 EXAMPLE = """\
 # The continuous printer of the cure-through paper.
@@ -50,12 +50,14 @@ DIFFERENT = 1e-3
 class PrinterSection(Section):
     """Printer and resin: ``speed`` of a continuous one, ``exposure`` of a slice where it prints layer by layer.
 
+    absorption_height: depth in which light falls to 1/e.  critical_dose: from which the resin is solid.  slice_height:
+    from slice to slice.  speed: of the platform.  exposure: of each slice.  dead_zone: depth that never cures.
     light, dark: irradiance of levels 255 and 0.  gray: file whose table [gray] says what lies between, and how dark
     level 0 is.
     """
 
     absorption_height: Length
-    critical_dose: DoseValue
+    critical_dose: Dose
     slice_height: Length
     speed: Speed | None = None
     exposure: Exposure | None = None
@@ -76,7 +78,11 @@ class PrinterSection(Section):
 
 
 class SlicesSection(Section):
-    """Slices of a folder or zip, or a mesh that is sliced: pixel pitch, size, the printer's pixels along x and y."""
+    """Slices of a folder or zip, or a mesh that is sliced.
+
+    path: of the slices.  mesh: file of a part.  pitch: edge of its pixels.  height: of the part.  factor: by which it
+    is scaled, in place of a height.  pixels: of the printer along x and y.  threshold: gray level that counts as part.
+    """
 
     path: str | None = None
     mesh: str | None = None
@@ -98,6 +104,9 @@ class SlicesSection(Section):
 class CorrectSection(Section):
     """The correction: dose inside features, ``flat`` at ``most`` critical doses or ``parallel`` to the bounds.
 
+    profile: of the dose.  most: greatest dose of a flat profile, in critical doses.  share: of the way between the
+    bounds at which parallel ones lie.  tail: slices added below the part.  platform: it stands below the first slice.
+    dither: carry the error of a level on.  device: where to compute; the best one here by default.
     whole_columns: least squares over columns that hold features or voids out of reach.
     """
 

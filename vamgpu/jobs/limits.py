@@ -7,21 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
-from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from pydantic import ConfigDict, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
-from vamgpu.jobs.model import Count, Index, Listed, Polarization, Section
-from vamgpu.jobs.quantity import Absorption, Angle, DataRate, Density, Length, LensPower, Rate, Speed, Thickness, Time
-from vamgpu.jobs.quantity import Viscosity as ViscosityValue
 from vamgpu.jobs.read import checked, read_text
-from vamgpu.optics.film import Film
-from vamgpu.optics.lens import TunableLens
-from vamgpu.optics.roller import Roller
-from vamgpu.units import dpt
-from vamgpu.webs.display import Display
+from vamgpu.schema.quantities import Density, Length, Speed, Viscosity
+from vamgpu.schema.read import Section, noun
 from vamgpu.webs.limits import Limits
 
 MACHINE = """\
@@ -59,59 +52,32 @@ density = "1100 kg/m3"
 """An example of such a file."""
 
 
-class FilmSection(Section):
-    """The film and the bath it moves in."""
-
-    thickness: Length
-    resin_index: Index
-    bath_index: Index = 1.0
-    absorption: Absorption = 0.0
-
-
-class RollerSection(Section):
-    """The roller, how far it turns from pose to pose, and how long its straight legs are in the light."""
-
-    radius: Length
-    step: Angle
-    legs: Thickness | None = None
-    polarization: Polarization = "none"
-
-
-class LensSection(Section):
-    """The tunable lens and the relays it stands in."""
-
-    bins: Count = 3
-    settle: Time = 5e-3
-    depth_of_focus: Length = 3.8
-    focal: Annotated[tuple[Length, Length, Length, Length], Listed] = TunableLens.focal
-    powers: Annotated[tuple[LensPower, LensPower], Listed] | None = None
-    quantum: LensPower = 0.0
-
-
-class DisplaySection(Section):
-    """The mirrors and their wires."""
-
-    rate: Rate = 266.0
-    pixels: Annotated[tuple[Count, Count], Listed] = (1920, 1080)
-    pitch: Length = 0.0144
-    bits: Literal[1, 8] = 8
-    wire: Time = Display.wire
-    link: DataRate | None = None
-    turning: bool = False
+Roll = noun("wrap", kind="roller", without=("film",))
+Depth = Annotated[Length, Field(description="of the projector: where its light is less than √2 wider")]
+Lens = noun("lens", without=("index",), beside={"depth_of_focus": (Depth, 3.8)})
+"""A lens that focuses in the bath of the film."""
+Plain: Any = Field(default={}, validate_default=True)
+"""A table that may be left out."""
 
 
 class WebSection(Section):
-    """What is wanted of the web."""
+    """What is wanted of the web.
+
+    speed: of its neutral line.  length: to be printed.
+    """
 
     speed: Speed
     length: Length = 600.0
 
 
 class ResinSection(Section):
-    """How the uncured resin flows; a gel has no viscosity."""
+    """How the uncured resin flows.
+
+    density: of the resin.  viscosity: a gel has none.
+    """
 
     density: Density = Limits.density
-    viscosity: ViscosityValue | None = None
+    viscosity: Viscosity | None = None
 
 
 class MachineFile(Section):
@@ -119,11 +85,11 @@ class MachineFile(Section):
 
     model_config = ConfigDict(extra="ignore")
 
-    film: FilmSection
-    roller: RollerSection
+    film: noun("film")  # type: ignore[valid-type]
+    roller: Roll  # type: ignore[valid-type]
     web: WebSection
-    lens: LensSection = LensSection()
-    display: DisplaySection = DisplaySection()
+    lens: Lens = Plain  # type: ignore[valid-type]
+    display: noun("display") = Plain  # type: ignore[valid-type]
     resin: ResinSection = ResinSection()
 
     @model_validator(mode="before")
@@ -145,19 +111,8 @@ def read_limits(path: str | Path, settings: Iterable[str] = ()) -> Limits:
 def parse_limits(text: str, settings: Iterable[str] = (), *, source: str = "machine") -> Limits:
     """The limits of a machine from TOML text. Raises `JobError` naming every wrong value, and `BadInput`."""
     file, _ = checked(MachineFile, text, settings, source=source)
-    film = Film(**file.film.model_dump())
-    roller = Roller(film=film, **file.roller.model_dump())
-    display = Display(**{**file.display.model_dump(), "link": file.display.link or inf})
+    lens = file.lens(index=file.film.bath_index)
     return Limits(
-        roller, lens_of(file.lens, file.film), display, file.web.speed, file.web.length, file.lens.depth_of_focus,
-        file.resin.density, file.resin.viscosity,
-    )  # fmt: skip
-
-
-def lens_of(wanted: LensSection, film: FilmSection) -> TunableLens:
-    """The lens of a machine, which focuses in its bath."""
-    low, high = TunableLens.powers if wanted.powers is None else (power / dpt for power in wanted.powers)
-    return TunableLens(
-        focal=wanted.focal, powers=(low, high), index=film.bath_index, bins=wanted.bins,
-        quantum=wanted.quantum / dpt, settle=wanted.settle,
+        file.roller(film=file.film), lens, file.display, file.web.speed, file.web.length,
+        file.lens.beside["depth_of_focus"], file.resin.density, file.resin.viscosity,
     )  # fmt: skip

@@ -7,13 +7,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from vamgpu.errors import JobError
 from vamgpu.jobs.lines import key_lines, line_of
 from vamgpu.jobs.model import JobFile
+from vamgpu.schema.read import complaint, model_in
 
 
 @dataclass(frozen=True)
@@ -48,23 +49,26 @@ def parse_job(
     text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(), name: str = "job"
 ) -> Job:
     """A job from TOML text. Raises `JobError` naming every wrong value at once."""
-    return Job(*checked(JobFile, text, settings, source=source), folder, name)
+    return Job(*checked(JobFile, text, settings, source=source, folder=folder), folder, name)
 
 
 def checked(
-    model: type[Wanted], text: str, settings: Iterable[str] = (), *, source: str = "job"
+    model: type[Wanted], text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path()
 ) -> tuple[Wanted, dict[str, Any]]:
-    """TOML text as a model of a file, and its keys as written. Raises `JobError` naming every wrong value at once."""
+    """TOML text as a model of a file, and its keys as written; ``folder`` is what paths in it are relative to.
+
+    Raises `JobError` naming every wrong value at once.
+    """
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise JobError(f"{source}: not valid TOML: {error}; correct that line") from error
     replaced = {_replace(data, setting) for setting in settings}
     try:
-        return model.model_validate(data), data
+        return model.model_validate(data, context={"folder": folder}), data
     except ValidationError as error:
         lines = key_lines(text)
-        found = [_complaint(entry, source, lines, replaced, model) for entry in error.errors()]
+        found = [_complaint(entry, source, lines, replaced, model, data) for entry in error.errors()]
         raise JobError("\n".join(found)) from error
 
 
@@ -93,8 +97,9 @@ def toml_value(text: str) -> Any:
 
 
 def _complaint(
-    entry: Any, source: str, lines: dict[tuple[str, ...], int], replaced: set[tuple[str, ...]], file: type[BaseModel]
-) -> str:
+    entry: Any, source: str, lines: dict[tuple[str, ...], int], replaced: set[tuple[str, ...]], file: type[BaseModel],
+    data: dict[str, Any],
+) -> str:  # fmt: skip
     between = getattr(entry.get("ctx", {}).get("error"), "key", ())
     key = tuple(str(part) for part in (*entry["loc"], *between))
     named = tuple(part for part in key if not part.isdigit())
@@ -105,30 +110,22 @@ def _complaint(
         place = f"{source}, line {line}" if line else source
     subject = ".".join(key) or "job"
     if entry["type"] == "extra_forbidden":
-        return f"{place}: {subject}: unknown key; {_spelling(key, file)}"
-    if entry["type"] == "missing":
-        return f"{place}: {subject} is missing; {_remedy(key)}"
-    got = "" if isinstance(entry["input"], dict | BaseModel) else f" got {entry['input']!r};"
-    said = entry["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    wanted = said if entry["type"] == "value_error" else f"wanted {said}; correct the value"
-    return f"{place}: {subject}:{got} {wanted}"
+        return f"{place}: {subject}: unknown key; {_spelling(named, file, data)}"
+    return f"{place}: {subject}{complaint(entry, _remedy(key))}"
 
 
-def _model_at(key: tuple[str, ...], file: type[BaseModel]) -> type[BaseModel]:
-    """The section that a key's parent names."""
+def _spelling(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]) -> str:
     model = file
     for part in key[:-1]:
-        annotation = model.model_fields[part].annotation if part in model.model_fields else None
-        choices = [annotation, *get_args(annotation)]
-        model = next((c for c in choices if isinstance(c, type) and issubclass(c, BaseModel)), model)
-    return model
-
-
-def _spelling(key: tuple[str, ...], file: type[BaseModel]) -> str:
-    known = list(_model_at(key, file).model_fields)
+        field = model.model_fields.get(part)
+        data = data.get(part, {}) if isinstance(data, dict) else {}
+        model = model if field is None else model_in(field.annotation, field.metadata, data) or model
+    known = list(model.model_fields)
     close = get_close_matches(key[-1], known, n=1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else f"wanted one of {', '.join(known)}: correct or remove it"
 
 
 def _remedy(key: tuple[str, ...]) -> str:
+    if not key:
+        return "add it"
     return f"add the table [{key[0]}]" if len(key) == 1 else f"add {key[-1]} = … to [{'.'.join(key[:-1])}]"

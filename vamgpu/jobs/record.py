@@ -20,10 +20,11 @@ class PlanRecord:
     window: float
 
     @classmethod
-    def of(cls, plan: Any) -> PlanRecord:
-        """The record of a `Plan`."""
+    def of(cls, plan: Any, window: float | None = None) -> PlanRecord:
+        """The record of a `Plan`, or of another with a window of its own."""
         history = tuple(asdict(step) for step in plan.history)
-        return cls(repr(plan.method), history, tuple(map(str, plan.papers)), float(plan.seconds), float(plan.window))
+        window = float(plan.window if window is None else window)
+        return cls(repr(plan.method), history, tuple(map(str, plan.papers)), float(plan.seconds), window)
 
     @classmethod
     def read(cls, data: Any) -> PlanRecord:

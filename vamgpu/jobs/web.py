@@ -7,32 +7,32 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from vamgpu.errors import JobError
-from vamgpu.jobs.limits import DisplaySection, FilmSection, LensSection, ResinSection, RollerSection, lens_of
-from vamgpu.jobs.model import Count, Section
-from vamgpu.jobs.quantity import Length, Speed
+from vamgpu.jobs.limits import Lens, ResinSection, Roll
 from vamgpu.jobs.read import checked, read_text
 from vamgpu.jobs.run import Told, _quietly
-from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
+from vamgpu.schema.quantities import Count, Length, NonNegative, Positive, Speed
+from vamgpu.schema.read import Section, noun
 from vamgpu.webs.store import RECORD, WebFolder
 from vamgpu.webs.stream import Stream
 
 RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
 """Index ratios of the paper's Fig. S9."""
 
-Windows = Annotated[float, Field(gt=0)]
-
 
 class WebTarget(Section):
     """What is printed on the web: a lattice, a mesh repeated along it, or an array of fractions [l, rho, z].
 
     A mesh stays where it is: its x along the web, its y from the roller's side outwards, its z across about the middle.
+
+    lattice: one of `vamgpu.targets.lattices`.  cell: its edge.  strut: thickness of its struts.  level: of its surface.
+    mesh: file of a part.  period: from one part to the next.  tiles: NumPy file.
     """
 
     lattice: str | None = None
@@ -53,46 +53,60 @@ class WebTarget(Section):
 
 
 class WebLength(Section):
-    """The web: how long, and how fast where that is known."""
+    """The web.
+
+    length: to be printed.  speed: where it is known.
+    """
 
     length: Length
     speed: Speed | None = None
 
 
 class WebBeam(Section):
-    """The light: pixel edge in the bath, and how high it stands; it is as wide as the film about the roller."""
+    """The light, which is as wide as the film about the roller.
+
+    pitch: edge of a pixel in the bath.  height: of the light.
+    """
 
     pitch: Length
     height: Length
 
 
 class WebSolve(Section):
-    """How light is found: core and overlap of a segment are in windows of light."""
+    """How light is found.
+
+    iterations: of each segment.  core, overlap: of a segment, in windows of light.  device: where to compute; the best
+    one here by default.
+    """
 
     iterations: Count = 100
-    core: Windows = 2.0
-    overlap: Annotated[float, Field(ge=0)] = 1.0
+    core: Positive = 2.0
+    overlap: NonNegative = 1.0
     device: str | None = None
 
 
 class WebFrames(Section):
-    """How light becomes pictures; scale is the light of a full-on pixel."""
+    """How light becomes pictures.
+
+    gray: file of the projector's gray curve.  scale: light of a full-on pixel.
+    """
 
     gray: str | None = None
-    scale: Annotated[float, Field(gt=0)] | None = None
+    scale: Positive | None = None
 
 
 class WebFile(Section):
     """A whole job file of a web. The tables of the machine are those that its limits are told from."""
 
-    film: FilmSection
-    roller: RollerSection
+    film: noun("film")  # type: ignore[valid-type]
+    roller: Roll  # type: ignore[valid-type]
     web: WebLength
     target: WebTarget
     beam: WebBeam
-    lens: LensSection | None = None
-    display: DisplaySection | None = None
+    lens: Lens | None = None  # type: ignore[valid-type]
+    display: noun("display") | None = None  # type: ignore[valid-type]
     resin: ResinSection | None = None
+    method: noun("method", kind="bclp") | None = None  # type: ignore[valid-type]
     solve: WebSolve = WebSolve()
     frames: WebFrames = WebFrames()
 
@@ -135,6 +149,7 @@ def parse_web(
 
 def stream_of(job: WebJob) -> Stream:
     """The stream of a job. Raises `JobError`, `BadInput`, `MeshError`, `StorageError`, `DeviceError`."""
+    from vamgpu.methods import BCLP
     from vamgpu.printing.gray import GrayCurve
 
     wanted = job.wanted
@@ -145,7 +160,8 @@ def stream_of(job: WebJob) -> Stream:
         target_of(job),
         roller,
         beam,
-        lens=None if wanted.lens is None else lens_of(wanted.lens, wanted.film),
+        lens=None if wanted.lens is None else wanted.lens(index=wanted.film.bath_index),
+        method=BCLP.paper_002() if wanted.method is None else wanted.method,
         length=wanted.web.length,
         iterations=wanted.solve.iterations,
         core=wanted.solve.core,
@@ -158,7 +174,7 @@ def stream_of(job: WebJob) -> Stream:
 
 def roller_of(wanted: WebFile) -> Roller:
     """The machine of a job."""
-    return Roller(film=Film(**wanted.film.model_dump()), **wanted.roller.model_dump())
+    return wanted.roller(film=wanted.film)
 
 
 def target_of(job: WebJob) -> Any:

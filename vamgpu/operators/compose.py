@@ -49,7 +49,10 @@ def same_device(first: LinearOperator, second: LinearOperator) -> None:
 
 @final
 class Composed(Derived):
-    """outer ∘ inner, with the geometry of the one that has it. Raises `ShapeMismatch`, `DeviceError`."""
+    """outer ∘ inner, with the geometry of the one that has it.
+
+    inner: is applied first.  outer: to what it gives.  Raises `ShapeMismatch`, `DeviceError`.
+    """
 
     def __init__(self, outer: LinearOperator, inner: LinearOperator) -> None:
         if outer.domain != inner.range:
@@ -85,7 +88,8 @@ class Composed(Derived):
 class Sum(Derived):
     """Σ weight·operator, e.g. over sub-rays of an aperture, with the geometry of the first.
 
-    weights: one a term, 1 where none are given.  Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
+    terms: operators between the same spaces.  weights: one a term, 1 where none are given.
+    Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
     """
 
     def __init__(self, terms: Sequence[LinearOperator], weights: Sequence[float] | None = None) -> None:

@@ -16,15 +16,15 @@ from vamgpu.operators.blur import Blur, gaussian
 from vamgpu.operators.compose import Composed, Derived, Sum, inherit
 from vamgpu.operators.light import EQUAL, OpenAir
 from vamgpu.operators.linear import LinearOperator, Transposed
-from vamgpu.operators.oblique import Oblique
+from vamgpu.operators.oblique import Oblique, Rising
 from vamgpu.operators.projection import Projection
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Length, Place, Positive
 
 TO_SIGMA = 1.0 / sqrt(8.0 * log(2.0))
 MIXED = 0.07, 0.3
 """Halfway between two round Gaussians whose widths differ by exp(0.3), their mixture is 7 % narrower than its variance
 says; the gap grows with the square of the exponent."""
-
-Surface = float | Callable[[np.ndarray], Any]
 
 
 @dataclass(frozen=True)
@@ -44,15 +44,12 @@ class Defocus:
         BadInput: a width or a depth that is not above 0.
     """
 
-    fwhm: float
-    depth_of_focus: float
-    focus: Surface = 0.0
+    fwhm: Length
+    depth_of_focus: Length
+    focus: Place | Callable[[np.ndarray], Any] = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("fwhm", "depth_of_focus"):
-            object.__setattr__(self, name, positive(f"Defocus {name} [mm]", getattr(self, name)))
-        if not callable(self.focus) and not np.isfinite(self.focus):
-            raise BadInput(f"Defocus focus is {self.focus!r}; wanted a depth [mm] or a function of the columns")
+        check(self)
 
     def width(self, depth: Any) -> np.ndarray:
         """FWHM [mm] at a depth [mm] before or behind the focus."""
@@ -119,19 +116,19 @@ class Defocused(Derived):
     between pixels included (where that alone is wider, light stays that wide). Depths are counted
     along the rays from where they pass the axis. Every pair costs as many as there are nodes.
 
-    operator: a `Projection` or an `Oblique`.  tolerance: largest share by which the FWHM may miss the formula between
-    nodes.  Raises `BadInput`.
+    operator: a `Projection` or an `Oblique`.  defocus: width of its light at every depth.  tolerance: largest share by
+    which the FWHM may miss the formula between nodes.  Raises `BadInput`.
     """
 
-    def __init__(self, operator: Projection | Oblique, defocus: Defocus, tolerance: float = 0.02) -> None:
+    def __init__(self, operator: Projection | Oblique, defocus: Defocus, tolerance: Positive = 0.02) -> None:
         if not isinstance(operator, (Projection, Oblique)):
             raise BadInput(f"Defocused got {operator!r}; wanted a Projection or an Oblique; wrap the result afterwards")
         if not isinstance(defocus, Defocus):
             raise BadInput(f"Defocused got {defocus!r}; wanted Defocus(fwhm=…, depth_of_focus=…)")
-        self.operator, self.defocus = operator, defocus
+        self.operator, self.defocus, self.tolerance = operator, defocus, positive("tolerance", tolerance)
         self.domain, self.range, self.device = operator.domain, operator.range, operator.device
         inherit(self, operator)
-        self.nodes = self._chosen(positive("tolerance", tolerance))
+        self.nodes = self._chosen(self.tolerance)
         self._sum = Sum([self._part(k) for k in range(len(self.nodes))])
         self._transpose = Transposed(self)
 
@@ -184,8 +181,7 @@ class Defocused(Derived):
             part = Projection(A.grid, beam, A.motion, plane, A.device)
             part.range = A.range  # the same images, whatever lens each part of their light goes through
             return part
-        rows = getattr(A.light, "rows", None)
-        light = plane if rows is None else _GradedRows(plane, rows)
+        light = _GradedRows(plane, A.light.rows) if isinstance(A.light, Rising) else plane
         return Composed(self._blur(nodes[k]), Oblique(A.grid, A.beam, A.motion, light, A.wobble, A.device))
 
     def _spread(self, variance: float) -> float:

@@ -28,7 +28,10 @@ EQUAL = 1.05
 
 @dataclass(frozen=True)
 class OpenAir:
-    """No vessel at all: straight rays, nothing absorbed, light everywhere."""
+    """No vessel at all: straight rays, nothing absorbed, light everywhere.
+
+    absorption: none.  lit_radius: of the light [mm].
+    """
 
     absorption: float = 0.0
     lit_radius: float = inf

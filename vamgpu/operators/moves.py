@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, floor
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
@@ -18,6 +18,7 @@ from vamgpu.operators.compose import Derived, inherit
 from vamgpu.operators.linear import LinearOperator, Transposed
 from vamgpu.operators.space import require
 from vamgpu.operators.wobble import Wobble
+from vamgpu.schema.quantities import Count, Place
 
 
 class Shift:
@@ -63,15 +64,17 @@ class Wobbled(Derived):
     Only `Wobble.across` moves them, by parts of a pixel: parallel light is the same all along its way. For light that
     is not, give the wobble to `Oblique`, which also has no need to interpolate.
 
-    operator: any projector to [angle, r, z].  Raises `BadInput` for a wobble beyond the beam.
+    operator: any projector to [angle, r, z].  wobble: places of the axis.
+    Raises `BadInput` for a wobble beyond the beam.
     """
 
-    def __init__(self, operator: Any, wobble: Wobble) -> None:
+    def __init__(self, operator: LinearOperator, wobble: Wobble) -> None:
         _check_projector(operator, "Wobbled")
         self.operator, self.wobble = operator, wobble
         self.domain, self.range, self.device = operator.domain, operator.range, operator.device
         inherit(self, operator)
-        beam, poses = operator.range.beam, operator.range.shape[0]
+        images: Any = operator.range
+        beam, poses = images.beam, images.shape[0]
         across, half = wobble.places(poses)[:, 0], 0.5 * beam.pixels[0] * beam.pitch
         if np.abs(across).max() >= half:
             raise BadInput(f"the axis wanders {np.abs(across).max():.4g} mm off, beyond the beam of {half:.4g} mm "
@@ -127,13 +130,17 @@ class Tiles(Derived):
     Raises `BadInput` for overlaps as high as the beam and for tiles that leave a gap.
     """
 
-    def __init__(self, operator: Any, rows: int, overlap: int = 0, centers: ArrayLike | None = None) -> None:
+    def __init__(
+        self, operator: LinearOperator, rows: Count, overlap: int = 0,
+        centers: Sequence[Place] | np.ndarray | None = None,
+    ) -> None:  # fmt: skip
         _check_projector(operator, "Tiles")
         if not 0 <= overlap < rows:
             raise BadInput(f"tiles of {rows} rows overlap by {overlap}; wanted 0 or more, and fewer than the rows")
         self.operator, self.device, self.domain = operator, operator.device, operator.domain
         inherit(self, operator)
-        tall: Beam = operator.range.beam
+        images: Any = operator.range
+        tall: Beam = images.beam
         self.centers = _spread(tall, rows, overlap) if centers is None else np.atleast_1d(np.asarray(centers, float))
         self.tapers = _tapers(tall, rows, self.centers)
         tile, poses = Beam((tall.pixels[0], rows), tall.pitch), operator.range.shape[0]
@@ -146,6 +153,10 @@ class Tiles(Derived):
 
     def __repr__(self) -> str:
         return f"Tiles({self.operator!r}, rows={self.range.beam.pixels[1]}, centers={self.centers.tolist()})"
+
+    def described(self) -> dict[str, Any]:
+        """What its constructor would be given."""
+        return {"operator": self.operator, "rows": self.range.beam.pixels[1], "centers": self.centers}
 
     @property
     def T(self) -> LinearOperator:  # noqa: N802

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from math import sqrt
-from typing import final
+from typing import Literal, final
 
 import numpy as np
 
@@ -58,7 +58,7 @@ class Projection(LinearOperator):
         vessel: Vessel | None = None,
         device: str | Device | None = None,
         *,
-        footprint: str = "exact",
+        footprint: Literal["exact", "joseph"] = "exact",
     ) -> None:
         for value, kind in ((grid, Grid), (beam, Beam), (motion, Turntable)):
             if not isinstance(value, kind):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Turntable
+from vamgpu.schema.quantities import Place
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -22,7 +23,9 @@ class Wobble:
     across: np.ndarray
     along: np.ndarray
 
-    def __init__(self, across: ArrayLike = 0.0, along: ArrayLike = 0.0) -> None:
+    def __init__(
+        self, across: Place | Sequence[Place] | np.ndarray = 0.0, along: Place | Sequence[Place] | np.ndarray = 0.0
+    ) -> None:
         for name, values in (("across", across), ("along", along)):
             numbers = np.array(values, np.float64)
             if numbers.ndim > 1 or not np.isfinite(numbers).all():

@@ -7,17 +7,19 @@ plane across the axis only and are vessels themselves: ``Projection(grid, beam, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import inf
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Chords, Vessel, positive
+from vamgpu.geometry import Chords, Vessel
 from vamgpu.operators.light import OpenAir
 from vamgpu.optics.inputs import Floats, as_offsets
 from vamgpu.optics.vat import Vat
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Far, Place, Turn
 
 MOST_STEPS = 60
 STEP_DONE = 1e-9
@@ -38,13 +40,12 @@ class Aimed:
     """
 
     vessel: Vessel | None = None
-    offset: float = 0.0
-    tilt: float = 0.0
+    offset: Place = 0.0
+    tilt: Turn = 0.0
 
     def __post_init__(self) -> None:
         _check_round(self.vessel, type(self).__name__)
-        for name in ("offset", "tilt"):
-            finite(f"{type(self).__name__} {name}", getattr(self, name))
+        check(self)
 
     @property
     def distance(self) -> float:
@@ -147,12 +148,10 @@ class Fan(Aimed):
         BadInput: a throw that is not above 0, or as short as the vessel's radius.
     """
 
-    throw: float = inf
+    throw: Far = inf
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.throw != inf:
-            object.__setattr__(self, "throw", positive("Fan throw [mm]", self.throw))
         radius = getattr(self.vessel, "radius", None)
         if radius is not None and radius >= self.throw:
             raise _too_short(self.throw, radius)
@@ -168,14 +167,6 @@ def turned(x: Floats, y: Floats, angle: Floats) -> tuple[Floats, Floats]:
     """(x, y) in a frame turned by ``angle``."""
     c, s = np.cos(angle), np.sin(angle)
     return x * c + y * s, y * c - x * s
-
-
-def finite(name: str, value: Any) -> float:
-    """``value`` as a float, else `BadInput`."""
-    number = float(value) if isinstance(value, (int, float, np.number)) else float("nan")
-    if not isfinite(number):
-        raise BadInput(f"{name} is {value!r}; wanted a finite number")
-    return number
 
 
 def _too_short(throw: float, reach: float) -> BadInput:

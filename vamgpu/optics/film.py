@@ -9,6 +9,8 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.optics.faces import Face
 from vamgpu.optics.inputs import index
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Absorption, Index, Length
 
 NEGLIGIBLE = 0.05
 """Share of the light below which it is left out of a window (Toombs et al., S11)."""
@@ -27,17 +29,14 @@ class Film:
     penetrates (`penetration`), so that its far side cannot be printed.
     """
 
-    thickness: float
-    resin_index: float
-    bath_index: float = 1.0
-    absorption: float = 0.0
-    substrate: tuple[float, float] | None = None
+    thickness: Length
+    resin_index: Index
+    bath_index: Index = 1.0
+    absorption: Absorption = 0.0
+    substrate: tuple[Length, Index] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "thickness", positive("Film thickness [mm]", self.thickness))
-        object.__setattr__(self, "absorption", positive("Film absorption [1/mm]", self.absorption, zero=True))
-        for name in ("resin_index", "bath_index"):
-            object.__setattr__(self, name, index(f"Film {name}", getattr(self, name)))
+        check(self)
         if self.substrate is not None:
             object.__setattr__(self, "substrate", _sheet(self.substrate))
         if self.thickness > self.penetration:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, RayError
-from vamgpu.geometry import Chords, positive
+from vamgpu.geometry import Chords
 from vamgpu.optics.index_field import FormulaField, FunctionField, GridField, Region
-from vamgpu.optics.inputs import Floats, absorbed_share, as_offsets, index
-from vamgpu.optics.interface import Crossing, impact_after, polarized, transmittance
+from vamgpu.optics.inputs import Floats, absorbed_share, as_offsets
+from vamgpu.optics.interface import Crossing, Polarization, impact_after, polarized, transmittance
 from vamgpu.optics.march import march
 from vamgpu.optics.ray_sheet import RaySheet, through
 from vamgpu.optics.vial import LARGEST_DENSITY
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Absorption, Index, Length, Quantity, Thickness
 
 SETTLED = 1e-9      # of the radius: how well the ends of rays are known
 TANGENT = 1e-4      # cosine of refraction below which the end of a ray is too sensitive for that
@@ -45,28 +47,23 @@ class GradedVial:
         RayError: when the light is first asked for: a ray never leaves the resin or turns back.
     """
 
-    radius: float
-    wall: float
+    radius: Length
+    wall: Thickness
     resin: FormulaField | GridField | FunctionField
-    wall_index: float
-    bath_index: float = 1.0
-    absorption: float = 0.0
-    rays: int = 513
-    rows: int = 257
-    polarization: str = "none"
+    wall_index: Index
+    bath_index: Index = 1.0
+    absorption: Absorption = 0.0
+    rays: Annotated[int, Quantity(least=33, whole=True)] = 513
+    rows: Annotated[int, Quantity(least=17, whole=True)] = 257
+    polarization: Polarization = "none"
 
     def __post_init__(self) -> None:
-        for name, zero in (("radius", False), ("wall", True), ("absorption", True)):
-            object.__setattr__(self, name, positive(f"GradedVial {name}", getattr(self, name), zero=zero))
-        for name in ("wall_index", "bath_index"):
-            object.__setattr__(self, name, index(f"GradedVial {name}", getattr(self, name)))
-        object.__setattr__(self, "polarization", polarized("GradedVial polarization", self.polarization))
+        check(self)
+        polarized("GradedVial polarization", self.polarization)
         if self.wall >= self.radius:
             raise BadInput(f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; wanted less")
         if not isinstance(self.resin, (FormulaField, GridField, FunctionField)):
             raise BadInput(f"resin is {self.resin!r}; wanted a FormulaField, a GridField or a FunctionField")
-        if self.rays < 33 or self.rows < 17:
-            raise BadInput(f"{self.rays} rays of {self.rows} rows; wanted at least 33 of 17")
         reach = 0.5 * (min(self.resin.coefficients.shape[:2]) - 3) * self.resin.pitch \
             if isinstance(self.resin, GridField) else self.inner_radius  # fmt: skip
         if reach < self.inner_radius * (1.0 - 1e-9):

@@ -14,6 +14,8 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
 from vamgpu.kernels.eikonal import formula_at, plane_at, volume_at
 from vamgpu.optics.inputs import Floats
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Length, Place
 
 FAR = 1e30
 """Where a region has no border; infinity would not reach a device."""
@@ -24,15 +26,18 @@ EXTRAPOLATE = np.array([[10.0, -20.0, 15.0, -4.0], [4.0, -6.0, 4.0, -1.0]])
 
 @dataclass(frozen=True)
 class Region:
-    """Where rays are marched: a·x² + b·y² + c·z² ≤ radius², and inside a box.  Lengths in mm."""
+    """Where rays are marched: a·x² + b·y² + c·z² ≤ radius², and inside a box.
+
+    weights: a, b, c.  radius: [mm].  low, high: corners of the box [mm].
+    """
 
     weights: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    radius: float = 1.0
-    low: tuple[float, float, float] = EVERYWHERE
-    high: tuple[float, float, float] = (FAR, FAR, FAR)
+    radius: Length = 1.0
+    low: tuple[Place, Place, Place] = EVERYWHERE
+    high: tuple[Place, Place, Place] = (FAR, FAR, FAR)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", positive("Region radius [mm]", self.radius))
+        check(self)
         if len(self.low) != 3 or len(self.high) != 3 or any(a >= b for a, b in zip(self.low, self.high, strict=True)):
             raise BadInput(f"the box of a region runs from {self.low} to {self.high}; wanted low < high on three axes")
 
@@ -90,7 +95,8 @@ class IndexField(Protocol):
 class FormulaField:
     """n² = P(s)/Q(s) with s = a·x² + b·y² + c·z², P and Q cubic at most; lengths in mm.
 
-    weights: a, b, c.  above, below: coefficients of P and Q from the constant up.  Raises `BadInput`.
+    weights: a, b, c.  above, below: coefficients of P and Q from the constant up.
+    region: where it is looked at.  Raises `BadInput`.
     """
 
     weights: tuple[float, float, float]

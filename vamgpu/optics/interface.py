@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -13,7 +14,8 @@ Index = float | Floats
 Crossing = tuple[Floats, Floats, Index, Index]
 """Cosines of incidence and refraction at a face, refractive indices before and behind it."""
 
-POLARIZATIONS = ("none", "s", "p")
+Polarization = Literal["none", "s", "p"]
+POLARIZATIONS: tuple[Polarization, ...] = get_args(Polarization)
 """What light may be: unpolarized; its field along the axis of the vial, parallel to every face; or across the axis, in
 the plane of incidence."""
 

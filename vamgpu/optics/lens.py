@@ -8,14 +8,15 @@ and telecentricity do not depend on its power, and focus moves in proportion to 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import counts, positive
-from vamgpu.optics.inputs import Floats, as_offsets, index
+from vamgpu.geometry import positive
+from vamgpu.optics.inputs import Floats, as_offsets
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Count, Index, Length, LensPower, Place, Thickness, Time
 
 DIOPTER = 1e-3
 """One diopter [1/mm]."""
@@ -34,30 +35,24 @@ class TunableLens:
     in air. Raises `BadInput`.
     """
 
-    focal: tuple[float, float, float, float] = (150.0, 150.0, 150.0, 200.0)
-    offset: float = -200.0
-    powers: tuple[float, float] = (5.0, 10.0)
-    index: float = 1.0
-    air: float = 0.0
-    bins: int = 3
-    quantum: float = 0.0
-    settle: float = 5e-3
+    focal: tuple[Length, Length, Length, Length] = (150.0, 150.0, 150.0, 200.0)
+    offset: Place = -200.0
+    powers: tuple[LensPower, LensPower] = (5.0, 10.0)
+    index: Index = 1.0
+    air: Thickness = 0.0
+    bins: Count = 3
+    quantum: LensPower = 0.0
+    settle: Time = 5e-3
 
     def __post_init__(self) -> None:
         if len(self.focal) != 4:
             raise BadInput(f"focal is {self.focal!r}; wanted the focal lengths of L1, L2, L3 and L4 [mm]")
-        object.__setattr__(self, "focal", tuple(positive("focal length [mm]", f) for f in self.focal))
-        if not isfinite(self.offset) or self.offset == 0:
+        check(self)
+        if self.offset == 0:
             raise BadInput(f"offset is {self.offset!r}; wanted the focal length of the fixed lens [mm], not 0")
-        low, high = (positive("powers [dpt]", power, zero=True) for power in _two(self.powers))
+        low, high = _two(self.powers)
         if low >= high:
             raise BadInput(f"powers go from {low:g} to {high:g} dpt; wanted the lowest first and a higher one next")
-        object.__setattr__(self, "powers", (low, high))
-        index("index", self.index)
-        positive("air [mm]", self.air, zero=True)
-        positive("quantum [dpt]", self.quantum, zero=True)
-        positive("settle [s]", self.settle, zero=True)
-        object.__setattr__(self, "bins", counts("bins", (self.bins,), 1)[0])
 
     @property
     def magnification(self) -> float:

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Chords, Vessel, positive
+from vamgpu.geometry import Chords, Vessel
 from vamgpu.operators.light import OpenAir
-from vamgpu.optics.beams import finite
 from vamgpu.optics.inputs import Floats, as_offsets
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Length, Place, Share
 
 
 @dataclass(frozen=True)
@@ -29,19 +30,15 @@ class Occluded:
     """
 
     vessel: Vessel | None = None
-    across: float = 0.0
-    along: float = 0.0
-    radius: float = 1.0
-    transmittance: float = 0.0
+    across: Place = 0.0
+    along: Place = 0.0
+    radius: Length = 1.0
+    transmittance: Share = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("across", "along", "transmittance"):
-            finite(f"Occluded {name}", getattr(self, name))
         if self.vessel is not None and not isinstance(self.vessel, Vessel):
             raise BadInput(f"Occluded got {self.vessel!r} as vessel; wanted a vessel, or None for air")
-        object.__setattr__(self, "radius", positive("Occluded radius [mm]", self.radius))
-        if not 0.0 <= self.transmittance <= 1.0:
-            raise BadInput(f"Occluded transmittance is {self.transmittance:g}; wanted a share in 0..1")
+        check(self)
 
     @property
     def is_round(self) -> bool:

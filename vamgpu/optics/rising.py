@@ -15,9 +15,10 @@ import numpy as np
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Vessel
 from vamgpu.operators.light import OpenAir
-from vamgpu.optics.beams import Aimed, Fan, finite, turned
+from vamgpu.optics.beams import Aimed, Fan, turned
 from vamgpu.optics.inputs import Floats
 from vamgpu.optics.vat import Vat
+from vamgpu.schema.quantities import Length, Place, Turn, finite
 
 STEEPEST = np.radians(80.0)
 """Elevation beyond which rays hardly cross the resin any more."""
@@ -40,9 +41,13 @@ class Cone:
 
     plane: Fan
 
-    def __init__(self, vessel: Vessel | None = None, *, throw: float, offset: float = 0.0, tilt: float = 0.0) -> None:
+    def __init__(self, vessel: Vessel | None = None, *, throw: Length, offset: Place = 0.0, tilt: Turn = 0.0) -> None:
         _check_straight(vessel, "Cone")
         object.__setattr__(self, "plane", Fan(vessel, offset, tilt, throw))
+
+    def described(self) -> dict[str, Any]:
+        """What its constructor was given."""
+        return {name: getattr(self.plane, name) for name in ("vessel", "throw", "offset", "tilt")}
 
     def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
         """The ray through (X, Y, z) stands at lift + stretch·z [mm] in the axis' plane; gain of the weight."""
@@ -72,7 +77,7 @@ class Inclined:
     tilt: float
 
     def __init__(
-        self, vessel: Vessel | None = None, *, elevation: float, offset: float = 0.0, tilt: float = 0.0
+        self, vessel: Vessel | None = None, *, elevation: Turn, offset: Place = 0.0, tilt: Turn = 0.0
     ) -> None:
         _check_straight(vessel, "Inclined")
         if abs(finite("Inclined elevation [rad]", elevation)) > STEEPEST:
@@ -82,8 +87,13 @@ class Inclined:
         if isinstance(inner, Vat) and inner.absorption > 0:
             inner = replace(inner, absorption=inner.absorption / cos(elevation))
         plane = Aimed(inner, offset, tilt) if offset or tilt else inner
-        for name, value in (("plane", plane), ("elevation", float(elevation)), ("tilt", float(tilt))):
+        given = {"vessel": vessel, "elevation": float(elevation), "offset": float(offset), "tilt": float(tilt)}
+        for name, value in (("plane", plane), ("elevation", elevation), ("tilt", tilt), ("_given", given)):
             object.__setattr__(self, name, value)
+
+    def described(self) -> dict[str, Any]:
+        """What its constructor was given: ``plane`` has the absorption of the longer way."""
+        return self._given  # type: ignore[attr-defined]
 
     def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
         """The ray through (X, Y, z) stands at lift + stretch·z [mm] among the rows; gain of the weight."""

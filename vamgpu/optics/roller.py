@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, inf, pi
+from math import ceil, inf
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, RayError
-from vamgpu.geometry import Beam, centers, counts, positive
+from vamgpu.geometry import Beam, centers, positive
 from vamgpu.optics.faces import Face, transmit
 from vamgpu.optics.film import Film
 from vamgpu.optics.inputs import Floats, as_offsets
-from vamgpu.optics.interface import polarized
+from vamgpu.optics.interface import Polarization, polarized
 from vamgpu.optics.roller_cells import cells
 from vamgpu.optics.roller_coverage import Coverage, coverage
 from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.optics.roller_rays import Layers, Traced, trace
 from vamgpu.optics.wrap_map import WrapMap
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Count, Gain, HalfAngle, Length, Share, Step, Thickness
 from vamgpu.web import Propagation, WebGrid
 
 LARGEST_GAIN = 2.0
@@ -49,39 +51,27 @@ class Roller:
     Raises `BadInput`: a value out of range; `RayError`: legs left open for a film that absorbs nothing.
     """
 
-    radius: float
+    radius: Length
     film: Film
-    step: float
-    legs: float | None = None
-    reflectivity: float = 0.0
-    compensation: float | None = None
-    divergence: float = 0.0
-    neutral: float = 0.5
-    rays: int = 32
-    fan: int = 9
+    step: Step
+    legs: Thickness | None = None
+    reflectivity: Share = 0.0
+    compensation: Gain | None = None
+    divergence: HalfAngle = 0.0
+    neutral: Share = 0.5
+    rays: Count = 32
+    fan: Count = 9
     index: FilmIndex | None = None
-    polarization: str = "none"
+    polarization: Polarization = "none"
 
     def __post_init__(self) -> None:
         if not isinstance(self.film, Film):
             raise BadInput(f"Roller film is {self.film!r}; wanted a Film")
         if self.index is not None and not isinstance(self.index, FilmIndex):
             raise BadInput(f"Roller index is {self.index!r}; wanted a FilmIndex, or None for the film's own")
-        for name, unit in (("radius", " [mm]"), ("step", " [rad]")):
-            object.__setattr__(self, name, positive(f"Roller {name}{unit}", getattr(self, name)))
-        _bounded("Roller step [rad]", self.step, pi, "half a turn or less")
-        for name, most in (("reflectivity", 1.0), ("neutral", 1.0), ("divergence", 0.5 * pi)):
-            object.__setattr__(self, name, positive(f"Roller {name}", getattr(self, name), zero=True))
-            _bounded(f"Roller {name}", getattr(self, name), most, f"at most {most:.4g}")
-        if self.compensation is not None and not positive("Roller compensation", self.compensation) >= 1.0:
-            raise BadInput(f"Roller compensation is {self.compensation:g}; wanted a gain of at least 1, or None")
-        object.__setattr__(self, "polarization", polarized("Roller polarization", self.polarization))
-        rays, fan = counts("Roller rays and fan", (self.rays, self.fan), 2)
-        object.__setattr__(self, "rays", rays)
-        object.__setattr__(self, "fan", fan)
-        if self.legs is not None:
-            object.__setattr__(self, "legs", positive("Roller legs [mm]", self.legs, zero=True))
-        elif self.film.penetration == inf:
+        check(self)
+        polarized("Roller polarization", self.polarization)
+        if self.legs is None and self.film.penetration == inf:
             raise RayError("the film absorbs nothing, so that a ray along a leg never leaves the window; "
                            "wanted the length of the legs [mm], or a film with an absorption above 0")
 
@@ -213,8 +203,3 @@ class Roller:
         thick, sheet = film.substrate or (0.0, film.resin_index)
         return Layers(self.radius, self.outer, self.outer + thick, leg, film.resin_index, film.bath_index, sheet,
                       self.reflectivity, self.index, self.polarization)
-
-
-def _bounded(name: str, value: float, most: float, wanted: str) -> None:
-    if value > most or (most == 0.5 * pi and value == most):
-        raise BadInput(f"{name} is {value:g}; wanted {wanted}")

@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
 from vamgpu.geometry import Chords, positive
-from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets, index
-from vamgpu.optics.interface import polarized, transmittance
+from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets
+from vamgpu.optics.interface import Polarization, polarized, transmittance
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Absorption, Index, Length
 
 
 @dataclass(frozen=True)
@@ -38,28 +40,21 @@ class Vat:
             polarization is another.
     """
 
-    width: float
-    depth: float | None = None
-    radius: float | None = None
-    absorption: float = 0.0
-    resin_index: float = 1.0
-    wall_index: float = 1.0
-    bath_index: float = 1.0
-    polarization: str = "none"
+    width: Length
+    depth: Length | None = None
+    radius: Length | None = None
+    absorption: Absorption = 0.0
+    resin_index: Index = 1.0
+    wall_index: Index = 1.0
+    bath_index: Index = 1.0
+    polarization: Polarization = "none"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "width", positive("Vat width [mm]", self.width))
-        object.__setattr__(self, "absorption", positive("Vat absorption [1/mm]", self.absorption, zero=True))
-        for name in ("resin_index", "wall_index", "bath_index"):
-            object.__setattr__(self, name, index(f"Vat {name}", getattr(self, name)))
-        object.__setattr__(self, "polarization", polarized("Vat polarization", self.polarization))
-        if self.depth is not None:
-            object.__setattr__(self, "depth", positive("Vat depth [mm]", self.depth))
-        if self.radius is not None:
-            object.__setattr__(self, "radius", positive("Vat radius [mm]", self.radius))
-            if self.radius > self._inscribed:
-                raise BadInput(f"radius is {self.radius:g} mm in a vat of {self.width:g} x {self._depth:g} mm; wanted "
-                               f"at most {self._inscribed:g} mm; correct the radius, the width or the depth")
+        check(self)
+        polarized("Vat polarization", self.polarization)
+        if self.radius is not None and self.radius > self._inscribed:
+            raise BadInput(f"radius is {self.radius:g} mm in a vat of {self.width:g} x {self._depth:g} mm; wanted "
+                           f"at most {self._inscribed:g} mm; correct the radius, the width or the depth")
 
     @property
     def _depth(self) -> float:

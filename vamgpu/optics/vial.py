@@ -11,9 +11,11 @@ from numpy.typing import ArrayLike
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
 from vamgpu.geometry import Chords, positive
 from vamgpu.optics.faces import Face, transmit, turn
-from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets, index
-from vamgpu.optics.interface import impact_after, polarized
+from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets
+from vamgpu.optics.interface import Polarization, impact_after, polarized
 from vamgpu.optics.raymap import first_columns
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Absorption, Index, Length, Thickness
 
 # On the caustics outside the printable radius the density has no bound; a point there is at most this much denser.
 LARGEST_DENSITY = 100.0
@@ -47,21 +49,17 @@ class Vial:
             polarization is another.
     """
 
-    radius: float
-    wall: float
-    resin_index: float
-    wall_index: float
-    bath_index: float = 1.0
-    absorption: float = 0.0
-    polarization: str = "none"
+    radius: Length
+    wall: Thickness
+    resin_index: Index
+    wall_index: Index
+    bath_index: Index = 1.0
+    absorption: Absorption = 0.0
+    polarization: Polarization = "none"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", positive("Vial radius [mm]", self.radius))
-        object.__setattr__(self, "wall", positive("Vial wall [mm]", self.wall, zero=True))
-        object.__setattr__(self, "absorption", positive("Vial absorption [1/mm]", self.absorption, zero=True))
-        for name in ("resin_index", "wall_index", "bath_index"):
-            object.__setattr__(self, name, index(f"Vial {name}", getattr(self, name)))
-        object.__setattr__(self, "polarization", polarized("Vial polarization", self.polarization))
+        check(self)
+        polarized("Vial polarization", self.polarization)
         if self.wall >= self.radius:
             raise BadInput(f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; wanted a wall "
                            "thinner than the radius; radius and wall are both in mm, and radius is half the diameter")

@@ -15,6 +15,7 @@ from vamgpu.chemistry.materials.extinction import Extinction
 from vamgpu.chemistry.materials.inhibitor import Inhibitor
 from vamgpu.chemistry.materials.sourced import (
     Concentration,
+    CriticalDose,
     MolarMass,
     Share,
     Source,
@@ -43,7 +44,8 @@ class Resin(Sourced):
     """A resin and what its sources say of it; None for what they do not.
 
     viscosity: [mJ·s/mm³], as the rest ``.value`` with its ``.source``.  molar_mass: average [g/mol].  temperature: at
-    which it is used [K].  oxygen: dissolved in air-saturated resin [mol/m³].  index, extinction: against wavelength.
+    which it is used [K].  oxygen: dissolved in air-saturated resin [mol/m³].  critical_dose: from which it is
+    solid [mJ/mm³].  index, extinction: against wavelength.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Resin(Sourced):
     molar_mass: MolarMass | None = None
     temperature: Temperature | None = None
     oxygen: Concentration | None = None
+    critical_dose: CriticalDose | None = None
     index: Dispersion | None = None
     extinction: Extinction | None = None
     note: str = ""

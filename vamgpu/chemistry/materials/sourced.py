@@ -73,6 +73,13 @@ class Concentration(Sourced):
     source: Source
 
 
+class CriticalDose(Sourced):
+    """value: [mJ/mm³], in files "50 mJ/cm3"."""
+
+    value: Annotated[float, _quantity("a dose")]
+    source: Source
+
+
 class Diffusivity(Sourced):
     """value: [mm²/s]."""
 

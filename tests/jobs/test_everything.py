@@ -1,0 +1,253 @@
+"""Job files reach what Python does: every vessel, light, wrapper, method, chemistry and two colors."""
+
+from __future__ import annotations
+
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vamgpu as vam
+from vamgpu.backend import open_device
+from vamgpu.chemistry.diffusion import Diffusion
+from vamgpu.chemistry.materials.resin import Resin
+from vamgpu.errors import BadInput, JobError
+from vamgpu.jobs.build import projection_of, target_of, with_diffusion
+from vamgpu.jobs.demo import JOB
+from vamgpu.jobs.read import parse_job
+from vamgpu.jobs.run import prove, solve
+from vamgpu.jobs.web import parse_web, roller_of
+from vamgpu.methods import METHODS, GeneralizedLogistic
+from vamgpu.methods.dual import LeastSquares
+from vamgpu.operators.compose import Composed
+from vamgpu.optics.index_field import FormulaField
+from vamgpu.schema.registry import FAMILIES, load
+from vamgpu.units import deg, nm
+
+HEAD = JOB[: JOB.index("[beam]")] + '[beam]\npitch = "600 um"\n'
+SMALL = ["target.pitch=600 um", "turntable.angles=12", "solve.iterations=2", "solve.device=numpy"]
+ROUND = 'kind = "vial"\nradius = "12.4 mm"\nwall = "1 mm"\nresin_index = 1.5\nwall_index = 1.47\n'
+VIAL = vam.Vial(radius=12.4, wall=1.0, resin_index=1.5, wall_index=1.47)
+VAT = vam.Vat(width=30.0, radius=13.0, absorption=0.05)
+WET = 'kind = "vat"\nwidth = "30 mm"\nradius = "13 mm"\nabsorption = "0.05 1/mm"\n'
+GRADED = 'radius = "12.4 mm"\nwall = "1 mm"\nwall_index = 1.47\nrays = 65\nrows = 33\n'
+FORMULA = FormulaField((1.0, 1.0, 0.0), (2.25, -1e-4))
+
+
+def built(text: str, folder: Path = Path()) -> Any:
+    job = parse_job(HEAD + text, SMALL, folder=folder)
+    device = open_device("numpy")
+    return with_diffusion(job.wanted, projection_of(job.wanted, target_of(job, device), device, folder), folder)
+
+
+VESSELS = {
+    f'kind = "fan"\nthrow = "300 mm"\n[vessel.vessel]\n{ROUND}': vam.Fan(VIAL, throw=300.0),
+    f'kind = "aimed"\noffset = "-0.3 mm"\ntilt = "2 deg"\n[vessel.vessel]\n{ROUND}': vam.Aimed(VIAL, -0.3, 2 * deg),
+    f'kind = "occluded"\nacross = "2 mm"\ntransmittance = 0.1\n[vessel.vessel]\n{ROUND}': vam.Occluded(
+        VIAL, 2.0, transmittance=0.1
+    ),
+    f'kind = "graded"\n{GRADED}[vessel.resin]\nweights = [1.0, 1.0, 0.0]\nabove = [2.25, -1e-4]\n': vam.GradedVial(
+        12.4, 1.0, FORMULA, 1.47, rays=65, rows=33
+    ),
+    ROUND: VIAL,
+}
+
+
+@pytest.mark.parametrize("text", VESSELS)
+def test_every_vessel(text: str) -> None:
+    A = built(f"[vessel]\n{text}")
+    assert isinstance(A, vam.Projection) and A.vessel == VESSELS[text]
+
+
+LIGHTS = {
+    'kind = "cone"\nthrow = "200 mm"\n': vam.Cone(throw=200.0),
+    f'kind = "inclined"\nelevation = "20 deg"\n[light.vessel]\n{WET}': vam.Inclined(VAT, elevation=20 * deg),
+    ROUND: VIAL,
+}
+
+
+@pytest.mark.parametrize("text", LIGHTS)
+def test_every_light_past_an_axis_that_wobbles(text: str) -> None:
+    A = built(f'[light]\n{text}[wobble]\nradius = "50 um"\nphase = "90 deg"\n')
+    wanted = vam.Wobble.circle(0.05, 90 * deg, A.motion)
+    assert isinstance(A, vam.Oblique) and A.light == LIGHTS[text] and A.wobble is not None
+    assert np.array_equal(A.wobble.across, wanted.across) and np.array_equal(A.wobble.along, wanted.along)
+    part = np.full(A.range.shape, 1.0)
+    assert A.T(part)[A.grid.cylinder()].min() > 0.0  # pixels that the job did not say cover the part
+
+
+def test_wrappers_go_around_the_projector_in_their_order() -> None:
+    A = built(
+        '[wobble]\nacross = "50 um"\n[defocus]\nfwhm = "0.6 mm"\ndepth_of_focus = "20 mm"\nfocus = "-1 mm"\n'
+        'tolerance = 0.05\n[tiles]\nrows = 12\noverlap = 2\n[resin.diffusion]\ndiffusivity = "1e-4 mm2/s"\n'
+        'seconds = "20 s"\n'
+    )
+    assert isinstance(A, Composed) and A.inner.diffusion == Diffusion(1e-4, 20.0)  # type: ignore[attr-defined]
+    tiles: Any = A.outer
+    assert isinstance(tiles, vam.Tiles) and tiles.range.beam.pixels[1] == 12 and tiles.range.tiles == 3
+    moved = tiles.operator
+    assert isinstance(moved, vam.Wobbled) and float(moved.wobble.across) == 0.05
+    blurred: Any = moved.operator
+    assert isinstance(blurred, vam.Defocused) and blurred.defocus == vam.Defocus(0.6, 20.0, -1.0)
+    assert blurred.tolerance == 0.05
+
+
+METHODS_ASKED = {
+    'kind = "osmo"\noutside = 0.5\ngain = 0.25\n': vam.OSMO(outside=0.5, gain=0.25),
+    'kind = "bclp"\np = 3.0\nslack = [0.1, 0.02]\n[method.response]\nkind = "generalized"\nsteepness = 5.0\n': vam.BCLP(
+        p=3.0, slack=(0.1, 0.02), response=GeneralizedLogistic(steepness=5.0)
+    ),
+    'kind = "lbfgs"\nefficiency = 0.01\nhistory = 3\n': vam.LBFGS(efficiency=0.01, history=3),
+    'kind = "cal"\nmomentum = 0.5\n': vam.GradientDescent(momentum=0.5),
+    'kind = "penalty"\nprice = [2.0, 1.0]\n': vam.PenaltyMinimization(price=(2.0, 1.0)),
+    'kind = "window"\ncap = 0.2\npasses = 1\n': vam.ProcessWindow(cap=0.2, passes=1),
+    'kind = "fbp"\n': vam.FilteredBackProjection(),
+    'kind = "recipe"\nbackground = 0.5\n[method.diffusion]\ndiffusivity = "1e-4 mm2/s"\nseconds = "1 s"\n': vam.Recipe(
+        background=0.5, diffusion=Diffusion(1e-4, 1.0)
+    ),
+}
+
+
+@pytest.mark.parametrize("text", METHODS_ASKED)
+def test_every_method_with_its_parameters(text: str) -> None:
+    assert parse_job(f"{HEAD}[method]\n{text}").wanted.method == METHODS_ASKED[text]
+
+
+def test_methods_of_files_are_those_of_python() -> None:
+    named = {kind: load(path) for kind, path in FAMILIES["method"].nouns.items()}
+    assert {"default": named["window"], **named} == METHODS
+
+
+RUNS = {
+    "fan": f'[vessel]\nkind = "fan"\nthrow = "300 mm"\n[vessel.vessel]\n{ROUND}',
+    "tiles": "[tiles]\nrows = 12\noverlap = 2\n",
+    "inclined": f'[light]\nkind = "inclined"\nelevation = "20 deg"\n[light.vessel]\n{WET}',
+    "bclp": '[method]\nkind = "bclp"\np = 3.0\n',
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_they_are_solved_written_and_proven(name: str, tmp_path: Path) -> None:
+    job = parse_job(HEAD + RUNS[name], SMALL)
+    solve(job, tmp_path / "x.vam")
+    proven = prove(tmp_path / "x.vam", "numpy")
+    assert repr(proven.proof.operator) == repr(built(RUNS[name])) and proven.proof.scores.in_voxels > 100
+    assert proven.plan.method == repr(job.wanted.method or vam.ProcessWindow())
+
+
+RESIN = """
+name = "a resin of a test"
+[index]
+form = "points"
+wavelength = ["405 nm"]
+index = [1.5]
+source = "nobody measured this resin"
+[extinction]
+wavelength = ["400 nm", "410 nm"]
+absorption = ["0.2 1/mm", "0.1 1/mm"]
+source = "nobody measured this resin"
+[viscosity]
+value = "1 Pa s"
+source = "nobody measured this resin"
+[molar_mass]
+value = "300 g/mol"
+source = "nobody measured this resin"
+[temperature]
+value = "293 K"
+source = "nobody measured this resin"
+[critical_dose]
+value = "50 mJ/cm3"
+source = "nobody measured this resin"
+"""
+GLASS = '[vial]\nradius = "12.4 mm"\nwall = "1 mm"\nwall_index = 1.47\n'
+
+
+def test_a_material_brings_index_absorption_dose_and_diffusion(tmp_path: Path) -> None:
+    (tmp_path / "resin.toml").write_text(RESIN, encoding="utf-8")
+    text = '[resin]\nmaterial = "resin.toml"\nwavelength = "405 nm"\ninhibitor = "oxygen"\nexposure = "30 s"\n'
+    A = built(text + GLASS, tmp_path)
+    assert A.outer.vessel.resin_index == 1.5 and A.outer.vessel.absorption == pytest.approx(0.15)
+    diffusivity = Resin.load(tmp_path / "resin.toml").diffusivity("oxygen")
+    assert A.inner.diffusion == Diffusion(diffusivity, 30.0)
+    asked = parse_job(HEAD + text + GLASS + '[print]\nirradiance = "65 mW/cm2"\n', folder=tmp_path).wanted
+    assert asked.print is not None and asked.print.critical_dose == pytest.approx(0.05)
+    said = parse_job(HEAD + text + GLASS + "resin_index = 1.4\n", folder=tmp_path).wanted
+    assert said.vial.resin_index == 1.4  # type: ignore[union-attr]  # what a file says itself comes first
+    inner = GLASS.replace("[vial]", '[vessel.vessel]\nkind = "vial"')
+    text += f'[vessel]\nkind = "fan"\nthrow = "300 mm"\n{inner}'
+    fan: Any = parse_job(HEAD + text, folder=tmp_path).wanted.vessel
+    assert fan.vessel.resin_index == 1.5 and fan.throw == 300.0 < inf
+
+
+def test_a_bundled_resin_is_found_and_what_it_lacks_is_told() -> None:
+    text = '[resin]\nmaterial = "dudma-pegda"\nwavelength = "405 nm"\n'
+    wanted = parse_job(HEAD + text + GLASS + 'absorption = "0.05 1/mm"\n').wanted
+    assert wanted.vial.resin_index == Resin.load("dudma-pegda").refraction(405 * nm)  # type: ignore[union-attr]
+    for wrong, said in (
+        (text + GLASS, r"vial\.absorption: no source gives the absorption .* or write absorption = … into \[vial\]"),
+        (text.replace("dudma-", "dudma_") + GLASS, r"line \d+: resin\.material: .*did you mean 'dudma-pegda'"),
+        (text.replace("405 nm", "700 um") + GLASS, r"vial\.resin_index: "),
+        (text.replace('wavelength = "405 nm"', "") + GLASS, r"resin\.wavelength: got None; wanted a wavelength"),
+        ('[resin]\ninhibitor = "oxygen"\n' + GLASS, r'resin: wanted inhibitor = "oxygen" with material and exposure'),
+        ("[resin]\nprecompensate = true\n", r"resin\.precompensate: wanted diffusion or an inhibitor"),
+    ):
+        with pytest.raises(JobError, match=said):
+            parse_job(HEAD + wrong)
+
+
+def test_precompensation_starts_the_recipe_and_the_proof_has_diffusion(tmp_path: Path) -> None:
+    text = '[resin]\nprecompensate = true\n[resin.diffusion]\ndiffusivity = "1e-2 mm2/s"\nseconds = "20 s"\n'
+    solve(parse_job(f'{HEAD}{text}[method]\nkind = "recipe"\n', SMALL), tmp_path / "x.vam")
+    proven = prove(tmp_path / "x.vam", "numpy")
+    assert isinstance(proven.proof.operator, Composed) and "diffusion=Diffusion(diffusivity=0.01" in proven.plan.method
+    with pytest.raises(JobError, match=r'resin\.precompensate: wanted \[method\] kind = "recipe"'):
+        parse_job(HEAD + text)
+
+
+def test_two_colors_are_found_written_and_proven_together(tmp_path: Path) -> None:
+    vial = f'[vial]\n{ROUND.partition(chr(10))[2]}absorption = "0.05 1/mm"\n'
+    text = f'{HEAD}{vial}[colors]\nabsorption = "0.1 1/mm"\n[colors.rule]\niterations = 20\n'
+    job = parse_job(text, SMALL)
+    assert job.wanted.colors is not None and job.wanted.colors.rule == LeastSquares(iterations=20)
+    solve(job, tmp_path / "x.vam")
+    proven = prove(tmp_path / "x.vam", "numpy")
+    uv = prove(tmp_path / "x-uv.vam", "numpy").proof
+    assert (proven.proof.operator.vessel.absorption, uv.operator.vessel.absorption) == (0.05, 0.1)  # type: ignore[union-attr]
+    light = proven.proof.frames.irradiance(uv.operator.device), uv.frames.irradiance(uv.operator.device)
+    dose = proven.proof.operator.T(light[0]).numpy() - uv.operator.T(light[1]).numpy()
+    assert np.allclose(proven.proof.dose.numpy(), dose, atol=1e-5 * dose.max())
+    solve(parse_job(HEAD + vial, SMALL), tmp_path / "one.vam")
+    assert proven.proof.scores.iou > prove(tmp_path / "one.vam", "numpy").proof.scores.iou
+    with pytest.raises(BadInput, match=r"\[colors\] got no vessel"):
+        solve(parse_job(HEAD + '[colors]\nabsorption = "0.1 1/mm"\n', SMALL), tmp_path / "none.vam")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f"[vessel]\n{ROUND}[light]\n{ROUND}", r"vessel: got \[vessel\] and \[light\]"),
+        ('[solve]\nmethod = "osmo"\n[method]\nkind = "osmo"\n', r"solve\.method: got a method here and \[method\]"),
+        ('[wobble]\nradius = "1 mm"\nacross = "1 mm"\n', "wobble: wanted radius"),
+        ('[light]\nkind = "inclined"\n', r"light\.elevation is missing; add elevation = … to \[light\]"),
+        (f"[light]\nkind = 'cone'\nthrow = '9 mm'\n[light.vessel]\n{ROUND}", "light: Cone got Vial.*wanted a Vat"),
+        ("[method]\nkind = 'osmo'\n[colors]\nabsorption = '1 1/mm'\n", r"method: got \[method\] and \[colors\]"),
+    ],
+)
+def test_what_does_not_go_together_is_named(text: str, said: str) -> None:
+    with pytest.raises(JobError, match=said):
+        parse_job(HEAD + text)
+
+
+def test_a_web_has_every_option_of_its_roller_and_film() -> None:
+    from vamgpu.jobs.demo_web import JOB as WEB
+
+    options = 'reflectivity = 0.1\ncompensation = 2.0\ndivergence = "1 deg"\nneutral = 0.4\nrays = 16\nfan = 5\n'
+    text = WEB.replace("[film]\n", '[film]\nsubstrate = ["0.1 mm", 1.6]\n')
+    text = text.replace("[roller]\n", f"[roller]\n{options}")
+    roller = roller_of(parse_web(text).wanted)
+    assert (roller.reflectivity, roller.compensation, roller.neutral, roller.rays, roller.fan) == (0.1, 2.0, 0.4, 16, 5)
+    assert roller.divergence == pytest.approx(1 * deg) and roller.film.substrate == (pytest.approx(0.1), 1.6)
+    with pytest.raises(JobError, match=r"roller\.substrate: unknown key"):
+        parse_web(WEB.replace("[roller]\n", "[roller]\nsubstrate = 3\n"))

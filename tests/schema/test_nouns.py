@@ -1,0 +1,185 @@
+"""Nouns written, read back and refused; what constructors check is what files are told."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vamgpu as vam
+from vamgpu.chemistry.diffusion import Diffusion, Spread
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.jobs.build import describe, projection_from
+from vamgpu.operators.compose import Composed, Sum
+from vamgpu.optics.index_field import FunctionField, GridField, Region, parabolic
+from vamgpu.schema import check, fields_of, write
+from vamgpu.schema.noun import MISSING
+from vamgpu.schema.read import read
+from vamgpu.schema.registry import FAMILIES, find
+from vamgpu.units import deg
+
+GRID, MOTION = vam.Grid((12, 12, 8), 0.2), vam.Turntable(6)
+BEAM = vam.Beam((24, 8), 0.2)
+VIAL = vam.Vial(radius=5.0, wall=0.5, resin_index=1.5, wall_index=1.47, bath_index=1.33, absorption=0.05)
+GRADED = vam.GradedVial(5.0, 0.5, parabolic(1.5, 0.01), 1.47, rays=65, rows=33)
+VAT = vam.Vat(width=12.0, radius=5.0, absorption=0.1)
+
+
+def projection(vessel: Any, motion: vam.Turntable = MOTION) -> vam.Projection:
+    return vam.Projection(GRID, BEAM, motion, vessel, "numpy")
+
+
+def oblique(light: Any, wobble: vam.Wobble | None = None) -> vam.Oblique:
+    return vam.Oblique(GRID, BEAM, MOTION, light, wobble, "numpy")
+
+
+def spread() -> Composed:
+    A = projection(VIAL)
+    return Composed(A, Spread(A.grid, Diffusion(1e-4, 20.0), A.device))
+
+
+OPERATORS = {
+    "air": lambda: projection(None),
+    "vial": lambda: projection(VIAL),
+    "vat": lambda: projection(vam.Vat(width=12.0, absorption=0.05)),
+    "joseph": lambda: vam.Projection(GRID, vam.Beam((24, 8), 0.2), MOTION, None, "numpy", footprint="joseph"),
+    "measured angles": lambda: projection(VIAL, vam.Turntable([0.0, 1.0, 2.5], dwell=[1.0, 2.0, 3.0])),
+    "aimed": lambda: projection(vam.Aimed(VIAL, offset=0.3, tilt=-2 * deg)),
+    "fan": lambda: projection(vam.Fan(VIAL, throw=300.0)),
+    "parallel fan": lambda: projection(vam.Fan(None)),
+    "occluded fan": lambda: projection(vam.Occluded(vam.Fan(VIAL, throw=300.0), 1.0, 1.0, 0.3, 0.25)),
+    "graded": lambda: projection(GRADED),
+    "cone": lambda: oblique(vam.Cone(VAT, throw=200.0, offset=0.1)),
+    "inclined": lambda: oblique(vam.Inclined(VAT, elevation=0.2, offset=0.1), vam.Wobble.circle(0.05, 0.3, MOTION)),
+    "inclined air": lambda: oblique(vam.Inclined(elevation=0.2)),
+    "rays": lambda: oblique(VIAL, vam.Wobble(0.1, 0.2)),
+    "defocused": lambda: vam.Defocused(projection(VIAL), vam.Defocus(0.3, 4.0, 0.5), 0.05),
+    "defocused cone": lambda: vam.Defocused(oblique(vam.Cone(VAT, throw=200.0)), vam.Defocus(0.3, 4.0)),
+    "defocused graded": lambda: vam.Defocused(
+        oblique(GRADED), vam.Defocus(0.3, 4.0)
+    ),
+    "wobbled": lambda: vam.Wobbled(projection(VIAL), vam.Wobble([0.1, 0.0, 0.0, -0.1, 0.0, 0.05])),
+    "tiles": lambda: vam.Tiles(vam.Wobbled(projection(None), vam.Wobble(0.1)), 5, 1),
+    "diffusion": spread,
+    "sum": lambda: Sum([projection(VIAL), projection(vam.Aimed(VIAL, offset=0.1))], [0.75, 0.25]),
+}
+
+
+@pytest.mark.parametrize("name", OPERATORS)
+def test_an_operator_comes_back_from_a_manifest(name: str) -> None:
+    A = OPERATORS[name]()
+    B = projection_from(json.loads(json.dumps(describe(A), allow_nan=False)), A.device)
+    y = np.random.default_rng(0).random(A.range.shape)
+    assert type(B) is type(A) and B.range == A.range
+    assert np.array_equal(B.T(y), A.T(y)) and np.abs(A.T(y)).max() > 0
+    assert describe(B) == describe(A)
+
+
+@pytest.mark.parametrize("name", ["occluded fan", "inclined", "tiles", "diffusion"])
+def test_an_operator_comes_back_from_text_with_units(name: str) -> None:
+    A = OPERATORS[name]()
+    table = write(A, units=True)
+    y = np.random.default_rng(0).random(A.range.shape)
+    assert np.allclose(read("operator", table, device=A.device).T(y), A.T(y), rtol=1e-12, atol=0.0)
+
+
+class Own(vam.Vial):
+    """Known to nobody."""
+
+
+OWN = Own(radius=5.0, wall=0.5, resin_index=1.5, wall_index=1.47)
+SAMPLED = GridField.from_array(np.full((60, 60), 1.5), 0.2)
+FUNCTION = FunctionField(lambda x, y: 1.5 + 0.0 * x, Region.box((-5.0, -5.0), (5.0, 5.0)))
+UNWRITTEN = {
+    "a curved focus": vam.Defocus(0.3, 4.0, lambda u: 0.01 * u**2),
+    "an index on a grid": vam.GradedVial(5.0, 0.5, SAMPLED, 1.47),
+    "an index of a function": vam.GradedVial(5.0, 0.5, FUNCTION, 1.47),
+    "a class of one's own": OWN,
+    "one inside a rod's shadow": vam.Occluded(OWN),
+    "weights of voxels": vam.BCLP(weight=np.ones((2, 2, 2))),
+    "numbers that are none": vam.Wobble(0.1),
+}
+object.__setattr__(UNWRITTEN["numbers that are none"], "across", float("nan"))
+
+
+@pytest.mark.parametrize("name", UNWRITTEN)
+def test_what_only_python_knows_is_refused(name: str) -> None:
+    with pytest.raises(BadInput, match="nothing describes|only this process knows|finite numbers only"):
+        write(UNWRITTEN[name])
+
+
+def test_a_manifest_is_refused_for_an_operator_that_no_noun_describes() -> None:
+    for A in (projection(OWN), vam.TracedProjection(GRID, BEAM, MOTION, device="numpy")):
+        with pytest.raises(BadInput, match="is no registered noun"):
+            describe(A)
+
+
+def test_garbled_geometry_is_named() -> None:
+    table = describe(projection(vam.Fan(VIAL, throw=300.0)))
+    table["vessel"]["vessel"]["radius"] = "5"
+    table["vessel"]["trow"] = 3.0
+    with pytest.raises(StorageError, match=r"(?s)vessel\.vessel\.radius: got '5'.*vessel\.trow: unknown key"):
+        projection_from(table, projection(None).device)
+
+
+def test_defaults_are_what_constructors_have() -> None:
+    """A table of the required fields alone gives the noun that Python makes of them."""
+    assert read("method", {}) == vam.ProcessWindow() and read("method", {"kind": "osmo"}) == vam.OSMO()
+    vial = {"kind": "vial", "radius": "12.4 mm", "wall": "1 mm", "resin_index": 1.5, "wall_index": 1.4}
+    assert read("vessel", vial) == vam.Vial(radius=12.4, wall=1.0, resin_index=1.5, wall_index=1.4)
+    assert read("lens", {"powers": ["5 dpt", "8 dpt"]}) == vam.TunableLens(powers=(5.0, 8.0))
+
+
+@pytest.mark.parametrize(
+    ("family", "table", "said"),
+    [
+        ("vessel", {"kind": "fna"}, "no vessel 'fna'; wanted one of .*did you mean 'fan'"),
+        ("vessel", {"throw": "3 mm"}, "kind is missing; add kind = one of vial"),
+        ("vessel", {"kind": "fan", "throw": "-3 mm"}, r"vessel\.throw: got '-3 mm'; wanted a length > 0"),
+        ("vessel", {"kind": "vat", "width": "3 mm", "radius": "2 mm"}, "wanted at most 1.5 mm"),
+        ("wrap", {"step": "200 deg"}, r"(?s)radius is missing.*got '200 deg'; is 3.49066 rad; wanted > 0, ≤ 3.14"),
+        ("wobble", {"across": ["1 mm", 2]}, r"wobble\.across\.1: got 2; wanted a length with its unit"),
+        ("method", {"kind": "bclp", "response": {"kind": "logistic", "steepness": "a"}}, "response.steepness: got 'a'"),
+    ],
+)
+def test_wrong_tables_are_named(family: str, table: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        read(family, table)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: vam.Vial(-1.0, 0.5, 1.5, 1.4), r"Vial radius \[mm\] is -1.0; wanted a finite number > 0"),
+        (lambda: vam.Vial(5.0, 0.5, 0.9, 1.4), "Vial resin_index is 0.9; wanted a refractive index"),
+        (lambda: vam.Fan(None, throw=float("nan")), r"Fan throw \[mm\] is nan"),
+        (lambda: vam.Aimed(None, offset=float("inf")), r"Aimed offset \[mm\] is inf; wanted a finite number"),
+        (lambda: vam.Occluded(transmittance=1.5), r"Occluded transmittance is 1.5; wanted a share in 0\.\.1"),
+        (lambda: vam.Beam((4, 4), 0.1, 1.5), "Beam fill is 1.5; wanted a share of the pixel's area"),
+        (lambda: vam.TunableLens(bins=2.5), "TunableLens bins is 2.5; wanted a whole number"),  # type: ignore[arg-type]
+        (lambda: vam.Defocus(0.1, 4.0, "a"), r"Defocus focus \[mm\] is 'a'"),  # type: ignore[arg-type]
+    ],
+)
+def test_constructors_check_by_the_same_bounds(make: Any, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        make()
+
+
+def test_checking_keeps_floats() -> None:
+    vial = vam.Vial(radius=np.float32(5), wall=1, resin_index=2, wall_index=1)  # type: ignore[arg-type]
+    assert [type(value) for value in (vial.radius, vial.wall, vial.resin_index)] == [float] * 3
+    check(vial)
+
+
+NOUNS = [(family, kind) for family, members in FAMILIES.items() for kind in members.nouns]
+
+
+@pytest.mark.parametrize(("family", "kind"), NOUNS)
+def test_every_noun_says_what_its_fields_mean(family: str, kind: str) -> None:
+    cls = find(family, kind)
+    silent = [field.name for field in fields_of(cls) if not field.doc]
+    assert cls.__module__.startswith("vamgpu.methods") or not silent
+    assert (cls.__doc__ or "").strip()
+    assert all(field.default is MISSING or not field.required for field in fields_of(cls))

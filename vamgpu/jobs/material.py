@@ -1,0 +1,80 @@
+"""What a resin's sources say, put where a job file says nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from vamgpu.chemistry.diffusion import Diffusion
+from vamgpu.chemistry.materials.resin import Resin
+from vamgpu.errors import BadInput, MaterialError, OutsideData
+from vamgpu.quantity import parse
+from vamgpu.schema.noun import fields_of
+from vamgpu.schema.read import Misplaced
+from vamgpu.schema.registry import find
+
+TABLES = ("vial", "vat", "vessel", "light")
+
+
+def with_material(data: Any, folder: Path | None) -> Any:
+    """The tables of a file, with index, absorption and critical dose of its [resin] where they are wanted and absent.
+
+    Raises `Misplaced` for a material that is unknown or lacks what is wanted.
+    """
+    table = data.get("resin") if isinstance(data, dict) else None
+    if not isinstance(table, dict) or not isinstance(table.get("material"), str):
+        return data
+    resin = load_resin(table["material"], folder)
+    data = dict(data)
+    for name in TABLES:
+        if isinstance(data.get(name), dict):
+            kind = data[name].get("kind", name)
+            data[name] = _filled(data[name], "light" if name == "light" else "vessel", kind, resin, table, (name,))
+    if isinstance(data.get("print"), dict) and resin.critical_dose is not None:
+        data["print"] = {"critical_dose": f"{resin.critical_dose.value!r} mJ/mm3", **data["print"]}
+    return data
+
+
+def load_resin(material: str, folder: Path | None) -> Resin:
+    """A bundled resin, or that of a file beside the job's. Raises `Misplaced`."""
+    try:
+        return Resin.load((folder or Path()) / material if material.endswith(".toml") else material)
+    except MaterialError as error:
+        raise Misplaced(str(error), "resin", "material") from error
+
+
+def diffusion_of(section: Any, folder: Path | None) -> Diffusion | None:
+    """What diffuses while the light is on, as a job's [resin] says. Raises `BadInput`."""
+    if section.inhibitor is None:
+        return section.diffusion
+    resin = load_resin(section.material, folder)
+    return Diffusion(resin.diffusivity(section.inhibitor, temperature=section.temperature), section.exposure)
+
+
+def _filled(
+    given: dict[str, Any], family: str, kind: Any, resin: Resin, table: dict[str, Any], where: tuple[str, ...]
+) -> dict[str, Any]:
+    """A vessel's table with what a resin gives, and the vessels within."""
+    try:
+        fields = {field.name: field for field in fields_of(find(family, kind))}
+    except BadInput:
+        return given  # it is complained of where it is read
+    found = dict(given)
+    if isinstance(given.get("vessel"), dict):
+        inner = given["vessel"]
+        found["vessel"] = _filled(inner, "vessel", inner.get("kind"), resin, table, (*where, "vessel"))
+    if "resin_index" in fields and fields["resin_index"].required and "resin_index" not in given:
+        found["resin_index"] = _at(resin.refraction, table, (*where, "resin_index"))
+    if "absorption" in fields and "absorption" not in given:
+        found["absorption"] = f"{_at(resin.absorption, table, (*where, 'absorption'))!r} 1/mm"
+    return found
+
+
+def _at(ask: Any, table: dict[str, Any], where: tuple[str, ...]) -> float:
+    """What a resin has at the wavelength of a job."""
+    try:
+        return ask(parse(table.get("wavelength"), "a wavelength"))
+    except OutsideData as error:
+        raise Misplaced(f"{error}; or write {where[-1]} = … into [{'.'.join(where[:-1])}]", *where) from error
+    except ValueError as error:
+        raise Misplaced(f'got {table.get("wavelength")!r}; {error}', "resin", "wavelength") from error

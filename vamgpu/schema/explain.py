@@ -1,0 +1,202 @@
+"""Keys of files in words: which there are, what they hold, what they mean; and as a JSON Schema for editors."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import isfinite
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from pydantic import BaseModel
+
+from vamgpu.schema.noun import MISSING, docs_of, fields_of, quantity_in
+from vamgpu.schema.quantities import Quantity
+from vamgpu.schema.read import NOUN, Nouns, OneOrMany, in_files, model_of
+from vamgpu.schema.registry import families, family, find
+from vamgpu.schema.write import write
+from vamgpu.units import NAMES
+
+LEFT_OUT = "left out"
+WORDS = {str: "text", int: "a whole number", float: "a number", bool: "true or false"}
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of a table. what: it holds.  default: as a file writes it; "" where it is wanted.  doc: its meaning."""
+
+    name: str
+    what: str
+    default: str
+    doc: str
+
+
+def keys(table: type[Any]) -> tuple[Key, ...]:
+    """The keys of a noun, or of a `Section`, that files may write."""
+    if issubclass(table, BaseModel):
+        hints, fields = get_type_hints(table, include_extras=True), table.model_fields
+        docs = docs_of(table, list(fields))
+        raw = [
+            (name, hints[name], MISSING if info.is_required() else info.default, info.description or docs.get(name, ""))
+            for name, info in fields.items()
+        ]
+    else:
+        written = {name for name, info in model_of(table).model_fields.items() if info.annotation is not NoneType}
+        fields = [field for field in fields_of(table) if field.name in written]
+        raw = [(field.name, field.kind, field.default, field.doc) for field in fields]
+    return tuple(Key(name, what(kind), _default(default, kind), doc) for name, kind, default, doc in raw)
+
+
+def what(kind: Any) -> str:
+    """What a key holds, in words."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        for mark in kind.__metadata__:
+            if isinstance(mark, Quantity):
+                named = mark.kind or ("a whole number" if mark.whole else "a number")
+                return f"{named}{f' {mark.bounds}' if mark.bounds else ''}{f' {mark.unit}' if mark.unit else ''}"
+            if isinstance(mark, Nouns):
+                return _choices(mark)
+            if isinstance(mark, OneOrMany):
+                return f"{what(mark.one)}, or a list of them"
+        return what(parts[0])
+    if origin in (Union, UnionType):
+        said = [what(part) for part in parts if part is not NoneType]
+        return " or ".join(dict.fromkeys(part for part in said if part))
+    if origin is Literal:
+        return " or ".join(f'"{value}"' if isinstance(value, str) else str(value) for value in parts)
+    if origin is tuple or str(origin).endswith("Sequence'>"):
+        inner = list(dict.fromkeys(what(part) for part in parts if part is not Ellipsis))
+        count = f"{len(parts)} of " if origin is tuple and parts[-1] is not Ellipsis else "of "
+        return f"a list {count}{', '.join(inner)}"
+    if isinstance(kind, type) and kind not in WORDS:
+        nouns = [mark for mark in getattr(in_files(kind), "__metadata__", ()) if isinstance(mark, Nouns)]
+        return _choices(nouns[0]) if nouns else "a table" if issubclass(kind, BaseModel) else ""
+    return WORDS.get(kind, "")
+
+
+def _choices(nouns: Nouns) -> str:
+    names = dict.fromkeys(name for name, _ in nouns.choices)
+    if len(nouns.choices) == 1:
+        name, kind = nouns.choices[0]
+        return f"a table: {name}.{kind}"
+    whole = all(set(family(name).nouns) == {kind for one, kind in nouns.choices if one == name} for name in names)
+    listed = (f"any {name}" for name in names) if whole else (f"{name}.{kind}" for name, kind in nouns.choices)
+    return f"a table: {' or '.join(listed)}"
+
+
+def _default(value: Any, kind: Any) -> str:
+    if value is MISSING:
+        return ""
+    if value is None or value == {} or isinstance(value, BaseModel) or isinstance(value, float) and not isfinite(value):
+        return LEFT_OUT
+    if isinstance(value, bool):
+        return str(value).lower()
+    kind = next((mark.one for mark in getattr(kind, "__metadata__", ()) if isinstance(mark, OneOrMany)), kind)
+    if isinstance(value, (int, float)):
+        quantity = quantity_in(kind)
+        if quantity is None or quantity.kind is None:
+            return f"{value:g}"
+        return f'"{value * quantity.scale / NAMES[quantity.unit]:g} {quantity.unit}"'
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, tuple):
+        inner = get_args(kind) if get_origin(kind) is tuple else ()
+        parts = inner if len(inner) == len(value) else (Any,) * len(value)
+        return f"[{', '.join(_default(item, part) for item, part in zip(value, parts, strict=True))}]"
+    table = write(value, units=True)
+    return table.get("kind", "as it is by default")
+
+
+def explain(tables: dict[str, type[Any]]) -> str:
+    """The keys of tables and of every noun, as markdown.
+
+    Args:
+        tables: heading → `Section` of a file, whose sections are its tables.
+    """
+    return "\n".join([*(part for head, file in tables.items() for part in _file(head, file)), *_nouns()]) + "\n"
+
+
+def _file(head: str, file: type[Any]) -> Iterator[str]:
+    yield f"## {head}\n"
+    for name, hint in get_type_hints(file, include_extras=True).items():
+        if name not in file.model_fields:
+            continue
+        section = next((part for part in (hint, *get_args(hint)) if isinstance(part, type) and part is not NoneType
+                        and issubclass(part, BaseModel)), None)  # fmt: skip
+        wanted = "" if file.model_fields[name].is_required() else " (may be left out)"
+        yield f"### [{name}]{wanted}\n"
+        yield f"{_first(section)}\n" if section is not None else f"{what(hint).capitalize()}, see below.\n"
+        if section is not None:
+            yield from _table(section)
+
+
+def _nouns() -> Iterator[str]:
+    yield "## Nouns\n"
+    yield "A table of a family says which noun it holds by its key `kind`, unless that is the usual one.\n"
+    for name, members in families().items():
+        for kind in members.nouns:
+            cls = find(name, kind)
+            usual = ", the usual one" if members.default == kind else ""
+            yield f"### {name}.{kind}{usual}\n"
+            yield f"{_first(cls)}\n"
+            yield from _table(cls)
+
+
+def _first(cls: type[Any]) -> str:
+    """The first paragraph of a docstring."""
+    return " ".join((cls.__doc__ or "").strip().split("\n\n")[0].split())
+
+
+def _table(table: type[Any]) -> Iterator[str]:
+    found = keys(table)
+    if not found:
+        return
+    yield "| key | holds | default | meaning |\n|---|---|---|---|"
+    for key in found:
+        cells = (f"`{key.name}`", key.what, _code(key.default), key.doc)
+        yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+    yield ""
+
+
+def _code(default: str) -> str:
+    return {"": "wanted", LEFT_OUT: LEFT_OUT}.get(default, f"`{default}`")
+
+
+def json_schema(file: type[BaseModel]) -> dict[str, Any]:
+    """The JSON Schema of a file, with every noun that its tables may hold, for editors that complete and check TOML."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # defaults that are nouns have no JSON
+        schema = file.model_json_schema()
+        defined = schema.setdefault("$defs", {})
+        while missing := sorted(set(_nouns_in(schema)) - set(defined)):
+            for ref in missing:
+                name, _, kind = ref.partition(".")
+                one = model_of(find(name, kind)).model_json_schema()
+                defined |= one.pop("$defs", {})
+                one.setdefault("properties", {})["kind"] = {"const": kind}
+                defined[ref] = one
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_clean(schema)}
+
+
+def _nouns_in(value: Any) -> Iterator[str]:
+    if isinstance(value, dict) and isinstance(value.get(NOUN), str):
+        yield value[NOUN]
+    for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from _nouns_in(part)
+
+
+def _clean(value: Any) -> Any:
+    """With references to nouns; without null, which TOML lacks, and defaults that a file would write otherwise."""
+    if isinstance(value, list):
+        return [_clean(part) for part in value if part != {"type": "null"}]
+    if not isinstance(value, dict):
+        return value
+    if isinstance(value.get(NOUN), str):
+        return {"$ref": f"#/$defs/{value[NOUN]}", **{key: part for key, part in value.items() if key == "description"}}
+    default = value.get("default")
+    measured = value.get("type") == "string" or {"type": "string"} in value.get("anyOf", ())
+    odd = isinstance(default, (int, float)) and (not isfinite(default) or measured and not isinstance(default, str))
+    dropped = {"default"} if default is None or odd else set()
+    return {key: _clean(part) for key, part in value.items() if key not in dropped or key == "properties"}

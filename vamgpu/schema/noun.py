@@ -1,0 +1,107 @@
+"""What a constructor says of its fields, and the checks that follow from it."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from dataclasses import dataclass
+from functools import cache
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from vamgpu.schema.quantities import Quantity
+
+GIVEN = ("device",)
+"""Arguments that say where to compute, not what."""
+MISSING: Any = inspect.Parameter.empty
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a noun. kind: its type, with `Quantity` where it measures something.  doc: of the docstring."""
+
+    name: str
+    kind: Any
+    default: Any
+    doc: str
+
+    @property
+    def required(self) -> bool:
+        """Whether it has no default."""
+        return self.default is MISSING
+
+    @property
+    def quantity(self) -> Quantity | None:
+        """What it measures; None for what is no number."""
+        return quantity_in(self.kind)
+
+
+@cache
+def fields_of(cls: type[Any]) -> tuple[Field, ...]:
+    """The fields of a noun, in the order of its constructor."""
+    hints = _hints(cls)
+    taken = [p for p in inspect.signature(cls).parameters.values() if p.name not in GIVEN and p.kind not in (
+        inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)]  # fmt: skip
+    docs = docs_of(cls, [p.name for p in taken])
+    return tuple(Field(p.name, hints.get(p.name, Any), p.default, docs.get(p.name, "")) for p in taken)
+
+
+def _hints(cls: type[Any]) -> dict[str, Any]:
+    generated = getattr(getattr(cls, "__dataclass_params__", None), "init", False)
+    return get_type_hints(cls if generated else cls.__init__, include_extras=True)
+
+
+def docs_of(cls: type[Any], names: list[str]) -> dict[str, str]:
+    """What docstrings of a class and those above it say of names, be it under ``Args:`` or in a line of them."""
+    found: dict[str, str] = {}
+    name = "|".join(map(re.escape, names)) or "$."
+    listed = rf"(?:^|\n|  )((?:{name})(?:, (?:{name}))*):\s+"
+    entry = re.compile(rf"{listed}(.*?)(?={listed}|\n\n|\.\s+(?:Raises|Sources?)\b|\Z)", re.DOTALL)
+    for part in reversed(cls.__mro__):
+        text = "\n".join(line.strip() for line in (part.__doc__ or "").splitlines())
+        for match in entry.finditer(text):
+            said = " ".join(match[2].split()).rstrip(".")
+            for one in match[1].split(", "):
+                if not (one in found and said.startswith("as for")):
+                    found[one] = said
+    return found
+
+
+def quantity_in(kind: Any) -> Quantity | None:
+    """The quantity a type measures, in itself or beside None."""
+    if get_origin(kind) is Annotated:
+        return next((part for part in kind.__metadata__ if isinstance(part, Quantity)), None)
+    if get_origin(kind) in (Union, UnionType):
+        return next((found for part in get_args(kind) if (found := quantity_in(part))), None)
+    return None
+
+
+def check(noun: Any) -> None:
+    """Check the fields of a frozen noun by their types, and keep them as floats. Raises `BadInput`."""
+    cls = type(noun)
+    for field in fields_of(cls):
+        value = getattr(noun, field.name)
+        checked = _checked(field.kind, f"{cls.__name__} {field.name}", value)
+        if checked is not value:
+            object.__setattr__(noun, field.name, checked)
+
+
+def _checked(kind: Any, name: str, value: Any) -> Any:
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        quantity = quantity_in(kind)
+        if quantity is None:
+            return _checked(parts[0], name, value)
+        return quantity.check(f"{name} [{quantity.unit}]" if quantity.unit else name, value)
+    if origin in (Union, UnionType):
+        measured = [part for part in parts if quantity_in(part)]
+        other = value is None and NoneType in parts or callable(value)
+        other = other or isinstance(value, (list, tuple, np.ndarray)) and np.ndim(value) > 0
+        return value if other or not measured else _checked(measured[0], name, value)
+    if origin is tuple and isinstance(value, (list, tuple)) and any(quantity_in(part) for part in parts):
+        each = parts[:1] * len(value) if parts[-1] is Ellipsis else parts
+        if len(each) == len(value):
+            return tuple(_checked(part, name, item) for part, item in zip(each, value, strict=True))
+    return value

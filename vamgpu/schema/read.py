@@ -1,0 +1,259 @@
+"""Nouns from tables: of job files with units, of manifests without."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from inspect import signature
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, TypeAdapter, ValidationError, create_model
+from pydantic import Field as Described
+from pydantic_core import core_schema
+
+from vamgpu.errors import BadInput
+from vamgpu.schema.noun import GIVEN, fields_of, quantity_in
+from vamgpu.schema.quantities import PLAIN
+from vamgpu.schema.registry import families_of, family, find, nearest
+
+
+class Section(BaseModel):
+    """A table: nothing unknown, nothing converted in silence."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Misplaced(ValueError):
+    """What is wrong between the tables of a file. key: where one would begin to mend it."""
+
+    def __init__(self, message: str, *key: str) -> None:
+        super().__init__(message)
+        self.key = key
+
+
+def tupled(value: Any) -> Any:
+    """Lists as tuples, all the way down."""
+    return tuple(tupled(entry) for entry in value) if isinstance(value, list) else value
+
+
+Listed = BeforeValidator(tupled)
+
+
+NOUN = "noun"
+"""In place of ``$ref`` until all nouns are defined; see `vamgpu.schema.explain.json_schema`."""
+
+
+class Nouns:
+    """The type of a key whose table is a noun; an annotation for pydantic.
+
+    Args:
+        choices: (family, kind) of the nouns that may stand there; kind is None for all of a family.
+        without: fields that are given elsewhere.
+        beside: keys of the table that are no fields, their types and defaults. With these two a `Partial` is read.
+    """
+
+    def __init__(
+        self, choices: Iterable[tuple[str, str | None]], without: tuple[str, ...] = (),
+        beside: Mapping[str, tuple[Any, Any]] | None = None,
+    ) -> None:  # fmt: skip
+        self.given, self.without, self.beside = tuple(choices), without, dict(beside or {})
+
+    @property
+    def choices(self) -> tuple[tuple[str, str], ...]:
+        """(family, kind) of every noun that may stand there, those named since included."""
+        every = ((name, family(name).nouns if kind is None else (kind,)) for name, kind in self.given)
+        return tuple((name, kind) for name, kinds in every for kind in kinds)
+
+    def model(self, table: Mapping[str, Any]) -> type[BaseModel]:
+        """The pydantic model of a table; raises `BadInput`."""
+        model = model_of(self.chosen(table), self.without)
+        others: dict[str, Any] = self.beside
+        return create_model(model.__name__, __base__=model, **others) if others else model
+
+    def chosen(self, table: Mapping[str, Any]) -> type[Any]:
+        """The class that a table is for; raises `BadInput`."""
+        kinds = {kind: name for name, kind in self.choices}
+        defaults = [family(name).default for name in dict.fromkeys(kinds.values())]
+        usual = next(iter(kinds)) if len(kinds) == 1 else next((kind for kind in defaults if kind in kinds), None)
+        kind = table.get("kind", usual)
+        if kind is None:
+            raise BadInput(f"kind is missing; add kind = one of {', '.join(kinds)}")
+        if kind not in kinds:
+            what = " or ".join(dict.fromkeys(kinds.values()))
+            raise BadInput(f"no {what} {kind!r}; wanted one of {', '.join(kinds)}{nearest(kind, kinds)}")
+        return find(kinds[kind], kind)
+
+    def read(self, table: Any, info: Any = None) -> Any:
+        """A noun; raises what pydantic collects."""
+        context = getattr(info, "context", None) or {}
+        if not isinstance(table, Mapping):
+            if not isinstance(table, (str, int, float, list, type(None))):
+                return table  # a noun already: the default of a field
+            raise ValueError("wanted a table")
+        cls = self.chosen(table)
+        fields = {key: value for key, value in table.items() if key != "kind"}
+        values = self.model(table).model_validate(fields, context=context)
+        given = {name: getattr(values, name) for name in values.model_fields_set if name not in self.beside}
+        given |= {name: context[name] for name in GIVEN if name in context and name in signature(cls).parameters}
+        if self.without or self.beside:
+            return Partial(cls, given, {name: getattr(values, name) for name in self.beside})
+        return cls(**given)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        return core_schema.with_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        if self.without or self.beside:
+            return self.model({}).model_json_schema()
+        refs = [{NOUN: f"{name}.{kind}"} for name, kind in self.choices]
+        if len(refs) == 1:
+            return refs[0]
+        usual = {kind for name, kind in self.choices if family(name).default == kind}
+        said = [ref if kind in usual else {"allOf": [ref, {"required": ["kind"]}]}
+                for ref, (_, kind) in zip(refs, self.choices, strict=True)]  # fmt: skip
+        return {"anyOf": said}
+
+
+@dataclass(frozen=True)
+class Partial:
+    """A noun that lacks fields which are given elsewhere: call it with them. beside: the other keys of its table."""
+
+    cls: type[Any]
+    given: dict[str, Any]
+    beside: dict[str, Any]
+
+    def __call__(self, **others: Any) -> Any:
+        """The noun; raises `BadInput`."""
+        return self.cls(**self.given, **others)
+
+
+def noun(
+    *names: str, kind: str | None = None, without: tuple[str, ...] = (),
+    beside: Mapping[str, tuple[Any, Any]] | None = None,
+) -> Any:  # fmt: skip
+    """The type of a key that holds any noun of some families, or the one of a kind; for fields of a `Section`.
+
+    without, beside: as for `Nouns`.
+    """
+    return Annotated[Any, Nouns(((name, kind) for name in names), without, beside)]
+
+
+@cache
+def model_of(cls: type[Any], without: tuple[str, ...] = ()) -> type[BaseModel]:
+    """A pydantic model of a noun's fields; those that no file can write are None, or left out."""
+    found: dict[str, Any] = {}
+    for field in fields_of(cls):
+        kind = in_files(field.kind)
+        kind = NoneType if kind is None and field.default is None else kind
+        if kind is not None and field.name not in without:
+            described = Annotated[kind, Described(description=field.doc)] if field.doc else kind
+            found[field.name] = (described, ... if field.required else field.default)
+    return create_model(cls.__name__, __base__=Section, __doc__=cls.__doc__, **found)
+
+
+def in_files(kind: Any) -> Any:
+    """A field's type as pydantic reads it; None for what files do not write."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return kind if quantity_in(kind) is not None else in_files(parts[0])
+    if origin in (Union, UnionType):
+        known = [in_files(part) for part in parts if part is not NoneType]
+        kept = _joined([part for part in known if part is not None])
+        return None if kept is None else (kept | None if NoneType in parts else kept)
+    if origin is Sequence:
+        return in_files(tuple[parts[0], ...])  # type: ignore[valid-type]
+    if origin is tuple:
+        inner = tuple(part if part is Ellipsis else in_files(part) for part in parts)
+        return None if None in inner else Annotated[tuple[inner], Listed]  # type: ignore[valid-type]
+    if origin is Literal or kind in (str, int, float, bool):
+        return kind
+    if origin in (list, Iterable) or kind is np.ndarray or not isinstance(kind, type):
+        return None
+    choices = families_of(kind)
+    return Annotated[Any, Nouns(choices)] if choices else None
+
+
+def _joined(kinds: list[Any]) -> Any:
+    """A type for any of some: nouns become one choice of all, for that tells what was wanted."""
+    nouns = [part for kind in kinds for part in getattr(kind, "__metadata__", ()) if isinstance(part, Nouns)]
+    plain = [kind for kind in kinds if not any(isinstance(part, Nouns) for part in getattr(kind, "__metadata__", ()))]
+    if nouns:
+        plain.append(Annotated[Any, Nouns(choice for part in nouns for choice in part.given)])
+    lists = [kind for kind in plain if get_origin(get_args(kind)[0] if get_args(kind) else None) is tuple]
+    if lists and len(plain) > 1:
+        return Annotated[Any, OneOrMany(next(kind for kind in plain if kind not in lists), lists[0])]
+    return Union[tuple(plain)] if plain else None  # noqa: UP007
+
+
+class OneOrMany:
+    """The type of a key that holds a value or a list of them; complaints are about what was written."""
+
+    def __init__(self, one: Any, many: Any) -> None:
+        self.one, self.many = one, many
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        one, many = (TypeAdapter(kind, config=Section.model_config) for kind in (self.one, self.many))
+
+        def read(value: Any, info: Any) -> Any:
+            return (many if isinstance(value, (list, tuple)) else one).validate_python(value, context=info.context)
+
+        return core_schema.with_info_plain_validator_function(read)
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        return {"anyOf": [TypeAdapter(kind).json_schema() for kind in (self.one, self.many)]}
+
+
+def read(name: str, table: Mapping[str, Any], *, units: bool = True, device: Any = None) -> Any:
+    """The noun of a family that a table describes, as `write` writes it or a file's author does.
+
+    Args:
+        name: of the family.  table: ``kind`` and fields.  units: numbers are text with units, as in job files.
+        device: where operators are built.
+
+    Raises:
+        BadInput: naming every wrong key at once.
+    """
+    context = {} if units else dict(PLAIN)
+    if device is not None:
+        context["device"] = device
+    nouns = Nouns([(name, None)])
+    try:
+        return nouns.read(table, _Info(context))
+    except ValidationError as error:
+        said = (f"{name}.{'.'.join(map(str, entry['loc']))}{complaint(entry)}" for entry in error.errors())
+        raise BadInput("\n".join(said)) from error
+
+
+class _Info:
+    """What pydantic hands to validators, for the outermost table."""
+
+    def __init__(self, context: dict[str, Any]) -> None:
+        self.context = context
+
+
+def complaint(entry: Any, remedy: str = "add it") -> str:
+    """One of pydantic's errors, to follow the name of its key: what was got, what was wanted, what to do."""
+    if entry["type"] == "missing":
+        return f" is missing; {remedy}"
+    if entry["type"] == "extra_forbidden":
+        return ": unknown key; correct or remove it"
+    got = "" if isinstance(entry["input"], (dict, BaseModel)) else f" got {entry['input']!r};"
+    said = entry["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    return f":{got} {said if entry['type'] == 'value_error' else f'wanted {said}; correct the value'}"
+
+
+def model_in(annotation: Any, metadata: Iterable[Any] = (), table: Any = None) -> type[BaseModel] | None:
+    """The model of a key's table, be it a section or a noun; None where it has none."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    nouns = next((part for part in metadata if isinstance(part, Nouns)), None)
+    if nouns is not None:
+        try:
+            return nouns.model(table if isinstance(table, Mapping) else {})
+        except BadInput:
+            return None
+    inner = (model_in(part, getattr(part, "__metadata__", ()), table) for part in get_args(annotation))
+    return next((found for found in inner if found is not None), None)

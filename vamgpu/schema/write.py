@@ -1,0 +1,79 @@
+"""A noun as plain values that read back to an equal noun."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import Any, get_args, get_origin
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.schema.noun import fields_of, quantity_in
+from vamgpu.schema.registry import family, name_of
+
+LONGEST = 100_000
+"""Numbers that a list in a manifest may hold; more belong into a file."""
+
+
+def write(noun: Any, *, units: bool = False) -> dict[str, Any]:
+    """The kind and the fields of a noun, with those of the nouns it is made of.
+
+    Args:
+        noun: one whose class the registry knows.
+        units: write text with units, as job files have it, in place of numbers in mm, s, mJ and rad.
+
+    Raises:
+        BadInput: what nothing but Python can describe: a function, an array that is kept nowhere, an unknown class.
+    """
+    name = name_of(type(noun))
+    if name is None:
+        cls = f"{type(noun).__module__}.{type(noun).__qualname__}"
+        raise BadInput(f"nothing describes {_said(noun)}: {cls} is no registered noun; name it with "
+                       "vamgpu.schema.register")  # fmt: skip
+    given = noun.described() if hasattr(noun, "described") else None
+    table: dict[str, Any] = {} if family(name[0]).default == name[1] else {"kind": name[1]}
+    for field in fields_of(type(noun)):
+        value = getattr(noun, field.name) if given is None else given.get(field.name, field.default)
+        if isinstance(value, (int, float)) and not isfinite(value) and value == field.default:
+            continue
+        if units and value is None:
+            continue  # TOML has no word for it
+        table[field.name] = _plain(value, field.kind, f"{type(noun).__name__} {field.name}", units)
+    return table
+
+
+def _plain(value: Any, kind: Any, name: str, units: bool) -> Any:
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, (int, float, np.integer, np.floating)):
+        if not isfinite(value):
+            raise BadInput(f"{name} is {value!r}; a description holds finite numbers only")
+        number = int(value) if isinstance(value, (int, np.integer)) else float(value)
+        quantity = quantity_in(kind) if units else None
+        return number if quantity is None else quantity.spell(number)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and value.ndim < 2 and value.size <= LONGEST:
+        return _plain(value.tolist(), kind, name, units)
+    if isinstance(value, (tuple, list)):
+        inner = zip(value, _elements(kind, len(value)), strict=True)
+        return [_plain(item, part, f"{name}[{k}]", units) for k, (item, part) in enumerate(inner)]
+    if callable(value) and name_of(type(value)) is None or isinstance(value, np.ndarray):
+        raise BadInput(f"{name} is {_said(value)}, which only this process knows; give numbers, or keep it in a file")
+    return write(value, units=units)
+
+
+def _elements(kind: Any, count: int) -> list[Any]:
+    """The types of a list's parts, as far as a field's type says."""
+    for part in (kind, *get_args(kind)):
+        parts = get_args(part)
+        if get_origin(part) is Sequence or (get_origin(part) is tuple and parts[-1] is Ellipsis):
+            return [parts[0]] * count
+        if get_origin(part) is tuple:
+            return list(parts)
+    return [Any] * count
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"an array {value.shape}"
+    return f"the function {value.__qualname__}" if hasattr(value, "__qualname__") else repr(value)[:120]
