@@ -74,8 +74,11 @@ def test_every_light_past_an_axis_that_wobbles(text: str) -> None:
     wanted = vam.Wobble.circle(0.05, 90 * deg, A.motion)
     assert isinstance(A, vam.Oblique) and A.light == LIGHTS[text] and A.wobble is not None
     assert np.array_equal(A.wobble.across, wanted.across) and np.array_equal(A.wobble.along, wanted.along)
-    part = np.full(A.range.shape, 1.0)
-    assert A.T(part)[A.grid.cylinder()].min() > 0.0  # pixels that the job did not say cover the part
+    across, along, _ = A.grid.axes()
+    height = 0.5 * (A.beam.pixels[1] - 1) * A.beam.pitch
+    x, y = (part[np.hypot(*np.meshgrid(across, along)) < 5.5] for part in np.meshgrid(across, along))
+    lift, stretch, _ = A.light.rows(x, y) if hasattr(A.light, "plane") else (0.0 * x, 1.0 + 0.0 * x, x)
+    assert np.all(np.abs(lift) + 0.5 * 11.5 * stretch < height)  # pixels that the job did not say cover the part
 
 
 def test_wrappers_go_around_the_projector_in_their_order() -> None:
@@ -202,6 +205,11 @@ def test_precompensation_starts_the_recipe_and_the_proof_has_diffusion(tmp_path:
     solve(parse_job(f'{HEAD}{text}[method]\nkind = "recipe"\n', SMALL), tmp_path / "x.vam")
     proven = prove(tmp_path / "x.vam", "numpy")
     assert isinstance(proven.proof.operator, Composed) and "diffusion=Diffusion(diffusivity=0.01" in proven.plan.method
+    A: Any = proven.proof.operator.outer
+    target = vam.Target(A.grid, "boat", proven.proof.target, 5.0, 1.0, 11.5)
+    method = vam.Recipe(diffusion=Diffusion(1e-2, 20.0))  # the operator's own diffusion does not count beside it
+    plan = vam.optimize(A, target, method=method, iterations=2)
+    assert [step["loss"] for step in proven.plan.history] == pytest.approx([step.loss for step in plan.history])
     with pytest.raises(JobError, match=r'resin\.precompensate: wanted \[method\] kind = "recipe"'):
         parse_job(HEAD + text)
 

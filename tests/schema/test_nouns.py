@@ -61,7 +61,7 @@ OPERATORS = {
         oblique(GRADED), vam.Defocus(0.3, 4.0)
     ),
     "wobbled": lambda: vam.Wobbled(projection(VIAL), vam.Wobble([0.1, 0.0, 0.0, -0.1, 0.0, 0.05])),
-    "tiles": lambda: vam.Tiles(vam.Wobbled(projection(None), vam.Wobble(0.1)), 5, 1),
+    "tiles": lambda: vam.Tiles(vam.Wobbled(projection(None), vam.Wobble(0.1)), 5, centers=[-0.3, 0.35]),
     "diffusion": spread,
     "sum": lambda: Sum([projection(VIAL), projection(vam.Aimed(VIAL, offset=0.1))], [0.75, 0.25]),
 }
