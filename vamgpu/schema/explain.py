@@ -161,7 +161,7 @@ def _table(table: type[Any]) -> Iterator[str]:
 
 
 def _code(default: str) -> str:
-    return {"": "wanted", LEFT_OUT: LEFT_OUT}.get(default, f"`{default}`")
+    return {"": "required", LEFT_OUT: LEFT_OUT}.get(default, f"`{default}`")
 
 
 def json_schema(file: type[BaseModel]) -> dict[str, Any]:
