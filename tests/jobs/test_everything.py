@@ -77,7 +77,8 @@ def test_every_light_past_an_axis_that_wobbles(text: str) -> None:
     across, along, _ = A.grid.axes()
     height = 0.5 * (A.beam.pixels[1] - 1) * A.beam.pitch
     x, y = (part[np.hypot(*np.meshgrid(across, along)) < 5.5] for part in np.meshgrid(across, along))
-    lift, stretch, _ = A.light.rows(x, y) if hasattr(A.light, "plane") else (0.0 * x, 1.0 + 0.0 * x, x)
+    light: Any = A.light
+    lift, stretch, _ = light.rows(x, y) if hasattr(light, "plane") else (0.0 * x, 1.0 + 0.0 * x, x)
     assert np.all(np.abs(lift) + 0.5 * 11.5 * stretch < height)  # pixels that the job did not say cover the part
 
 
