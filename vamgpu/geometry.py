@@ -19,6 +19,8 @@ from vamgpu.schema.quantities import Fill, Length, Positive, Turn, Width
 
 HALF_A_PIXEL = 0.5
 """Standard deviation [pixels] of the point spread of a projector in focus, where nobody measured it."""
+WIDEST = 30
+"""Standard deviation [pixels] from which on a point spread is a mistake of units, not a lens."""
 FULL_TURN = 2.0 * np.pi
 SAME_ANGLE = 1e-9
 """Angles [rad] this close are the same: files write decimals."""
@@ -105,6 +107,9 @@ class Beam:
         object.__setattr__(self, "pixels", counts("Beam pixels", self.pixels, 2))
         object.__setattr__(self, "spread", getattr(self.spread, "width", self.spread))
         check(self)
+        if self.sigma > WIDEST:
+            raise BadInput(f"spread is {self.spread:g} mm, {self.sigma:.3g} pixels of {self.pitch:g} mm; expected "
+                           f"{WIDEST} pixels at most: check the unit, 25 µm is 0.025 mm")  # fmt: skip
 
     @property
     def pixel_area(self) -> float:

@@ -14,7 +14,7 @@ SPELLINGS = {
     "a length": ("mm", "um", "µm", "cm", "m"),
     "an absorption": ("1/mm", "/mm", "1/cm", "/cm"),
     "an irradiance": ("mW/cm2", "W/cm2", "mW/mm2"),
-    "a dose": ("mJ/cm3", "mJ/mm3", "J/cm3"),
+    "a dose": ("mJ/cm3", "J/cm3", "mJ/mm3"),
     "a speed": ("mm/min", "mm/s", "mm/h", "m/min"),
     "an angle": ("deg", "°", "rad"),
     "a time": ("ms", "s", "us", "µs", "min"),

@@ -116,7 +116,7 @@ AIR = vam.Grid((6, 6, 2), 0.1)
     (vam.Beam((8, 2), 0.1, fill=0.9), None, "joseph", "give neither"),
     (vam.Beam((8, 2), 0.1), None, "siddon", "footprint is 'siddon'; expected one of exact, joseph"),
 ])  # fmt: skip
-def test_footprints_that_do_not_fit_are_refused(beam: Any, vessel: Any, footprint: str, message: str) -> None:
+def test_footprints_that_do_not_fit_are_refused(beam: Any, vessel: Any, footprint: Any, message: str) -> None:
     with pytest.raises(BadInput, match=message):
         vam.Projection(AIR, beam, vam.Turntable(3), vessel, "numpy", footprint=footprint)
 

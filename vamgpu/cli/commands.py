@@ -86,8 +86,9 @@ def prove(job: Path, *, report: Path | None = None, device: str | None = None) -
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.run import prove as run
     from vamgpu.jobs.web import is_web_folder
-    from vamgpu.storage.atomic import page_path
+    from vamgpu.storage.atomic import named, page_path
 
+    job = named(job)
     place = page_path(report or job.with_suffix(".html"))
     if is_web_folder(job):
         return _prove_web(job, place, device)

@@ -33,8 +33,9 @@ def model(
     """
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.curethrough import model_job, read_curethrough
-    from vamgpu.storage.atomic import page_path
+    from vamgpu.storage.atomic import named, page_path
 
+    job = named(job)
     place = page_path(report or job.with_name(f"{job.stem}-model.html"))
     wanted, screen = read_curethrough(job, settings or ()), console()
     with shown(screen) as told:

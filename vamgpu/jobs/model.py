@@ -77,9 +77,9 @@ class BeamSection(Section):
     """The projector's light.
 
     pitch: edge of a pixel in air.  pixels: columns and rows; by default as many as the part needs.  fill: share of a
-    pixel's area that is lit.  spread: standard deviation of the point spread in the resin, "0 um" for a perfect lens,
-    or the result of `vam calibrate mtf`; half a pixel where nothing is said.  footprint: how a pixel meets a voxel:
-    "exact", by its area, or "joseph", by one ray.
+    pixel's area that is lit.  spread: standard deviation of the point spread, measured where the pitch is, "0 um" for a
+    perfect lens, or the result of `vam calibrate mtf`; half a pixel where nothing is said.  footprint: how a pixel
+    meets a voxel: "exact", by its area, or "joseph", by one ray.
     """
 
     pitch: Length

@@ -81,8 +81,7 @@ class Best:
         last = work.held("light")
         dose = work.operator.T(last)
         window, _ = work.window(dose)
-        weighed = self.unseen is not None and self.criterion == "loss"
-        loss = work.loss(dose, self.unseen) if weighed else 0.0
+        loss = work.loss(dose, self.unseen) if self.unseen is not None and self.criterion == "loss" else 0.0
         if kept is None or self.better(loss, window):
             return last, window, work.iteration
         return kept, self.window, self.iteration

@@ -31,7 +31,7 @@ class Step:
     window: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """Light that prints a target: the best that a run evaluated, not its last.
 
@@ -63,6 +63,9 @@ class Plan:
     target_name: str
     state: dict[str, Any] = field(default_factory=dict, repr=False)
     best_iteration: int = 0
+
+    def __repr__(self) -> str:
+        return f"Plan({self.target_name!r}: strict window {self.window:+.4f} after {self.pairs:g} pairs)"
 
     def dose(self) -> DeviceArray:
         """Dose [x, y, z] of the light on the operator's device: Aᵀ sinogram."""

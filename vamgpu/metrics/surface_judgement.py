@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from math import isnan, nan
 
 import numpy as np
 import numpy.typing as npt
 
+from vamgpu.errors import MeshWarning
 from vamgpu.geometry import Grid, counts
 from vamgpu.metrics.body_changes import BodyChanges, body_changes
 from vamgpu.metrics.joined import joined
@@ -152,7 +154,10 @@ def judge_surface(
         solid = None if solid is None else joined(solid)
         thin = unjudged(fraction, grid, solid)
     part = iso_solid(fraction, grid.pitch, IN_THE_PART) if solid is None else solid
-    near = Nearest(part, 0.5 * grid.pitch)
+    with warnings.catch_warnings():
+        if solid is None:  # a surface of voxels, which nobody drew and nobody can mend
+            warnings.simplefilter("ignore", MeshWarning)
+        near = Nearest(part, 0.5 * grid.pitch)
     corners = near.search.corners
     around = printed_field(dose, origin, pitch, threshold, part.bounds)
     inside = mesh_mask(part, around.origin, around.pitch, around.values.shape)  # type: ignore[arg-type]

@@ -65,7 +65,8 @@ class Projection(LinearOperator):
                 raise BadInput(f"got {value!r} where a {kind.__name__} is expected; Projection(grid, beam, motion, …)")
         if vessel is not None and not isinstance(vessel, Vessel):
             raise BadInput(f"got {vessel!r} as vessel; expected a Vial, a Vat, or None for straight light")
-        self.grid, self.beam, self.motion, self.vessel, self.footprint = grid, beam, motion, vessel, footprint
+        self.grid, self.beam, self.motion, self.vessel = grid, beam, motion, vessel
+        self.footprint: Literal["exact", "joseph"] = footprint
         self._check_footprint()
         self.domain, self.range = VolumeSpace(grid), SinogramSpace(beam, motion)
         self.device = open_device(device)

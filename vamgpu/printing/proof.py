@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from vamgpu.targets.solid import Solid
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Proof:
     """A simulated print and its scores.
 
@@ -67,6 +67,10 @@ class Proof:
     independent: bool = False
     exposure: Exposure | None = None
     solid: Solid | None = None
+
+    def __repr__(self) -> str:
+        proved = f"proved {self.scores.window:+.4f}" if self.independent else f"not proved {self.scores.window:+.4f}"
+        return f"Proof({self.name!r}: strict window {proved}, claimed {self.claimed.window:+.4f}. {self.verdict})"
 
     @property
     def seconds(self) -> float | None:

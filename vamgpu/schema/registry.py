@@ -65,9 +65,9 @@ FAMILIES: dict[str, Family] = {
             "generalized": "vamgpu.methods:GeneralizedLogistic",
             "interpolated": "vamgpu.methods:Interpolated",
         },
-        stands="vamgpu.methods.response:Response",
+        stands="vamgpu.losses.response:Response",
     ),
-    "loss": Family({"band": "vamgpu.methods.band:Band"}),
+    "loss": Family({"band": "vamgpu.losses.band:Band"}, stands="vamgpu.losses.loss:Loss"),
     "method": Family(
         {
             "window": "vamgpu.methods:ProcessWindow",

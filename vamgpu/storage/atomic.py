@@ -37,6 +37,14 @@ def page_path(path: str | Path) -> Path:
     return Path(path)
 
 
+def named(path: Path) -> Path:
+    """The whole path, so that it has a name even where it was given as ``.``. Raises `StorageError` for one without."""
+    whole = path.resolve()
+    if not whole.name or not str(path).strip():
+        raise StorageError(f"{str(path)!r} has no name; expected a file or a folder: check the path")
+    return whole
+
+
 @contextmanager
 def replacing(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Hand out a path in a fresh folder beside ``path``; what is written there is moved to ``path`` at the end.
