@@ -210,7 +210,7 @@ def test_frames_that_print_nothing_are_not_judged(device: Device, timed: bool) -
         simulate(operator, pack(plan_of(operator, dark), scale=1.0), disk(), **times)
     with pytest.raises(NoLight, match="passes beside it"):
         simulate(operator, pack(plan_of(operator, beside), scale=1.0), disk(), **times)
-    with pytest.raises(BadInput, match="is in the part"):
+    with pytest.raises(BadInput, match="no voxel of the target"):
         simulate(operator, pack(plan_of(operator, beside + 1.0)), 0.0 * disk(), **times)
 
 
