@@ -1,7 +1,5 @@
 #include "common.h"
 
-#define VECTOR_AT(pointer) (*(__global const Vector *)(pointer))
-
 // One pose: directions, pitches along x, y, r and s, the radius of the resin; lengths in mm.
 typedef struct {
     float cosine, sine, dx, dy, dr, step, radius;
@@ -45,7 +43,7 @@ FIELD_KERNEL column_density(__global const float *restrict species, __global con
             const float length = (end - begin) / fmax(weights, 1e-6f);
             UNROLL for (int n = 0; n < 4; n++) {
                 __global const float *from = species + (size_t)at[n] * LANES;
-                // what a wall holds is no number to count on
+                // walls may hold NaN
                 if (weight[n] > 0.0f) EACH_VECTOR sum[v] = fma((Vector)(length * weight[n]), LOAD(from), sum[v]);
             }
             begin = end;
@@ -61,19 +59,18 @@ FIELD_KERNEL expose(__global const float *restrict path, __global const float *r
                     __global const float *restrict extinction, __global float *restrict visible,
                     __global float *restrict ultraviolet, int n_r, int n_s, int n_z, int n_angle, int n_x, int n_y) {
     const int first = ITEM_MAJOR * TILE_MAJOR, last = min(first + TILE_MAJOR, n_x);
-    const int begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_y) : n_y;
     const View view = view_of(pose);
     path += slab_offset(n_r, n_s);
     visible_light += slab_offset(n_angle, n_r) + SAMPLE(angle, 0, n_r);
     ultraviolet_light += slab_offset(n_angle, n_r) + SAMPLE(angle, 0, n_r);
     const size_t slab = slab_offset(n_x, n_y);
     for (int row = first; row < last; row++)
-        for (int column = begin; column < end; column++) {
+        EACH_MINOR(column, n_y) {
             const float x = (row - 0.5f * (n_x - 1)) * view.dx, y = (column - 0.5f * (n_y - 1)) * view.dy;
             const float r = y * view.cosine - x * view.sine, s = -(x * view.cosine + y * view.sine);
             const float square = view.radius * view.radius, u = r / view.dr + 0.5f * (n_r - 1);
             const size_t at = slab + SAMPLE(row, column, n_y);
-            // x² + y² rather than r² + s²: whether a voxel is resin must not hang on the pose's rounding
+            // x² + y² rather than r² + s²: whether a voxel is resin must not depend on how a pose is rounded
             if (!(x * x + y * y <= square && u >= 0.0f && u <= n_r - 1)) {
                 EACH_VECTOR {
                     STORE(visible + at, (Vector)(0.0f));

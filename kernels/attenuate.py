@@ -1,4 +1,4 @@
-"""Light of one pose through what a cylinder of resin still holds of an absorbing species.
+"""Light of one pose through a cylinder of resin whose absorbing species is depleted.
 
 Rays run across the light at r and along it at s = −(x·cosθ + y·sinθ), from the side of the projector. Rays sum up the
 species on their way first; a voxel then finds its ray's sum and both colors' light there. Source: Beer-Lambert, paper

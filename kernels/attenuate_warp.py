@@ -11,16 +11,9 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 @wp.kernel
 def column_density(
-    species: Flat,
-    open: wp.array2d(dtype=wp.uint8),
-    pose: wp.array(dtype=float),
-    path: Flat,
-    n_x: int,
-    n_y: int,
-    n_z: int,
-    n_r: int,
-    n_s: int,
-):
+    species: Flat, open: wp.array2d[wp.uint8], pose: wp.array[float], path: Flat,
+    n_x: int, n_y: int, n_z: int, n_r: int, n_s: int,
+) -> None:  # fmt: skip
     slab, ray, one, lane = wp.tid()
     lanes = species.shape[1] // (n_x * n_y)
     cosine = pose[0]
@@ -66,21 +59,10 @@ def faded(light: wp.vec4, mu: float, epsilon: float, length: float, dense: wp.ve
 
 @wp.kernel
 def expose(
-    path: Flat,
-    visible_light: Flat,
-    ultraviolet_light: Flat,
-    angle: int,
-    pose: wp.array(dtype=float),
-    extinction: wp.array2d(dtype=float),
-    visible: Flat,
-    ultraviolet: Flat,
-    n_r: int,
-    n_s: int,
-    n_z: int,
-    n_angle: int,
-    n_x: int,
-    n_y: int,
-):
+    path: Flat, visible_light: Flat, ultraviolet_light: Flat, angle: int, pose: wp.array[float],
+    extinction: wp.array2d[float], visible: Flat, ultraviolet: Flat,
+    n_r: int, n_s: int, n_z: int, n_angle: int, n_x: int, n_y: int,
+) -> None:  # fmt: skip
     slab, row, column, lane = wp.tid()
     lanes = visible.shape[1] // (n_x * n_y)
     x = (float(row) - 0.5 * float(n_x - 1)) * pose[2]

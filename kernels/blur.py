@@ -12,7 +12,7 @@ from vamgpu.kernels.signature import ArrayOut, Field, Tiling, kernel
 Sharp = Annotated[np.ndarray, Field(("i", "j", "z"))]
 
 
-@kernel(over="blurred", cpu=Tiling(major=1, minor=0))
+@kernel(over="blurred", reach="tap", cpu=Tiling(major=1, minor=0))
 def blur_slices(source: Sharp, taps: Taps, blurred: ArrayOut) -> None:
     """blurred[i, j, z] = Σ_t taps[|t|] · source[i, j, z + t], 0 beyond the edge: its own transpose."""
     blurred[...] = taps[0] * source

@@ -1,5 +1,7 @@
 // Shared by every OpenCL kernel. A field is stored as [slab][major][minor][LANES]; a work item owns VECTORS vectors of
-// WIDTH lanes, and THREADS neighbouring items share a slab: LANES = WIDTH * VECTORS * THREADS.
+// WIDTH lanes, and THREADS neighboring items share a slab: LANES = WIDTH * VECTORS * THREADS.
+#define UNROLL _Pragma("unroll")
+
 #ifdef LANES
 
 #define PASTE_(a, b) a##b
@@ -10,7 +12,6 @@ typedef PASTE(float, WIDTH) Vector;
 // of their time, and runs items in step that have unlike work.
 #define FIELD_KERNEL __kernel __attribute__((vec_type_hint(Vector))) void
 
-#define UNROLL _Pragma("unroll")
 #define EACH_VECTOR UNROLL for (int v = 0; v < VECTORS; v++)
 
 #define LOAD(pointer) (*(__global const Vector *)((pointer) + v * WIDTH))
@@ -21,7 +22,8 @@ typedef PASTE(float, WIDTH) Vector;
 #define ITEM_MAJOR ((int)get_global_id(1))
 #define ITEM_SLAB ((int)get_global_id(2) * TILE_SLABS)
 #define ITEM_LANE ((int)(get_global_id(0) % THREADS) * WIDTH * VECTORS)
-#define ITEM_INDEX ((get_global_id(2) * get_global_size(1) + get_global_id(1)) * get_global_size(0) + get_global_id(0))
+#define ITEM_Z (ITEM_SLAB * LANES + ITEM_LANE)      // its first slice
+#define ITEM_LANES (WIDTH * VECTORS)                // and how many there are
 
 // Where sample (major, minor) of this item's slab and lanes lies in a field with n_major x n_minor samples.
 static inline size_t slab_offset(int n_major, int n_minor) {
@@ -29,4 +31,14 @@ static inline size_t slab_offset(int n_major, int n_minor) {
 }
 #define SAMPLE(major, minor, n_minor) (((size_t)(major) * (n_minor) + (minor)) * LANES)
 
+// The samples along minor, of n, that this item computes: TILE_MINOR of them, or all where that is 0.
+#define MINOR_BEGIN (TILE_MINOR ? ITEM_MINOR * TILE_MINOR : 0)
+#define MINOR_END(n) (TILE_MINOR ? min(MINOR_BEGIN + TILE_MINOR, n) : n)
+#define EACH_MINOR(k, n) for (int k = MINOR_BEGIN, k##_end = MINOR_END(n); k < k##_end; k++)
+
 #endif
+
+// Where slice z of sample (major, minor) lies in a field with n_major x n_minor samples and slabs of `lanes` slices.
+static inline size_t slice_offset(int major, int minor, int z, int n_major, int n_minor, int lanes) {
+    return (((size_t)(z / lanes) * n_major + major) * n_minor + minor) * lanes + z % lanes;
+}

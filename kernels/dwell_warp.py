@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fast_math": False})
+from vamgpu.kernels.wide_warp import Vectors
 
-Vectors = wp.array4d(dtype=wp.vec4)
+wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
 @wp.kernel
 def weigh_poses(
-    light: Vectors, times: wp.array(dtype=float), weighted: Vectors, n_angle: int, n_r: int, n_z: int, n_pose: int
-):
+    light: Vectors, times: wp.array[float], weighted: Vectors, n_angle: int, n_r: int, n_z: int, n_pose: int
+) -> None:
     slab, angle, column, lane = wp.tid()
     weighted[slab, angle, column, lane] = times[angle % n_pose] * light[slab, angle, column, lane]

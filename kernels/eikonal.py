@@ -7,22 +7,15 @@ Runge-Kutta-Nyström scheme of fourth order (Applied Optics 21, 984, 1982), 1 th
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
 
+from vamgpu.kernels.index_field import Corner, Formula, Look, Plane, Volume, formula_at, plane_at, volume_at
 from vamgpu.kernels.signature import Integer, Real, Table, kernel
 
 Starts = Annotated[np.ndarray, Table("float32", ("ray", "6"))]
 """Place and heading."""
-Formula = Annotated[np.ndarray, Table("float32", ("12",))]
-"""n² = P(s) / Q(s), s = a·x² + b·y² + c·z²: a, b, c, P from the constant to the cube, Q likewise, and a spare."""
-Plane = Annotated[np.ndarray, Table("float32", ("i", "j"))]
-Volume = Annotated[np.ndarray, Table("float32", ("i", "j", "k"))]
-"""Coefficients of the cubic B-splines of n², one more on every side than there are cells' corners."""
-Corner = Annotated[np.ndarray, Table("float32", ("4",))]
-"""Place of the first corner of the first cell, and cells per length."""
 Region = Annotated[np.ndarray, Table("float32", ("10",))]
 """A ray has left where a·x² + b·y² + c·z² > q or it is outside a box: a, b, c, q, low corner, high corner."""
 Ends = Annotated[np.ndarray, Table("float32", ("ray", "8"), writes=True)]
@@ -30,11 +23,8 @@ Ends = Annotated[np.ndarray, Table("float32", ("ray", "8"), writes=True)]
 Path = Annotated[np.ndarray, Table("float32", ("ray", "row", "3"), writes=True)]
 Times = Annotated[np.ndarray, Table("float32", ("ray",), writes=True)]
 
-Look = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Places (rays, 3) → ½∇n² (rays, 3) and n² (rays,)."""
-
 OUTER = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
-LEAPS = {1: (1.0,), 2: (OUTER, 1.0 - 2.0 * OUTER, OUTER)}
+LEAPS: dict[int, tuple[float, ...]] = {1: (1.0,), 2: (OUTER, 1.0 - 2.0 * OUTER, OUTER)}
 SHORTEN = 5
 """Newton steps that find where a ray crosses the border of the region."""
 
@@ -72,60 +62,6 @@ def march_volume(
           times)  # fmt: skip
 
 
-# ---- fields ------------------------------------------------------------------------------------------------------
-def formula_at(formula: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """½∇n² and n² of P(s)/Q(s)."""
-    weights, p, q = formula[:3], formula[3:7], formula[7:11]
-    s = (place**2) @ weights
-    above, below = (c[0] + s * (c[1] + s * (c[2] + s * c[3])) for c in (p, q))
-    d_above, d_below = (c[1] + s * (2.0 * c[2] + 3.0 * s * c[3]) for c in (p, q))
-    square = above / below
-    slope = (d_above - square * d_below) / below
-    return slope[:, None] * weights * place, square
-
-
-def bspline(fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of the four cubic B-splines over a cell, and their slopes; each (rays, 4)."""
-    f, g = fraction, 1.0 - fraction
-    weights = [g**3, 4.0 - 3.0 * f**2 * (1.0 + g), 4.0 - 3.0 * g**2 * (1.0 + f), f**3]
-    slopes = [-(g**2), f * (3.0 * f - 4.0), g * (4.0 - 3.0 * g), f**2]
-    return np.stack(weights, axis=-1) / 6.0, np.stack(slopes, axis=-1) / 2.0
-
-
-def cell_of(position: np.ndarray, corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Index of the cell, and the weights and slopes of its coefficients, for positions counted in cells."""
-    cell = np.clip(position.astype(int), 0, corners - 4)
-    return (cell, *bspline(np.clip(position - cell, -2.0, 3.0)))
-
-
-def plane_at(coefficients: np.ndarray, corner: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """½∇n² and n² of B-splines in x and y."""
-    position = (place[:, :2] - corner[:2]) * corner[3]
-    i, wx, dx = cell_of(position[:, 0], coefficients.shape[0])
-    j, wy, dy = cell_of(position[:, 1], coefficients.shape[1])
-    taps = np.arange(4)
-    block = coefficients[(i[:, None] + taps)[:, :, None], (j[:, None] + taps)[:, None, :]]
-    along_y, slope_y = np.einsum("rab,rb->ra", block, wy), np.einsum("rab,rb->ra", block, dy)
-    gradient = np.zeros_like(place)
-    gradient[:, 0], gradient[:, 1] = np.sum(along_y * dx, axis=1), np.sum(slope_y * wx, axis=1)
-    return 0.5 * corner[3] * gradient, np.sum(along_y * wx, axis=1)
-
-
-def volume_at(coefficients: np.ndarray, corner: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """½∇n² and n² of B-splines in x, y and z."""
-    position = (place - corner[:3]) * corner[3]
-    i, wx, dx = cell_of(position[:, 0], coefficients.shape[0])
-    j, wy, dy = cell_of(position[:, 1], coefficients.shape[1])
-    k, wz, dz = cell_of(position[:, 2], coefficients.shape[2])
-    taps = np.arange(4)
-    rows = (i[:, None] + taps)[:, :, None, None], (j[:, None] + taps)[:, None, :, None]
-    block = coefficients[(*rows, (k[:, None] + taps)[:, None, None, :])]
-    even, steep = np.einsum("rabc,rc->rab", block, wz), np.einsum("rabc,rc->rab", block, dz)
-    gradient = np.stack([np.einsum("rab,ra,rb->r", rest, x, y)
-                         for rest, x, y in ((even, dx, wy), (even, wx, dy), (steep, wx, wy))], axis=1)  # fmt: skip
-    return 0.5 * corner[3] * gradient, np.einsum("rab,ra,rb->r", even, wx, wy)
-
-
 # ---- marching ----------------------------------------------------------------------------------------------------
 def march(
     look: Look, starts: np.ndarray, region: np.ndarray, step: float, steps: int, scheme: int, every: int,
@@ -157,6 +93,13 @@ def march(
 
 class State:
     """Where rays are: place, heading, ½∇n² and n² there, optical path and length so far."""
+
+    place: np.ndarray
+    heading: np.ndarray
+    optical: np.ndarray
+    length: np.ndarray
+    pull: np.ndarray
+    square: np.ndarray
 
     def __init__(self, look: Look | None, starts: np.ndarray) -> None:
         self.place, self.heading = starts[:, :3].copy(), starts[:, 3:6].copy()

@@ -1,27 +1,17 @@
-"""Warp sibling of `eikonal`: one thread a ray. Kernels say which kind their medium is: compilers drop the rest."""
+"""Warp siblings of `eikonal`; a thread marches one ray."""
 
 from __future__ import annotations
 
 import warp as wp
 
+from vamgpu.kernels.index_field_warp import FORMULA, PLANE, VOLUME, Medium, look
+
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-OUTER = wp.constant(1.3512071919596578)
-INNER = wp.constant(-1.7024143839193153)
-SHORTEN = wp.constant(5)
-NEVER = wp.constant(-1.0e30)
-FORMULA = wp.constant(0)
-PLANE = wp.constant(1)
-VOLUME = wp.constant(2)
-
-
-@wp.struct
-class Medium:
-    kind: int
-    formula: wp.array1d(dtype=float)
-    plane: wp.array2d(dtype=float)
-    volume: wp.array3d(dtype=float)
-    corner: wp.vec4
+OUTER = 1.3512071919596578
+INNER = -1.7024143839193153
+SHORTEN = 5
+NEVER = -1.0e30
 
 
 @wp.struct
@@ -30,98 +20,6 @@ class Ray:
     heading: wp.vec3
     pull: wp.vec3
     square: float
-
-
-@wp.func
-def look_formula(formula: wp.array1d(dtype=float), at: wp.vec3):
-    weighted = wp.vec3(formula[0] * at[0], formula[1] * at[1], formula[2] * at[2])
-    s = wp.dot(weighted, at)
-    above = formula[3] + s * (formula[4] + s * (formula[5] + s * formula[6]))
-    below = formula[7] + s * (formula[8] + s * (formula[9] + s * formula[10]))
-    up = formula[4] + s * (2.0 * formula[5] + 3.0 * s * formula[6])
-    down = formula[8] + s * (2.0 * formula[9] + 3.0 * s * formula[10])
-    square = above / below
-    pull = (up - square * down) / below * weighted
-    return wp.vec4(pull[0], pull[1], pull[2], square)
-
-
-@wp.func
-def weights_of(f: float):
-    g = 1.0 - f
-    return wp.vec4(g * g * g, 4.0 - 3.0 * f * f * (1.0 + g), 4.0 - 3.0 * g * g * (1.0 + f), f * f * f) / 6.0
-
-
-@wp.func
-def slopes_of(f: float):
-    g = 1.0 - f
-    return 0.5 * wp.vec4(-g * g, f * (3.0 * f - 4.0), g * (4.0 - 3.0 * g), f * f)
-
-
-@wp.func
-def cell_of(position: float, corners: int):
-    return int(wp.clamp(position, 0.0, float(corners - 4)))
-
-
-@wp.func
-def into(position: float, cell: int):
-    return wp.clamp(position - float(cell), -2.0, 3.0)
-
-
-@wp.func
-def look_plane(coefficients: wp.array2d(dtype=float), corner: wp.vec4, at: wp.vec3):
-    x = (at[0] - corner[0]) * corner[3]
-    y = (at[1] - corner[1]) * corner[3]
-    i = cell_of(x, coefficients.shape[0])
-    j = cell_of(y, coefficients.shape[1])
-    wx = weights_of(into(x, i))
-    dx = slopes_of(into(x, i))
-    wy = weights_of(into(y, j))
-    dy = slopes_of(into(y, j))
-    result = wp.vec3(0.0, 0.0, 0.0)
-    for a in range(4):
-        row = wp.vec4(coefficients[i + a, j], coefficients[i + a, j + 1], coefficients[i + a, j + 2],
-                      coefficients[i + a, j + 3])  # fmt: skip
-        even = wp.dot(row, wy)
-        result += wp.vec3(dx[a] * even, wx[a] * wp.dot(row, dy), wx[a] * even)
-    scale = 0.5 * corner[3]
-    return wp.vec4(scale * result[0], scale * result[1], 0.0, result[2])
-
-
-@wp.func
-def look_volume(coefficients: wp.array3d(dtype=float), corner: wp.vec4, at: wp.vec3):
-    x = (at[0] - corner[0]) * corner[3]
-    y = (at[1] - corner[1]) * corner[3]
-    z = (at[2] - corner[2]) * corner[3]
-    i = cell_of(x, coefficients.shape[0])
-    j = cell_of(y, coefficients.shape[1])
-    k = cell_of(z, coefficients.shape[2])
-    wx = weights_of(into(x, i))
-    dx = slopes_of(into(x, i))
-    wy = weights_of(into(y, j))
-    dy = slopes_of(into(y, j))
-    wz = weights_of(into(z, k))
-    dz = slopes_of(into(z, k))
-    result = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    for a in range(4):
-        for b in range(4):
-            p = i + a
-            q = j + b
-            row = wp.vec4(coefficients[p, q, k], coefficients[p, q, k + 1], coefficients[p, q, k + 2],
-                          coefficients[p, q, k + 3])  # fmt: skip
-            even = wp.dot(row, wz)
-            both = wx[a] * wy[b]
-            result += wp.vec4(dx[a] * wy[b] * even, wx[a] * dy[b] * even, both * wp.dot(row, dz), both * even)
-    scale = 0.5 * corner[3]
-    return wp.vec4(scale * result[0], scale * result[1], scale * result[2], result[3])
-
-
-@wp.func
-def look(medium: Medium, at: wp.vec3):
-    if medium.kind == FORMULA:
-        return look_formula(medium.formula, at)
-    if medium.kind == PLANE:
-        return look_plane(medium.plane, medium.corner, at)
-    return look_volume(medium.volume, medium.corner, at)
 
 
 @wp.func
@@ -175,7 +73,7 @@ def way_of(ray: Ray, end: Ray, h: float):
 
 
 @wp.func
-def outside(region: wp.array1d(dtype=float), ray: Ray):
+def outside(region: wp.array1d[float], ray: Ray):
     weighted = wp.vec3(region[0] * ray.place[0], region[1] * ray.place[1], region[2] * ray.place[2])
     growth = 2.0 * wp.dot(weighted, ray.heading)
     worst = float(NEVER)
@@ -193,19 +91,10 @@ def outside(region: wp.array1d(dtype=float), ray: Ray):
 
 @wp.func
 def run(
-    medium: Medium,
-    starts: wp.array2d(dtype=float),
-    region: wp.array1d(dtype=float),
-    step: float,
-    steps: int,
-    scheme: int,
-    every: int,
-    ends: wp.array2d(dtype=float),
-    path: wp.array3d(dtype=float),
-    times: wp.array1d(dtype=float),
-    index: int,
-    n_row: int,
-):
+    medium: Medium, starts: wp.array2d[float], region: wp.array1d[float], step: float, steps: int,
+    scheme: int, every: int, ends: wp.array2d[float], path: wp.array3d[float],
+    times: wp.array1d[float], index: int, n_row: int,
+):  # fmt: skip
     place = wp.vec3(starts[index, 0], starts[index, 1], starts[index, 2])
     ray = ray_at(medium, place, wp.vec3(starts[index, 3], starts[index, 4], starts[index, 5]))
     way = wp.vec2(0.0, 0.0)
@@ -254,19 +143,11 @@ def run(
 
 @wp.kernel
 def march_formula(
-    starts: wp.array2d(dtype=float),
-    formula: wp.array1d(dtype=float),
-    region: wp.array1d(dtype=float),
-    step: float,
-    steps: int,
-    scheme: int,
-    every: int,
-    ends: wp.array2d(dtype=float),
-    path: wp.array3d(dtype=float),
-    times: wp.array1d(dtype=float),
-    n_ray: int,
-    n_row: int,
-):
+    starts: wp.array2d[float], formula: wp.array1d[float], region: wp.array1d[float], step: float,
+    steps: int, scheme: int, every: int, ends: wp.array2d[float], path: wp.array3d[float],
+    times: wp.array1d[float],
+    n_ray: int, n_row: int,
+) -> None:  # fmt: skip
     medium = Medium()
     medium.kind = FORMULA
     medium.formula = formula
@@ -275,22 +156,11 @@ def march_formula(
 
 @wp.kernel
 def march_plane(
-    starts: wp.array2d(dtype=float),
-    coefficients: wp.array2d(dtype=float),
-    corner: wp.array1d(dtype=float),
-    region: wp.array1d(dtype=float),
-    step: float,
-    steps: int,
-    scheme: int,
-    every: int,
-    ends: wp.array2d(dtype=float),
-    path: wp.array3d(dtype=float),
-    times: wp.array1d(dtype=float),
-    n_ray: int,
-    n_i: int,
-    n_j: int,
-    n_row: int,
-):
+    starts: wp.array2d[float], coefficients: wp.array2d[float], corner: wp.array1d[float],
+    region: wp.array1d[float], step: float, steps: int, scheme: int, every: int, ends: wp.array2d[float],
+    path: wp.array3d[float], times: wp.array1d[float],
+    n_ray: int, n_i: int, n_j: int, n_row: int,
+) -> None:  # fmt: skip
     medium = Medium()
     medium.kind = PLANE
     medium.plane = coefficients
@@ -300,23 +170,11 @@ def march_plane(
 
 @wp.kernel
 def march_volume(
-    starts: wp.array2d(dtype=float),
-    coefficients: wp.array3d(dtype=float),
-    corner: wp.array1d(dtype=float),
-    region: wp.array1d(dtype=float),
-    step: float,
-    steps: int,
-    scheme: int,
-    every: int,
-    ends: wp.array2d(dtype=float),
-    path: wp.array3d(dtype=float),
-    times: wp.array1d(dtype=float),
-    n_ray: int,
-    n_i: int,
-    n_j: int,
-    n_k: int,
-    n_row: int,
-):
+    starts: wp.array2d[float], coefficients: wp.array3d[float], corner: wp.array1d[float],
+    region: wp.array1d[float], step: float, steps: int, scheme: int, every: int, ends: wp.array2d[float],
+    path: wp.array3d[float], times: wp.array1d[float],
+    n_ray: int, n_i: int, n_j: int, n_k: int, n_row: int,
+) -> None:  # fmt: skip
     medium = Medium()
     medium.kind = VOLUME
     medium.volume = coefficients

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from vamgpu.kernels.reduce import CPU, GPU
-from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, Table, kernel
+from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramInOut, SinogramOut, Table, kernel
 
 Taps = Annotated[np.ndarray, Table("float32", ("tap",))]
 
@@ -37,12 +37,12 @@ def filtered_step(
     stride: Integer,
     step: Real,
     momentum: Real,
-    light: SinogramOut,
-    ahead: SinogramOut,
+    light: SinogramInOut,
+    ahead: SinogramInOut,
 ) -> None:
     """One accelerated step that keeps light ≥ 0: new = max(0, ahead − step·filtered gradient), 0 where it is held.
 
-    Light is held where ahead ≤ 0 and the gradient asks for no more (`free_gradient` leaves 0 there).
+    Light is held where ahead ≤ 0 and the gradient asks for no more (`apply_penalty` leaves 0 there).
     Then ahead = new + momentum·(new − light) and light = new. Source: Y. Nesterov, Soviet Math. Dokl. 27 (1983) 372.
     """
     new = np.maximum(0.0, ahead - step * convolve(gradient, taps, stride))

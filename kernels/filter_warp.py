@@ -5,14 +5,13 @@ from __future__ import annotations
 import warp as wp
 
 from vamgpu.kernels.partial_warp import ROWS
+from vamgpu.kernels.wide_warp import Vectors
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
 @wp.func
-def convolve(
-    rows: wp.array4d(dtype=wp.vec4), taps: wp.array(dtype=float), stride: int, slab: int, i: int, r: int, lane: int
-):
+def convolve(rows: Vectors, taps: wp.array[float], stride: int, slab: int, i: int, r: int, lane: int):
     """The taps convolved with row i at sample r."""
     n_r = rows.shape[2]
     total = taps[0] * rows[slab, i, r, lane]
@@ -26,16 +25,9 @@ def convolve(
 
 @wp.kernel
 def filter_rows(
-    sinogram: wp.array4d(dtype=wp.vec4),
-    taps: wp.array(dtype=float),
-    stride: int,
-    floor: float,
-    filtered: wp.array4d(dtype=wp.vec4),
-    n_angle: int,
-    n_r: int,
-    n_z: int,
-    n_tap: int,
-):
+    sinogram: Vectors, taps: wp.array[float], stride: int, floor: float, filtered: Vectors,
+    n_angle: int, n_r: int, n_z: int, n_tap: int,
+) -> None:  # fmt: skip
     slab, tile, j, lane = wp.tid()
     lowest = wp.vec4(floor, floor, floor, floor)
     for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_angle)):
@@ -44,18 +36,10 @@ def filter_rows(
 
 @wp.kernel
 def filtered_step(
-    gradient: wp.array4d(dtype=wp.vec4),
-    taps: wp.array(dtype=float),
-    stride: int,
-    step: float,
-    momentum: float,
-    light: wp.array4d(dtype=wp.vec4),
-    ahead: wp.array4d(dtype=wp.vec4),
-    n_angle: int,
-    n_r: int,
-    n_z: int,
-    n_tap: int,
-):
+    gradient: Vectors, taps: wp.array[float], stride: int, step: float, momentum: float, light: Vectors,
+    ahead: Vectors,
+    n_angle: int, n_r: int, n_z: int, n_tap: int,
+) -> None:  # fmt: skip
     slab, tile, j, lane = wp.tid()
     dark = wp.vec4(0.0, 0.0, 0.0, 0.0)
     for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_angle)):

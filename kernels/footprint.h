@@ -63,12 +63,5 @@ static inline float4 look_up(__global const float4 *restrict light, int n_across
                              float x, float y) {
     const float across = fma(y, direction.x, -x * direction.y) + 0.5f * (n_across - 1);
     const float along = fma(-x, direction.x, -y * direction.y) + 0.5f * (n_along - 1);
-    const int i = clamp((int)across, 0, n_across - 2), j = clamp((int)along, 0, n_along - 2);
-    __global const float4 *here = light + i * n_along + j;
-    const float4 near = here[0] + (along - j) * (here[1] - here[0]);
-    const float4 far = here[n_along] + (along - j) * (here[n_along + 1] - here[n_along]);
-    return near + (across - i) * (far - near);
+    return sampled(light, n_across, n_along, across, along);
 }
-
-// Half-integers below 2048 square exactly in float32, so both directions agree on every voxel.
-static inline bool within(float x, float y, float radius) { return x * x + y * y <= radius * radius; }

@@ -35,8 +35,8 @@ THINNEST, BLURRED = 0.05, 0.2
 
 The corners' sum cancels where a side is thin, the more so the wider the blur that hides how thin it is. In float32
 shares are off by 2e-5 of the greatest, and widening costs 2e-3 of it with a point spread, 2e-2 at an edge without."""
-GPU = {"WINDOW": 10, "SLOTS": 128}
-"""Samples of a row that a tile looks at together; tiles × poses whose weights a group keeps at a time."""
+GPU = {"SAMPLES": 128, "KEPT": 1024, "TURNS": 16}
+"""Samples whose shares a tile, and a group, keeps at a time; poses or planes that they are of, at most."""
 TAIL_SERIES = (9.973836443e-02, 2.202380776e-02, 3.491863407e-03, 2.423642034e-04, 7.122526186e-05)
 """Third integral of the unit Gaussian's tail: 0.25 / (1 + Σ c_k t^k)^16, fitted to the closed form to 3.1e-7."""
 
@@ -114,7 +114,7 @@ def _matrix(
 @kernel(
     over="sinogram",
     cpu=Tiling(major=20, minor=0, slabs=4),
-    gpu=Tiling(major=1, minor=4, slabs=2, group=(32, 4, 4)),
+    gpu=Tiling(major=1, minor=4, slabs=4, group=(8, 8, 4)),
     constants={"cpu": {"ANGLES": 6, "TAPS": 16}, "gpu": GPU},
 )
 def forward_footprint(
@@ -135,7 +135,7 @@ def forward_footprint(
 @kernel(
     over="volume",
     cpu=Tiling(major=16, minor=0, slabs=4),
-    gpu=Tiling(major=2, minor=2, slabs=2, group=(64, 1, 4)),
+    gpu=Tiling(major=2, minor=2, slabs=4, group=(16, 4, 4), registers=128),
     constants={"cpu": {"ANGLES": 12, "TAPS": 16}, "gpu": GPU},
 )
 def back_footprint(

@@ -11,18 +11,9 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 @wp.kernel
 def gather_rows(
-    source: Flat,
-    first: wp.array(dtype=int),
-    entries: wp.array2d(dtype=float),
-    out: Flat,
-    n_u: int,
-    n_v: int,
-    n_z: int,
-    n_row: int,
-    n_entry: int,
-    n_i: int,
-    n_j: int,
-):
+    source: Flat, first: wp.array[int], entries: wp.array2d[float], out: Flat,
+    n_u: int, n_v: int, n_z: int, n_row: int, n_entry: int, n_i: int, n_j: int,
+) -> None:  # fmt: skip
     slab, i, j, lane = wp.tid()
     lanes = source.shape[1] // (n_u * n_v)
     blocks = (n_row - 1) // (n_i * n_j)

@@ -2,11 +2,11 @@
 
 FIELD_KERNEL blur_planes(__global const float *restrict source, __global const float *restrict taps,
                          __global float *restrict blurred, int n_i, int n_j, int n_z, int n_tap) {
-    const int begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_j) : n_j, i = ITEM_MAJOR;
+    const int i = ITEM_MAJOR;
     if (i >= n_i) return;
     const size_t slab = slab_offset(n_i, n_j);
     const int below = min(i, n_tap - 1), above = min(n_i - 1 - i, n_tap - 1), both = min(below, above);
-    for (int j = begin; j < end; j++) {
+    EACH_MINOR(j, n_j) {
         Vector sum[VECTORS];
         EACH_VECTOR sum[v] = taps[0] * LOAD(source + slab + SAMPLE(i, j, n_j));
         int t = 1;

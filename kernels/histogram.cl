@@ -7,8 +7,8 @@ static inline bool counted(int i, int j, int n_i, int n_j, float radius) {
     return x * x + y * y <= radius * radius;
 }
 
-#define FIRST_Z (ITEM_SLAB * LANES + ITEM_LANE)
-#define OWN_Z min(WIDTH * VECTORS, n_z - FIRST_Z)
+#define NO_CLASS -1e12f
+#define OWN_Z min(ITEM_LANES, n_z - ITEM_Z)
 #define IDLE (ITEM_MINOR > 0 || ITEM_MAJOR >= n_strip || OWN_Z <= 0)
 #endif
 
@@ -18,8 +18,8 @@ FIELD_KERNEL tally(__global const float *restrict dose, __global const float *re
                    int n_i, int n_j, int n_z, int n_slice, int n_strip, int n_bin) {
     if (IDLE) return;
     const int own = OWN_Z, begin = ITEM_MAJOR * TILE_MAJOR, end = min(begin + TILE_MAJOR, n_i);
-    __global uint *mine = partial + ((size_t)ITEM_MAJOR * n_z + FIRST_Z) * 2 * n_bin;
-    __global const float *range = ranges + (n_slice == 1 ? 0 : FIRST_Z * 6);
+    __global uint *mine = partial + ((size_t)ITEM_MAJOR * n_z + ITEM_Z) * 2 * n_bin;
+    __global const float *range = ranges + (n_slice == 1 ? 0 : ITEM_Z * 6);
     const int next = n_slice == 1 ? 0 : 6;
     for (int k = 0; k < own * 2 * n_bin; k++) mine[k] = 0;
     dose += slab_offset(n_i, n_j);
@@ -31,6 +31,7 @@ FIELD_KERNEL tally(__global const float *restrict dose, __global const float *re
             for (int k = 0; k < own; k++) {
                 const float value = dose[at + k];
                 const int class = target[at + k] >= level;
+                if (!class && target[at + k] < NO_CLASS) continue;
                 __global const float *edges = range + k * next + 3 * class;
                 const float low = edges[0], high = edges[1], scale = edges[2];
                 int bin = 1 + min(max((int)((value - low) * scale), 0), n_bin - 3);
@@ -58,10 +59,10 @@ FIELD_KERNEL survey(__global const float *restrict dose, __global const float *r
                     float radius, __global float *restrict parts, int n_i, int n_j, int n_z, int n_strip) {
     if (IDLE) return;
     const int own = OWN_Z, begin = ITEM_MAJOR * TILE_MAJOR, end = min(begin + TILE_MAJOR, n_i);
-    __global float *mine = parts + ((size_t)ITEM_MAJOR * n_z + FIRST_Z) * 6;
-    float least[2][WIDTH * VECTORS], greatest[2][WIDTH * VECTORS], sum[2][WIDTH * VECTORS];
+    __global float *mine = parts + ((size_t)ITEM_MAJOR * n_z + ITEM_Z) * 6;
+    float least[2][ITEM_LANES], greatest[2][ITEM_LANES], sum[2][ITEM_LANES];
     for (int class = 0; class < 2; class++)
-        for (int k = 0; k < WIDTH * VECTORS; k++) {
+        for (int k = 0; k < ITEM_LANES; k++) {
             least[class][k] = INFINITY;
             greatest[class][k] = -INFINITY;
             sum[class][k] = 0.0f;
@@ -72,14 +73,14 @@ FIELD_KERNEL survey(__global const float *restrict dose, __global const float *r
         for (int j = 0; j < n_j; j++) {
             if (!counted(i, j, n_i, n_j, radius)) continue;
             const size_t at = SAMPLE(i, j, n_j);
-            for (int k = 0; k < WIDTH * VECTORS; k++) {     // padding is surveyed too, but never written
+            for (int k = 0; k < ITEM_LANES; k++) {     // padding is surveyed too, but never written
                 const float value = dose[at + k];
-                const bool in = target[at + k] >= level;
-                least[0][k] = fmin(least[0][k], in ? INFINITY : value);
+                const bool in = target[at + k] >= level, out = !in && target[at + k] >= NO_CLASS;
+                least[0][k] = fmin(least[0][k], out ? value : INFINITY);
                 least[1][k] = fmin(least[1][k], in ? value : INFINITY);
-                greatest[0][k] = fmax(greatest[0][k], in ? -INFINITY : value);
+                greatest[0][k] = fmax(greatest[0][k], out ? value : -INFINITY);
                 greatest[1][k] = fmax(greatest[1][k], in ? value : -INFINITY);
-                sum[0][k] += in ? 0.0f : value;
+                sum[0][k] += out ? value : 0.0f;
                 sum[1][k] += in ? value : 0.0f;
             }
         }

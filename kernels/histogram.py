@@ -1,8 +1,8 @@
-"""Histograms and extremes of a field, split in two classes by a second field, for the whole or slice by slice.
+"""Histograms and extremes of a field, split into two classes by a second field, for the whole or slice by slice.
 
-Every work item counts its own rows and slices into a table of its own, so nothing is counted by two at once; a fold
-adds the tables up. Class 1 ("in") holds the samples where ``target`` reaches ``level``, class 0 ("out") all others;
-only columns within ``radius`` samples of the axis through the middle are counted.
+Every work item counts its own rows and slices into a table of its own, so no two count into one; a fold
+adds the tables. Class 1 ("in") holds the samples where ``target`` reaches ``level``, class 0 ("out") all others but
+those below ``level`` and `NO_CLASS`; only columns within ``radius`` samples of the axis through the middle are counted.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ Parts = Annotated[np.ndarray, Table("float32", ("strip", "z", "2", "3"))]  # lea
 PartsOut = Annotated[np.ndarray, Table("float32", ("strip", "z", "2", "3"), writes=True)]
 StatisticsOut = Annotated[np.ndarray, Table("float32", ("slice", "2", "3"), writes=True)]
 
+NO_CLASS = -1e12
+"""Samples whose target lies below this belong to neither class."""
+
 ROWS = Tiling(major=16, minor=0, group=(8, 8))
 GPU_ROWS = 8
 GPU = Tiling(major=GPU_ROWS, minor=0, group=(8, 8))
@@ -32,7 +35,7 @@ def _members(target: np.ndarray, level: float, radius: float) -> tuple[np.ndarra
     """Boolean [i, j, z] of the two classes."""
     i, j = (np.arange(n) - middle(n) for n in target.shape[:2])
     counted = (i[:, None] ** 2 + j[None, :] ** 2 <= radius**2)[..., None]
-    return counted & ~(target >= level), counted & (target >= level)
+    return counted & ~(target >= level) & (target >= NO_CLASS), counted & (target >= level)
 
 
 @kernel(over="dose", cpu=ROWS, gpu=GPU)

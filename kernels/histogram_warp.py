@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from vamgpu.kernels import histogram
+from vamgpu.kernels.wide_warp import Vectors
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-ROWS = wp.constant(histogram.GPU_ROWS)
+ROWS = histogram.GPU_ROWS
+NO_CLASS: Any = wp.constant(histogram.NO_CLASS)
 
 
 @wp.func
@@ -20,19 +24,10 @@ def counted(i: int, j: int, n_i: int, n_j: int, radius: float):
 
 @wp.kernel
 def tally(
-    dose: wp.array4d(dtype=wp.vec4),
-    target: wp.array4d(dtype=wp.vec4),
-    ranges: wp.array3d(dtype=float),
-    level: float,
-    radius: float,
-    partial: wp.array4d(dtype=wp.uint32),
-    n_i: int,
-    n_j: int,
-    n_z: int,
-    n_slice: int,
-    n_strip: int,
-    n_bin: int,
-):
+    dose: Vectors, target: Vectors, ranges: wp.array3d[float], level: float, radius: float,
+    partial: wp.array4d[wp.uint32],
+    n_i: int, n_j: int, n_z: int, n_slice: int, n_strip: int, n_bin: int,
+) -> None:  # fmt: skip
     slab, strip, column, lane = wp.tid()
     first = 4 * (slab * dose.shape[3] + lane)
     own = wp.min(4, n_z - first)
@@ -55,18 +50,15 @@ def tally(
                         b = 0
                     elif value >= ranges[row, which, 1]:
                         b = n_bin - 1
-                    partial[strip, first + k, which, b] = partial[strip, first + k, which, b] + wp.uint32(1)
+                    if which == 1 or parts[k] >= NO_CLASS:
+                        partial[strip, first + k, which, b] = partial[strip, first + k, which, b] + wp.uint32(1)
 
 
 @wp.kernel
 def fold_counts(
-    partial: wp.array4d(dtype=wp.uint32),
-    counts: wp.array3d(dtype=wp.uint32),
-    n_strip: int,
-    n_z: int,
-    n_bin: int,
-    n_slice: int,
-):
+    partial: wp.array4d[wp.uint32], counts: wp.array3d[wp.uint32],
+    n_strip: int, n_z: int, n_bin: int, n_slice: int,
+) -> None:  # fmt: skip
     row, which, b = wp.tid()
     begin = wp.where(n_slice == n_z, row, 0)
     end = wp.where(n_slice == n_z, row + 1, n_z)
@@ -79,16 +71,9 @@ def fold_counts(
 
 @wp.kernel
 def survey(
-    dose: wp.array4d(dtype=wp.vec4),
-    target: wp.array4d(dtype=wp.vec4),
-    level: float,
-    radius: float,
-    parts: wp.array4d(dtype=float),
-    n_i: int,
-    n_j: int,
-    n_z: int,
-    n_strip: int,
-):
+    dose: Vectors, target: Vectors, level: float, radius: float, parts: wp.array4d[float],
+    n_i: int, n_j: int, n_z: int, n_strip: int,
+) -> None:  # fmt: skip
     slab, strip, column, lane = wp.tid()
     first = 4 * (slab * dose.shape[3] + lane)
     for k in range(wp.min(4, n_z - first)):
@@ -99,7 +84,8 @@ def survey(
             for i in range(strip * ROWS, wp.min(strip * ROWS + ROWS, n_i)):
                 for j in range(n_j):
                     if counted(i, j, n_i, n_j, radius):
-                        member = wp.where(target[slab, i, j, lane][k] >= level, 1, 0)
+                        part = target[slab, i, j, lane][k]
+                        member = wp.where(part >= level, 1, wp.where(part >= NO_CLASS, 0, -1))
                         if member == which:
                             value = dose[slab, i, j, lane][k]
                             least = wp.min(least, value)
@@ -111,9 +97,7 @@ def survey(
 
 
 @wp.kernel
-def fold_survey(
-    parts: wp.array4d(dtype=float), statistics: wp.array3d(dtype=float), n_strip: int, n_z: int, n_slice: int
-):
+def fold_survey(parts: wp.array4d[float], statistics: wp.array3d[float], n_strip: int, n_z: int, n_slice: int) -> None:
     row, which, kind = wp.tid()
     begin = wp.where(n_slice == n_z, row, 0)
     end = wp.where(n_slice == n_z, row + 1, n_z)

@@ -1,17 +1,12 @@
 #include "partial.h"
 
-#define ARRAY __global const float *
 #define OUT __global float *
 #define MOST 40  // steps of Newton's method at most
 
 #if defined(COMPILE_inhibition_step) || defined(COMPILE_inhibition_adjoint)
-#define SIZES int n_i, int n_j, int n_z
-#define EACH_VECTOR_AT                                                                                                 \
-    const size_t slab = slab_offset(n_i, n_j);                                                                         \
-    EACH_SAMPLE for (size_t at = slab + SAMPLE(i, j, n_j), end = at + 1; at < end; at++) EACH_VECTOR
 
 // How far A decays while v arrives: see the definition.
-static inline Vector lapse(Vector a, Vector b, Vector v, float alpha, float floor) {
+static inline Vector depletion_substep(Vector a, Vector b, Vector v, float alpha, float floor) {
     Vector h = fmax(v / (a + b + floor), (v - a - b / alpha) / floor);
     for (int n = 0; n < MOST; n++) {
         const Vector left = exp(-h), kept = exp(-alpha * h);
@@ -33,7 +28,7 @@ FIELD_KERNEL inhibition_step(ARRAY visible, ARRAY ultraviolet, float visible_gai
         const Vector u = LOAD(ultraviolet + at), kept = exp(-0.5f * ultraviolet_gain * u), split = 1.0f - kept;
         const Vector lit = visible_gain * LOAD(visible + at) + cross_gain * u, before = LOAD(a + at), c0 = LOAD(c + at);
         const Vector b1 = LOAD(b + at) + 2.0f * c0 * split, b2 = b1 / (1.0f + pairing * b1);
-        const Vector c2 = c0 * kept + 0.5f * (b1 - b2), h = lapse(before, b2, lit, alpha, floor);
+        const Vector c2 = c0 * kept + 0.5f * (b1 - b2), h = depletion_substep(before, b2, lit, alpha, floor);
         const Vector b3 = b2 * exp(-alpha * h), b4 = b3 / (1.0f + pairing * b3), c4 = c2 + 0.5f * (b3 - b4);
         STORE(x_end + at, LOAD(x + at) + floor * h);
         STORE(a_end + at, before * exp(-h));
@@ -53,7 +48,7 @@ FIELD_KERNEL inhibition_adjoint(ARRAY visible, ARRAY ultraviolet, float visible_
         const Vector u = LOAD(ultraviolet + at), kept = exp(-0.5f * ultraviolet_gain * u), split = 1.0f - kept;
         const Vector lit = visible_gain * LOAD(visible + at) + cross_gain * u, a0 = LOAD(a + at), c0 = LOAD(c + at);
         const Vector b1 = LOAD(b + at) + 2.0f * c0 * split, d1 = 1.0f / (1.0f + pairing * b1), b2 = b1 * d1;
-        const Vector c2 = c0 * kept + 0.5f * (b1 - b2), h = lapse(a0, b2, lit, alpha, floor);
+        const Vector c2 = c0 * kept + 0.5f * (b1 - b2), h = depletion_substep(a0, b2, lit, alpha, floor);
         const Vector left = exp(-h), rest = exp(-alpha * h), b3 = b2 * rest, d3 = 1.0f / (1.0f + pairing * b3);
         const Vector c4 = c2 + 0.5f * (b3 - b3 * d3);
         Vector la = LOAD(a_slope + at), lb = LOAD(b_slope + at), lc = LOAD(c_slope + at);

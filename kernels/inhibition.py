@@ -16,7 +16,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.signature import Array, ArrayOut, Field, Integer, Real, SinogramOut, Tiling, kernel
+from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Field, Integer, Real, SinogramOut, Tiling, kernel
 
 CPU = Tiling(major=1, minor=0)
 GPU = Tiling(major=1, minor=1)
@@ -26,7 +26,7 @@ MOST = 40
 Part = Annotated[np.ndarray, Field(("pose", "r", "z"))]
 
 
-def lapse(a: np.ndarray, b: np.ndarray, v: np.ndarray, alpha: float, floor: float) -> np.ndarray:
+def depletion_substep(a: np.ndarray, b: np.ndarray, v: np.ndarray, alpha: float, floor: float) -> np.ndarray:
     """h with a(1 − e^−h) + b(1 − e^−αh)/α + floor·h = v: how far A decays to e^−h while v arrives.
 
     Both bounds it starts from lie below the root of this concave function, so Newton's method rises to it.
@@ -47,7 +47,7 @@ def inhibition_step(
     pairing: Real, floor: Real, a: Array, b: Array, c: Array, x: Array,
     a_end: ArrayOut, b_end: ArrayOut, c_end: ArrayOut, x_end: ArrayOut,
 ) -> None:  # fmt: skip
-    """The state after a step; an end may be its beginning.
+    """The state after a step; the arrays of the end may be those of the beginning.
 
     visible, ultraviolet: exposures.  The share of A's induction that arrives is visible_gain·visible +
     cross_gain·ultraviolet, and ultraviolet splits the share 1 − exp(−ultraviolet_gain·ultraviolet) of C.
@@ -58,7 +58,7 @@ def inhibition_step(
     b1, c1 = b + 2.0 * c * (1.0 - kept), c * kept
     b2 = b1 / (1.0 + pairing * b1)
     c2 = c1 + 0.5 * (b1 - b2)
-    h = lapse(a, b2, v, alpha, floor)
+    h = depletion_substep(a, b2, v, alpha, floor)
     b3 = b2 * np.exp(-alpha * h)
     b4 = b3 / (1.0 + pairing * b3)
     c4 = c2 + 0.5 * (b3 - b4)
@@ -72,7 +72,8 @@ def inhibition_step(
 def inhibition_adjoint(
     visible: Array, ultraviolet: Array, visible_gain: Real, ultraviolet_gain: Real, cross_gain: Real, alpha: Real,
     pairing: Real, floor: Real, a: Array, b: Array, c: Array, x_slope: Array,
-    a_slope: ArrayOut, b_slope: ArrayOut, c_slope: ArrayOut, visible_slope: ArrayOut, ultraviolet_slope: ArrayOut,
+    a_slope: ArrayInOut, b_slope: ArrayInOut, c_slope: ArrayInOut,
+    visible_slope: ArrayInOut, ultraviolet_slope: ArrayInOut,
 ) -> None:  # fmt: skip
     """Derivatives by the state after a step become those by the state before it, a, b and c.
 
@@ -84,7 +85,7 @@ def inhibition_adjoint(
     d1 = 1.0 / (1.0 + pairing * b1)
     b2 = b1 * d1
     c2 = c1 + 0.5 * (b1 - b2)
-    h = lapse(a, b2, v, alpha, floor)
+    h = depletion_substep(a, b2, v, alpha, floor)
     left, rest = np.exp(-h), np.exp(-alpha * h)
     b3 = b2 * rest
     d3 = 1.0 / (1.0 + pairing * b3)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fast_math": False})
+from vamgpu.kernels.wide_warp import Vectors
 
-Vectors = wp.array4d(dtype=wp.vec4)
-MOST = wp.constant(40)
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+MOST = 40
 
 
 @wp.func
-def lapse(a: float, b: float, v: float, alpha: float, floor: float):
+def depletion_substep(a: float, b: float, v: float, alpha: float, floor: float):
     """How far A decays while v arrives: see the definition."""
     h = wp.max(v / (a + b + floor), (v - a - b / alpha) / floor)
     step = float(1.0)
@@ -28,26 +28,11 @@ def lapse(a: float, b: float, v: float, alpha: float, floor: float):
 
 @wp.kernel
 def inhibition_step(
-    visible: Vectors,
-    ultraviolet: Vectors,
-    visible_gain: float,
-    ultraviolet_gain: float,
-    cross_gain: float,
-    alpha: float,
-    pairing: float,
-    floor: float,
-    a: Vectors,
-    b: Vectors,
-    c: Vectors,
-    x: Vectors,
-    a_end: Vectors,
-    b_end: Vectors,
-    c_end: Vectors,
-    x_end: Vectors,
-    n_i: int,
-    n_j: int,
-    n_z: int,
-):
+    visible: Vectors, ultraviolet: Vectors, visible_gain: float, ultraviolet_gain: float, cross_gain: float,
+    alpha: float, pairing: float, floor: float, a: Vectors, b: Vectors, c: Vectors, x: Vectors, a_end: Vectors,
+    b_end: Vectors, c_end: Vectors, x_end: Vectors,
+    n_i: int, n_j: int, n_z: int,
+) -> None:  # fmt: skip
     slab, i, j, lane = wp.tid()
     lights = visible[slab, i, j, lane]
     others = ultraviolet[slab, i, j, lane]
@@ -61,7 +46,7 @@ def inhibition_step(
         b1 = bv[k] + 2.0 * cv[k] * (1.0 - kept)
         b2 = b1 / (1.0 + pairing * b1)
         c2 = cv[k] * kept + 0.5 * (b1 - b2)
-        h = lapse(av[k], b2, v, alpha, floor)
+        h = depletion_substep(av[k], b2, v, alpha, floor)
         b3 = b2 * wp.exp(-alpha * h)
         b4 = b3 / (1.0 + pairing * b3)
         c4 = c2 + 0.5 * (b3 - b4)
@@ -77,27 +62,11 @@ def inhibition_step(
 
 @wp.kernel
 def inhibition_adjoint(
-    visible: Vectors,
-    ultraviolet: Vectors,
-    visible_gain: float,
-    ultraviolet_gain: float,
-    cross_gain: float,
-    alpha: float,
-    pairing: float,
-    floor: float,
-    a: Vectors,
-    b: Vectors,
-    c: Vectors,
-    x_slope: Vectors,
-    a_slope: Vectors,
-    b_slope: Vectors,
-    c_slope: Vectors,
-    visible_slope: Vectors,
-    ultraviolet_slope: Vectors,
-    n_i: int,
-    n_j: int,
-    n_z: int,
-):
+    visible: Vectors, ultraviolet: Vectors, visible_gain: float, ultraviolet_gain: float, cross_gain: float,
+    alpha: float, pairing: float, floor: float, a: Vectors, b: Vectors, c: Vectors, x_slope: Vectors, a_slope: Vectors,
+    b_slope: Vectors, c_slope: Vectors, visible_slope: Vectors, ultraviolet_slope: Vectors,
+    n_i: int, n_j: int, n_z: int,
+) -> None:  # fmt: skip
     slab, i, j, lane = wp.tid()
     lights = visible[slab, i, j, lane]
     others = ultraviolet[slab, i, j, lane]
@@ -118,7 +87,7 @@ def inhibition_adjoint(
         d1 = 1.0 / (1.0 + pairing * b1)
         b2 = b1 * d1
         c2 = cv[k] * kept + 0.5 * (b1 - b2)
-        h = lapse(av[k], b2, v, alpha, floor)
+        h = depletion_substep(av[k], b2, v, alpha, floor)
         left = wp.exp(-h)
         rest = wp.exp(-alpha * h)
         b3 = b2 * rest
@@ -144,12 +113,12 @@ def inhibition_adjoint(
 
 
 @wp.kernel
-def take_poses(light: Vectors, first: int, part: Vectors, n_angle: int, n_r: int, n_z: int, n_pose: int):
+def take_poses(light: Vectors, first: int, part: Vectors, n_angle: int, n_r: int, n_z: int, n_pose: int) -> None:
     slab, pose, j, lane = wp.tid()
     part[slab, pose, j, lane] = light[slab, first + pose, j, lane]
 
 
 @wp.kernel
-def put_poses(part: Vectors, first: int, light: Vectors, n_pose: int, n_r: int, n_z: int, n_angle: int):
+def put_poses(part: Vectors, first: int, light: Vectors, n_pose: int, n_r: int, n_z: int, n_angle: int) -> None:
     slab, pose, j, lane = wp.tid()
     light[slab, first + pose, j, lane] = part[slab, pose, j, lane]

@@ -1,25 +1,11 @@
-#include "common.h"
+#include "packs.h"
 
-// One item is one chain of dependent steps and items need not go on alike, so a core is kept busy by several at once: on
-// a CPU an item owns PACK neighbours, one a lane, and the items between do nothing.
 #ifdef CPU
-#define PACK 16
-typedef float16 Real;
-typedef int16 Whole;
-#define ANY(mask) any(mask)
 #define LANE(value, n) (value).s##n
 #define EACH_LANE(M) M(0) M(1) M(2) M(3) M(4) M(5) M(6) M(7) M(8) M(9) M(a) M(b) M(c) M(d) M(e) M(f)
-#define LANE_NUMBERS (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
-#define KINETICS_KERNEL __kernel __attribute__((vec_type_hint(float16))) void
 #else
-#define PACK 1
-typedef float Real;
-typedef int Whole;
-#define ANY(mask) (mask)
 #define LANE(value, n) (value)
 #define EACH_LANE(M) M(0)
-#define LANE_NUMBERS 0
-#define KINETICS_KERNEL __kernel void
 #endif
 
 #define DEPLETED 1e-6f      // share of the scale below which A + B counts as nothing
@@ -99,7 +85,7 @@ static inline Real added(Real total, Real change, Real *rest) {
     return sum;
 }
 
-// Without traces below 0, of which B and C make up for one another.
+// Traces below 0 are removed; what B lacks is taken from C, and the reverse.
 static inline State settled(State y, State end, Terms terms) {
     const Whole used = terms.steady & (end.c <= DEPLETED * terms.scale) & (end.c < y.c);
     const Real moved = used ? end.c : fmin(end.c, (Real)0.0f), b = end.b + 2.0f * moved, below = fmin(b, (Real)0.0f);
@@ -125,13 +111,13 @@ static inline void put_state(State y, Real dose, __global float *to, size_t stri
     put(dose, to + 3, stride, last);
 }
 
-KINETICS_KERNEL inhibit(__global const float *restrict before, __global const float *restrict rates,
+PACK_KERNEL inhibit(__global const float *restrict before, __global const float *restrict rates,
                         __global const float *restrict light, __global const float *restrict lengths, int first, int count,
                         int every, float tolerance, __global float *restrict after, __global float *restrict path,
                         __global float *restrict times, int n_item, int n_resin, int n_source, int n_interval, int n_row) {
     const int item = (int)get_global_id(0), last = n_item - item - 1;
     if (item % PACK) return;
-    const Whole items = min((Whole)item + LANE_NUMBERS, (Whole)(n_item - 1)), sources = items % n_source;
+    const Whole items = min((Whole)item + NUMBERS, (Whole)(n_item - 1)), sources = items % n_source;
     Whole resins;
 #define RESIN(s) LANE(resins, s) = (int)((long)LANE(items, s) * n_resin / n_item);
     EACH_LANE(RESIN)

@@ -1,4 +1,4 @@
-"""Photoinhibition by two inhibitors: A absorbs visible light, B too and pairs up again, UV makes B out of C.
+"""Photoinhibition by two inhibitors: visible light uses up A and B, B recombines to C, UV splits C into B.
 
 d[A]/dt = −a·[A]/([A] + [B]),  d[B]/dt = −b·[B]/([A] + [B]) + 2p − 2k₂[B]²,  d[C]/dt = −p + k₂[B]², with a = k_A·I_vis,
 b = k_B·I_vis and p = k_C·I_UV, either as it is (order 0, while there is C) or times [C]/[C]_ref (order 1).
@@ -41,7 +41,7 @@ def inhibit(
     before: Before, rates: Rates, light: Light, lengths: Lengths, first: Integer, count: Integer, every: Integer,
     tolerance: Real, after: After, path: Path, times: Times,
 ) -> None:  # fmt: skip
-    """Advance items through ``count`` intervals of constant light, from interval ``first`` on, round and round.
+    """Advance items through ``count`` intervals of constant light, from ``first`` on; after the last comes the first.
 
     Items come in equal runs of one resin each: item i has resin i·resins // items, and source i % sources of light.
     path[i, k] is the state after k·every intervals.  times: when [A] + [B] reached 1e-6 of the scale, after which A
@@ -146,7 +146,7 @@ def _rodas3(state: np.ndarray, change: np.ndarray, terms: _Terms, h: np.ndarray)
 
 
 def _settled(state: np.ndarray, end: np.ndarray, terms: _Terms) -> np.ndarray:
-    """The end of a step without traces below 0, of which B and C make up for one another."""
+    """The end of a step with traces below 0 removed; what B lacks is taken from C, and the reverse."""
     a, b, c = np.maximum(end[:, 0], 0.0), end[:, 1], end[:, 2]
     used = terms.steady & (c <= DEPLETED * terms.scale) & (c < state[:, 2])
     moved = np.where(used, c, np.minimum(c, 0.0))

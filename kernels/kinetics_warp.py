@@ -6,12 +6,12 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-DEPLETED = wp.constant(1.0e-6)
-FLOOR = wp.constant(1.0e-12)
-MOST = wp.constant(20000)
-NEVER = wp.constant(-1.0)
-UNSETTLED = wp.constant(-2.0)
-LONG = wp.constant(1.0e30)
+DEPLETED = 1.0e-6
+FLOOR = 1.0e-12
+MOST = 20000
+NEVER = -1.0
+UNSETTLED = -2.0
+LONG = 1.0e30
 
 
 @wp.struct
@@ -108,23 +108,11 @@ def settled(y: wp.vec3, end: wp.vec3, terms: Terms):
 
 @wp.kernel
 def inhibit(
-    before: wp.array2d(dtype=float),
-    rates: wp.array2d(dtype=float),
-    light: wp.array3d(dtype=float),
-    lengths: wp.array1d(dtype=float),
-    first: int,
-    count: int,
-    every: int,
-    tolerance: float,
-    after: wp.array2d(dtype=float),
-    path: wp.array3d(dtype=float),
-    times: wp.array1d(dtype=float),
-    n_item: int,
-    n_resin: int,
-    n_source: int,
-    n_interval: int,
-    n_row: int,
-):
+    before: wp.array2d[float], rates: wp.array2d[float], light: wp.array3d[float],
+    lengths: wp.array1d[float], first: int, count: int, every: int, tolerance: float,
+    after: wp.array2d[float], path: wp.array3d[float], times: wp.array1d[float],
+    n_item: int, n_resin: int, n_source: int, n_interval: int, n_row: int,
+) -> None:  # fmt: skip
     item = wp.tid()
     resin = int(wp.int64(item) * wp.int64(n_resin) // wp.int64(n_item))
     source = item % n_source

@@ -19,11 +19,15 @@ static inline Vector look_up(Vector dose, __global const float *restrict samples
     return PASTE(vload, WIDTH)(0, first) + *slope * position;
 }
 
+// What a loss is, PARAMETERS and their NAMES: it takes a vector of doses, target fractions and weights (1 where there are
+// none), returns the losses, and leaves the derivatives in place of the doses.
 #ifdef COMPILE_band_loss
-// One vector of doses against its bands: returns the losses, and the derivatives through dose.
-static inline Vector band(Vector *dose, Vector f, Vector weight, __global const float *restrict response, int n_sample,
-                          float start, float density, float low, float high, float slack_low, float slack_high,
-                          float power, float ridge) {
+#define PARAMETERS                                                                                                     \
+    __global const float *restrict response, float start, float density, float low, float high, float slack_low,       \
+        float slack_high, float gain_low, float gain_high, float power, float ridge
+#define NAMES response, start, density, low, high, slack_low, slack_high, gain_low, gain_high, power, ridge
+
+static inline Vector loss_of(Vector *dose, Vector f, Vector weight, int n_sample, PARAMETERS) {
     Vector slope;
     const Vector value = look_up(*dose, response, n_sample, start, density, &slope);
     const Vector difference = value - (low + (high - low) * f);
@@ -35,75 +39,52 @@ static inline Vector band(Vector *dose, Vector f, Vector weight, __global const 
     }
     const Vector amount = fmax(excess, 1e-30f);
     const Vector root = power == 2.0f ? amount : power == 1.0f ? (Vector)(1.0f) : pow(amount, (Vector)(power - 1.0f));
-    const Vector gain = MASKED(wrong, weight);
+    const Vector gain = MASKED(wrong, (gain_low + (gain_high - gain_low) * f) * weight);
     *dose = (copysign(gain * power * root, difference) + 2.0f * ridge * value) * slope * density;
     return gain * root * amount + ridge * value * value;
 }
+#else
+#define PARAMETERS __global const float *restrict outer, __global const float *restrict inner, float start, float density
+#define NAMES outer, inner, start, density
 
-FIELD_KERNEL band_loss(__global float *dose, __global const float *target, __global const float *weight, int weighted,
-                       __global const float *restrict response, float start, float density, float low, float high,
-                       float slack_low, float slack_high, float gain_low, float gain_high, float power, float ridge, int binary,
-                       float reach, __global float *restrict parts, int n_i, int n_j, int n_z, int n_sample,
-                       int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
-    const size_t slab = slab_offset(n_i, n_j);
-    Vector sum[VECTORS];
-    EACH_VECTOR sum[v] = ZERO;
-    EACH_SAMPLE {
-        const size_t at = slab + SAMPLE(i, j, n_j);
-        const int outside = disc_distance(i, j, n_i, n_j) > reach * reach;
-        EACH_VECTOR {
-            if (outside) {
-                STORE(dose + at, ZERO);
-                continue;
-            }
-            const Vector fraction = LOAD(target + at);
-            const Vector f = binary ? select(ZERO, (Vector)(1.0f), fraction >= 0.5f) : fraction;
-            Vector gain = gain_low + (gain_high - gain_low) * f, value = LOAD(dose + at);
-            if (weighted) gain *= LOAD(weight + at);
-            const Vector loss = band(&value, f, gain, response, n_sample, start, density, low, high, slack_low,
-                                     slack_high, power, ridge);
-            STORE(dose + at, value);
-            sum[v] += MASKED(REAL_LANES, loss);
-        }
-    }
-    float result = 0.0f;
-    EACH_VECTOR result += across_lanes(sum[v], 0);
-    parts[part] = result;
+static inline Vector loss_of(Vector *dose, Vector f, Vector weight, int n_sample, PARAMETERS) {
+    Vector below, above;
+    const Vector void_loss = look_up(*dose, outer, n_sample, start, density, &below);
+    const Vector part_loss = look_up(*dose, inner, n_sample, start, density, &above);
+    *dose = weight * (below + (above - below) * f) * density;
+    return weight * (void_loss + (part_loss - void_loss) * f);
 }
 #endif
 
-#ifdef COMPILE_sampled_loss
-FIELD_KERNEL sampled_loss(__global float *dose, __global const float *target, __global const float *weight, int weighted,
-                          __global const float *restrict outer, __global const float *restrict inner, float start,
-                          float density, int binary, float reach, __global float *restrict parts, int n_i, int n_j,
-                          int n_z, int n_sample, int n_part) {
-    const int index = part_index(n_i, n_j, n_z);
-    if (index < 0 || index >= n_part) return;
-    const size_t slab = slab_offset(n_i, n_j);
+#define KERNEL(NAME)                                                                                                   \
+    FIELD_KERNEL NAME(__global float *dose, ARRAY target, ARRAY weight, int weighted, PARAMETERS, int binary,          \
+                      float reach, __global float *restrict parts, SIZES, int n_sample, int n_part) {                  \
+        evaluate(dose, target, weight, weighted, binary, reach, parts, n_i, n_j, n_z, n_sample, n_part, NAMES);        \
+    }
+
+static inline void evaluate(__global float *dose, ARRAY target, ARRAY weight, int weighted, int binary, float reach,
+                            __global float *restrict parts, SIZES, int n_sample, int n_part, PARAMETERS) {
+    const int part = part_index(n_i, n_j, n_z);
+    if (part < 0 || part >= n_part) return;
     Vector sum[VECTORS];
     EACH_VECTOR sum[v] = ZERO;
-    EACH_SAMPLE {
-        const size_t at = slab + SAMPLE(i, j, n_j);
-        const int outside = disc_distance(i, j, n_i, n_j) > reach * reach;
-        EACH_VECTOR {
-            if (outside) {
-                STORE(dose + at, ZERO);
-                continue;
-            }
-            const Vector fraction = LOAD(target + at), here = LOAD(dose + at);
-            const Vector f = binary ? select(ZERO, (Vector)(1.0f), fraction >= 0.5f) : fraction;
-            Vector gain = (Vector)(1.0f), below, above;
-            if (weighted) gain = LOAD(weight + at);
-            const Vector void_loss = look_up(here, outer, n_sample, start, density, &below);
-            const Vector part_loss = look_up(here, inner, n_sample, start, density, &above);
-            STORE(dose + at, gain * (below + (above - below) * f) * density);
-            sum[v] += MASKED(REAL_LANES, gain * (void_loss + (part_loss - void_loss) * f));
+    EACH_VECTOR_AT {
+        if (disc_distance(i, j, n_i, n_j) > reach * reach) {
+            STORE(dose + at, ZERO);
+            continue;
         }
+        const Vector fraction = LOAD(target + at);
+        const Vector f = binary ? select(ZERO, (Vector)(1.0f), fraction >= 0.5f) : fraction;
+        Vector value = LOAD(dose + at);
+        const Vector loss = loss_of(&value, f, weighted ? LOAD(weight + at) : (Vector)(1.0f), n_sample, NAMES);
+        STORE(dose + at, value);
+        sum[v] += MASKED(REAL_LANES, loss);
     }
-    float result = 0.0f;
-    EACH_VECTOR result += across_lanes(sum[v], 0);
-    parts[index] = result;
+    parts[part] = sum_of(sum);
 }
+
+#ifdef COMPILE_band_loss
+KERNEL(band_loss)
+#else
+KERNEL(sampled_loss)
 #endif

@@ -1,7 +1,8 @@
-"""How far a dose is from what a target asks, and which way is better: a band of doses each voxel should lie in.
+"""Losses of a dose, voxel by voxel, and their derivatives.
 
-Source: the band constraint Lp norm, C. C. Li et al., Additive Manufacturing (2024) 104447; with wide bands and the
-identity as response it is the two-threshold loss. Or any loss of a dose at all, known by samples of it.
+`band_loss` measures how far a dose lies outside the band that the target sets. Source: the band constraint Lp norm,
+C. C. Li et al., Additive Manufacturing (2024) 104447. With wide bands and the identity as response it is the
+two-threshold loss. `sampled_loss` takes any loss of a dose, given by samples of it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import Annotated
 import numpy as np
 
 from vamgpu.kernels.reduce import CPU, GPU, Parts, disc
-from vamgpu.kernels.signature import Array, ArrayOut, Integer, Real, Table, kernel
+from vamgpu.kernels.signature import Array, ArrayInOut, Integer, Real, Table, kernel
 
 Response = Annotated[np.ndarray, Table("float32", ("sample",))]
 
@@ -26,7 +27,7 @@ def look_up(dose: np.ndarray, samples: np.ndarray, start: float, density: float)
 
 @kernel(over="dose", cpu=CPU, gpu=GPU)
 def band_loss(
-    dose: ArrayOut,
+    dose: ArrayInOut,
     target: Array,
     weight: Array,
     weighted: Integer,
@@ -68,7 +69,7 @@ def band_loss(
 
 @kernel(over="dose", cpu=CPU, gpu=GPU)
 def sampled_loss(
-    dose: ArrayOut,
+    dose: ArrayInOut,
     target: Array,
     weight: Array,
     weighted: Integer,

@@ -1,16 +1,48 @@
-"""Warp sibling of `loss`."""
+"""Warp siblings of `loss`."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import warp as wp
 
 from vamgpu.kernels.partial_warp import ROWS, disc_distance, part_index, real_lanes
+from vamgpu.kernels.wide_warp import Vectors
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
+@wp.struct
+class Band:
+    """Arguments of `band_loss` that say what the loss is."""
+
+    response: wp.array[float]
+    start: float
+    density: float
+    low: float
+    high: float
+    slack_low: float
+    slack_high: float
+    gain_low: float
+    gain_high: float
+    power: float
+    ridge: float
+    n_sample: int
+
+
+@wp.struct
+class Sampled:
+    """Arguments of `sampled_loss` that say what the loss is."""
+
+    outer: wp.array[float]
+    inner: wp.array[float]
+    start: float
+    density: float
+    n_sample: int
+
+
 @wp.func
-def respond(dose: float, response: wp.array(dtype=float), start: float, density: float, n_sample: int):
+def respond(dose: float, response: wp.array[float], start: float, density: float, n_sample: int):
     """Response at a dose and its derivative."""
     position = (dose - start) * density
     cell = wp.clamp(int(wp.floor(wp.min(position, 1.0e9))), 0, n_sample - 2)
@@ -29,33 +61,36 @@ def root_of(amount: float, power: float):
     return result
 
 
-@wp.kernel
-def band_loss(
-    dose: wp.array4d(dtype=wp.vec4),
-    target: wp.array4d(dtype=wp.vec4),
-    weight: wp.array4d(dtype=wp.vec4),
-    weighted: int,
-    response: wp.array(dtype=float),
-    start: float,
-    density: float,
-    low: float,
-    high: float,
-    slack_low: float,
-    slack_high: float,
-    gain_low: float,
-    gain_high: float,
-    power: float,
-    ridge: float,
-    binary: int,
-    reach: float,
-    parts: wp.array(dtype=float),
-    n_i: int,
-    n_j: int,
-    n_z: int,
-    n_sample: int,
-    n_part: int,
-):
-    slab, tile, j, lane = wp.tid()
+@wp.func
+def add_loss(loss: float, dose: float, f: float, weight: float, band: Band):
+    """The sum of losses after one more voxel, and the derivative of its loss by its dose."""
+    slope = float(0.0)
+    answer = respond(dose, band.response, band.start, band.density, band.n_sample)
+    difference = answer[0] - (band.low + (band.high - band.low) * f)
+    excess = wp.abs(difference) - (band.slack_low + (band.slack_high - band.slack_low) * f)
+    if excess > 0.0:
+        gain = (band.gain_low + (band.gain_high - band.gain_low) * f) * weight
+        root = root_of(excess, band.power)
+        loss += gain * root * excess
+        slope = wp.sign(difference) * gain * band.power * root * answer[1]
+    value = difference + band.low + (band.high - band.low) * f
+    return wp.vec2(loss + band.ridge * value * value, slope + 2.0 * band.ridge * value * answer[1])
+
+
+@wp.func
+def add_loss(loss: float, dose: float, f: float, weight: float, sampled: Sampled):  # noqa: F811 - Warp chooses by type
+    """The sum of losses after one more voxel, and the derivative of its loss by its dose."""
+    answer = (1.0 - f) * respond(dose, sampled.outer, sampled.start, sampled.density, sampled.n_sample)
+    answer += f * respond(dose, sampled.inner, sampled.start, sampled.density, sampled.n_sample)
+    return wp.vec2(loss + weight * answer[0], weight * answer[1])
+
+
+@wp.func
+def evaluate(
+    dose: Vectors, target: Vectors, weight: Vectors, weighted: int, binary: int, reach: float,
+    parts: wp.array[float], slab: int, tile: int, j: int, lane: int, n_i: int, n_j: int, n_z: int, loss: Any,
+):  # fmt: skip
+    """Losses of a thread's samples as its part, and their derivatives in place of the doses."""
     count = real_lanes(slab, lane, dose.shape[3], n_z)
     result = float(0.0)
     for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_i)):
@@ -70,58 +105,31 @@ def band_loss(
                 f = fractions[k]
                 if binary != 0:
                     f = wp.where(f >= 0.5, 1.0, 0.0)
-                answer = respond(doses[k], response, start, density, n_sample)
-                difference = answer[0] - (low + (high - low) * f)
-                excess = wp.abs(difference) - (slack_low + (slack_high - slack_low) * f)
-                if excess > 0.0:
-                    gain = (gain_low + (gain_high - gain_low) * f) * weights[k]
-                    root = root_of(excess, power)
-                    result += gain * root * excess
-                    slopes[k] = wp.sign(difference) * gain * power * root * answer[1]
-                value = difference + low + (high - low) * f
-                result += ridge * value * value
-                slopes[k] = slopes[k] + 2.0 * ridge * value * answer[1]
+                both = add_loss(result, doses[k], f, weights[k], loss)
+                result = both[0]
+                slopes[k] = both[1]
         dose[slab, i, j, lane] = slopes
     parts[part_index(slab, tile, j, lane, n_i, n_j, dose.shape[3])] = result
+
+
+@wp.kernel
+def band_loss(
+    dose: Vectors, target: Vectors, weight: Vectors, weighted: int, response: wp.array[float], start: float,
+    density: float, low: float, high: float, slack_low: float, slack_high: float, gain_low: float, gain_high: float,
+    power: float, ridge: float, binary: int, reach: float, parts: wp.array[float],
+    n_i: int, n_j: int, n_z: int, n_sample: int, n_part: int,
+) -> None:  # fmt: skip
+    slab, tile, j, lane = wp.tid()
+    band = Band(response, start, density, low, high, slack_low, slack_high, gain_low, gain_high, power, ridge, n_sample)
+    evaluate(dose, target, weight, weighted, binary, reach, parts, slab, tile, j, lane, n_i, n_j, n_z, band)
 
 
 @wp.kernel
 def sampled_loss(
-    dose: wp.array4d(dtype=wp.vec4),
-    target: wp.array4d(dtype=wp.vec4),
-    weight: wp.array4d(dtype=wp.vec4),
-    weighted: int,
-    outer: wp.array(dtype=float),
-    inner: wp.array(dtype=float),
-    start: float,
-    density: float,
-    binary: int,
-    reach: float,
-    parts: wp.array(dtype=float),
-    n_i: int,
-    n_j: int,
-    n_z: int,
-    n_sample: int,
-    n_part: int,
-):
+    dose: Vectors, target: Vectors, weight: Vectors, weighted: int, outer: wp.array[float],
+    inner: wp.array[float], start: float, density: float, binary: int, reach: float,
+    parts: wp.array[float], n_i: int, n_j: int, n_z: int, n_sample: int, n_part: int,
+) -> None:  # fmt: skip
     slab, tile, j, lane = wp.tid()
-    count = real_lanes(slab, lane, dose.shape[3], n_z)
-    result = float(0.0)
-    for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_i)):
-        slopes = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        if disc_distance(i, j, n_i, n_j) <= reach * reach:
-            doses = dose[slab, i, j, lane]
-            fractions = target[slab, i, j, lane]
-            weights = wp.vec4(1.0, 1.0, 1.0, 1.0)
-            if weighted != 0:
-                weights = weight[slab, i, j, lane]
-            for k in range(count):
-                f = fractions[k]
-                if binary != 0:
-                    f = wp.where(f >= 0.5, 1.0, 0.0)
-                answer = (1.0 - f) * respond(doses[k], outer, start, density, n_sample)
-                answer += f * respond(doses[k], inner, start, density, n_sample)
-                result += weights[k] * answer[0]
-                slopes[k] = weights[k] * answer[1]
-        dose[slab, i, j, lane] = slopes
-    parts[part_index(slab, tile, j, lane, n_i, n_j, dose.shape[3])] = result
+    sampled = Sampled(outer, inner, start, density, n_sample)
+    evaluate(dose, target, weight, weighted, binary, reach, parts, slab, tile, j, lane, n_i, n_j, n_z, sampled)

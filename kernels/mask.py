@@ -1,4 +1,4 @@
-"""Keeping some columns of frames, or some rays of light, and darkening the rest."""
+"""Columns of frames, or rays of light, that are kept; the others become dark."""
 
 from __future__ import annotations
 

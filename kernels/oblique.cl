@@ -1,20 +1,12 @@
-#include "common.h"
+#include "light.h"
 
 // Column index, weight, row of slice 0 and rows per slice of the light at a voxel (x, y), relative to the axis.
 static inline float4 look_up(__global const float4 *restrict light, int n_across, int n_along, float4 pose, float x,
                              float y) {
     const float across = fma(y, pose.x, fma(-x, pose.y, pose.z)) + 0.5f * (n_across - 1);
     const float along = fma(-x, pose.x, fma(-y, pose.y, pose.w)) + 0.5f * (n_along - 1);
-    const int i = clamp((int)across, 0, n_across - 2), j = clamp((int)along, 0, n_along - 2);
-    const float a = across - i, b = along - j;
-    __global const float4 *here = light + i * n_along + j;
-    const float4 near = fma((float4)(b), here[1] - here[0], here[0]);
-    const float4 far = fma((float4)(b), here[n_along + 1] - here[n_along], here[n_along]);
-    return fma((float4)(a), far - near, near);
+    return sampled(light, n_across, n_along, across, along);
 }
-
-// Half-integers below 2048 square exactly in float32, so both directions agree on every voxel.
-static inline bool within(float x, float y, float radius) { return x * x + y * y <= radius * radius; }
 
 static inline float overlap(float distance, float reach, float inverse) {
     return clamp(reach - fabs(distance), 0.0f, 1.0f) * inverse;
@@ -26,14 +18,11 @@ static inline float even(float stretch) { return stretch * fmax(1.0f, floor(1.0f
 // Where among the rows slice `z` stands; the same sum in both directions.
 static inline float row_of(float4 ray, int z, float z0, float row0) { return fma(z - z0, ray.w, ray.z + row0); }
 
-// Where sample `index` of a column of the source lies: neighbours in z sit in one slab, or in the next.
+// Where sample `index` of a column of the source lies: neighbors in z sit in one slab, or in the next.
 static inline size_t along_z(int index, size_t slab, int lanes) {
     const int which = index / lanes;
     return which * slab + (index - which * lanes);
 }
-
-#define LANE_COUNT (WIDTH * VECTORS)
-#define FIRST_Z (ITEM_SLAB * LANES + ITEM_LANE)
 
 #ifdef CPU
 #define BUFFER 96
@@ -62,18 +51,18 @@ FIELD_KERNEL back_oblique(__global const float *restrict sinogram, __global cons
     const float x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1), z0 = 0.5f * (n_z - 1), row0 = 0.5f * (n_row - 1);
     const int taps = (int)ceil(2.0f * reach);
     const size_t slab = (size_t)n_angle * n_r * lanes;
-    const int row = ITEM_MAJOR, begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_y) : n_y;
+    const int row = ITEM_MAJOR;
     if (row >= n_x) return;
-    for (int j = begin; j < end; j++) {
-        float sum[LANE_COUNT];
-        for (int k = 0; k < LANE_COUNT; k++) sum[k] = 0.0f;
+    EACH_MINOR(j, n_y) {
+        float sum[ITEM_LANES];
+        for (int k = 0; k < ITEM_LANES; k++) sum[k] = 0.0f;
         const float x = row - x0, y = j - y0;
         if (within(x, y, radius)) for (int angle = 0; angle < n_angle; angle++) {
             const float4 ray = look_up(light, n_across, n_along, poses[angle], x, y);
             const float height = even(ray.w), reach_z = 0.5f * (1.0f + height), most = fmin(1.0f, height);
             const int first = (int)ceil(ray.x - reach), taps_z = (int)ceil(2.0f * reach_z);
-            const int low = max((int)ceil(row_of(ray, FIRST_Z, z0, row0) - reach_z), 0);
-            const int high = min((int)floor(row_of(ray, FIRST_Z + LANE_COUNT - 1, z0, row0) + reach_z), n_row - 1);
+            const int low = max((int)ceil(row_of(ray, ITEM_Z, z0, row0) - reach_z), 0);
+            const int high = min((int)floor(row_of(ray, ITEM_Z + ITEM_LANES - 1, z0, row0) + reach_z), n_row - 1);
             for (int tap = max(first, 0); tap < min(first + taps, n_r); tap++) {
                 const float weight = ray.y * overlap(ray.x - tap, reach, inverse) / even(ray.w);
                 if (weight == 0.0f) continue;
@@ -83,15 +72,15 @@ FIELD_KERNEL back_oblique(__global const float *restrict sinogram, __global cons
                 for (int from = low; from <= high; from += BUFFER) {
                     const int count = min(BUFFER, high - from + 1);
                     fetch(column, from, count, slab, lanes, buffer);
-                    for (int t = 0; t < taps_z; t++) for (int k = 0; k < LANE_COUNT; k++) {
-                        const float position = row_of(ray, FIRST_Z + k, z0, row0), place = ceil(position - reach_z) + t;
+                    for (int t = 0; t < taps_z; t++) for (int k = 0; k < ITEM_LANES; k++) {
+                        const float position = row_of(ray, ITEM_Z + k, z0, row0), place = ceil(position - reach_z) + t;
                         const float part = weight * clamp(reach_z - fabs(position - place), 0.0f, most);
                         sum[k] = fma(part, buffer[BUFFERED((int)place)], sum[k]);
                     }
                 }
 #else
-                for (int t = 0; t < taps_z; t++) for (int k = 0; k < LANE_COUNT; k++) {
-                    const float position = row_of(ray, FIRST_Z + k, z0, row0), place = ceil(position - reach_z) + t;
+                for (int t = 0; t < taps_z; t++) for (int k = 0; k < ITEM_LANES; k++) {
+                    const float position = row_of(ray, ITEM_Z + k, z0, row0), place = ceil(position - reach_z) + t;
                     const float part = weight * clamp(reach_z - fabs(position - place), 0.0f, most);
                     if (place >= 0.0f && place < n_row) sum[k] = fma(part, column[along_z((int)place, slab, lanes)], sum[k]);
                 }
@@ -99,47 +88,12 @@ FIELD_KERNEL back_oblique(__global const float *restrict sinogram, __global cons
             }
         }
         __global float *out = volume + slab_offset(n_x, n_y) + SAMPLE(row, j, n_y);
-        for (int k = 0; k < LANE_COUNT; k++) out[k] = sum[k];
+        for (int k = 0; k < ITEM_LANES; k++) out[k] = sum[k];
     }
 }
 #endif
 
 #ifdef COMPILE_forward_oblique
-// The cells of plane `plane` between which one column's light may fall, from the chords on either side of it.
-typedef struct {
-    bool along_y;               // planes are of constant y
-    int planes, cells;
-    float2 from, to;            // crossing with plane 0 and drift per plane of either chord
-    float slack;
-} Span;
-
-// Where a chord (p, cos d, sin d) turned to one pose crosses plane 0, and how far it drifts from plane to plane.
-static inline float2 line(float4 chord, float4 pose, bool along_y, float planes_middle, float cells_middle) {
-    const float c = pose.x * chord.y - pose.y * chord.z, s = pose.y * chord.y + pose.x * chord.z;
-    const float p = chord.x - pose.z * chord.y - pose.w * chord.z;        // the chord is y c - x s = p
-    const float slope = along_y ? c / s : s / c, start = along_y ? -p / s : p / c;
-    return (float2)(start - planes_middle * slope + cells_middle, slope);
-}
-
-static inline Span span_of(float8 edge, float4 pose, int n_x, int n_y) {
-    const float4 low = edge.lo, high = edge.hi;
-    const float c = pose.x * low.y - pose.y * low.z, s = pose.y * low.y + pose.x * low.z;
-    Span span;
-    span.along_y = fabs(s) > fabs(c);
-    span.planes = span.along_y ? n_y : n_x;
-    span.cells = span.along_y ? n_x : n_y;
-    const float planes_middle = 0.5f * (span.planes - 1), cells_middle = 0.5f * (span.cells - 1);
-    span.from = line(low, pose, span.along_y, planes_middle, cells_middle);
-    span.to = line(high, pose, span.along_y, planes_middle, cells_middle);
-    span.slack = low.w;
-    return span;
-}
-
-static inline int2 cells_of(const Span *span, int plane) {
-    const float a = span->from.x + plane * span->from.y, b = span->to.x + plane * span->to.y;
-    return (int2)(max((int)ceil(fmin(a, b) - span->slack), 0), min((int)floor(fmax(a, b) + span->slack), span->cells - 1));
-}
-
 FIELD_KERNEL forward_oblique(__global const float *restrict volume, __global const float4 *restrict poses,
                              __global const float4 *restrict light, __global const float8 *restrict edges,
                              float width, float radius, int lanes, __global float *restrict sinogram,
@@ -147,12 +101,12 @@ FIELD_KERNEL forward_oblique(__global const float *restrict volume, __global con
     const float reach = 0.5f * (1.0f + width), inverse = 1.0f / width;
     const float x0 = 0.5f * (n_x - 1), y0 = 0.5f * (n_y - 1), z0 = 0.5f * (n_slice - 1), row0 = 0.5f * (n_z - 1);
     const size_t slab = (size_t)n_x * n_y * lanes;
-    const int angle = ITEM_MAJOR, begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_r) : n_r;
+    const int angle = ITEM_MAJOR;
     if (angle >= n_angle) return;
     const float4 pose = poses[angle];
-    for (int r = begin; r < end; r++) {
-        float sum[LANE_COUNT];
-        for (int k = 0; k < LANE_COUNT; k++) sum[k] = 0.0f;
+    EACH_MINOR(r, n_r) {
+        float sum[ITEM_LANES];
+        for (int k = 0; k < ITEM_LANES; k++) sum[k] = 0.0f;
         const Span span = span_of(edges[r], pose, n_x, n_y);
         for (int plane = 0; plane < span.planes; plane++) {
             const int2 cells = cells_of(&span, plane);
@@ -165,25 +119,25 @@ FIELD_KERNEL forward_oblique(__global const float *restrict volume, __global con
                 const float height = even(ray.w), reach_z = 0.5f * (1.0f + height), most = fmin(1.0f, height);
                 const float slices = 1.0f / ray.w, lead = z0 - (ray.z + row0) * slices, span_z = reach_z * slices;
                 const int taps_z = (int)ceil(2.0f * span_z) + 1;
-                const int low = max((int)floor(fma(FIRST_Z - reach_z, slices, lead)), 0);
-                const int high = min((int)ceil(fma(FIRST_Z + LANE_COUNT - 1 + reach_z, slices, lead)), n_slice - 1);
+                const int low = max((int)floor(fma(ITEM_Z - reach_z, slices, lead)), 0);
+                const int high = min((int)ceil(fma(ITEM_Z + ITEM_LANES - 1 + reach_z, slices, lead)), n_slice - 1);
                 __global const float *column = volume + ((size_t)i * n_y + j) * lanes;
 #ifdef CPU
                 float buffer[BUFFER + 2];
                 for (int from = low; from <= high; from += BUFFER) {
                     const int count = min(BUFFER, high - from + 1);
                     fetch(column, from, count, slab, lanes, buffer);
-                    for (int t = 0; t < taps_z; t++) for (int k = 0; k < LANE_COUNT; k++) {
-                        const int z = (int)floor(fma(FIRST_Z + k - reach_z, slices, lead)) + t;
-                        const float apart = row_of(ray, z, z0, row0) - (FIRST_Z + k);
+                    for (int t = 0; t < taps_z; t++) for (int k = 0; k < ITEM_LANES; k++) {
+                        const int z = (int)floor(fma(ITEM_Z + k - reach_z, slices, lead)) + t;
+                        const float apart = row_of(ray, z, z0, row0) - (ITEM_Z + k);
                         const float part = weight * clamp(reach_z - fabs(apart), 0.0f, most);
                         sum[k] = fma(part, buffer[BUFFERED(z)], sum[k]);
                     }
                 }
 #else
-                for (int t = 0; t < taps_z; t++) for (int k = 0; k < LANE_COUNT; k++) {
-                    const int z = (int)floor(fma(FIRST_Z + k - reach_z, slices, lead)) + t;
-                    const float apart = row_of(ray, z, z0, row0) - (FIRST_Z + k);
+                for (int t = 0; t < taps_z; t++) for (int k = 0; k < ITEM_LANES; k++) {
+                    const int z = (int)floor(fma(ITEM_Z + k - reach_z, slices, lead)) + t;
+                    const float apart = row_of(ray, z, z0, row0) - (ITEM_Z + k);
                     const float part = weight * clamp(reach_z - fabs(apart), 0.0f, most);
                     if (z >= 0 && z < n_slice) sum[k] = fma(part, column[along_z(z, slab, lanes)], sum[k]);
                 }
@@ -191,7 +145,7 @@ FIELD_KERNEL forward_oblique(__global const float *restrict volume, __global con
             }
         }
         __global float *out = sinogram + slab_offset(n_angle, n_r) + SAMPLE(angle, r, n_r);
-        for (int k = 0; k < LANE_COUNT; k++) out[k] = sum[k];
+        for (int k = 0; k < ITEM_LANES; k++) out[k] = sum[k];
     }
 }
 #endif

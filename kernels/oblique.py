@@ -1,8 +1,7 @@
 """Forward and back projection of light that moves along the axis on its way: cones, inclined light, a wobbling axis.
 
-As in `refract`, one map of one pose says which ray lights a point of the laboratory; here it also says where among the
-rows that ray stands, as an offset and a stretch of z, and each pose has its own place of the axis. Both directions are
-exact transposes.
+As in `footprint`, a table of one pose says which ray lights a point of the laboratory. Here it also says at which row:
+an offset, and rows per slice. Each pose has its own place of the axis. The two directions are exact transposes.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ static inline float brightness(__global const float *flat, int row, int column, 
 #if defined(COMPILE_count_light) || defined(COMPILE_quantize)
 static inline float sample(__global const float *sinogram, int angle, int r, int z, int n_angle, int n_r, int n_z) {
     if (r < 0 || r >= n_r || z < 0 || z >= n_z) return 0.0f;
-    return sinogram[(((size_t)(z / LANES) * n_angle + angle) * n_r + r) * LANES + z % LANES];
+    return sinogram[slice_offset(angle, r, z, n_angle, n_r, LANES)];
 }
 
 // What frame pixel (r, z) is to show.
@@ -59,13 +59,11 @@ FIELD_KERNEL count_light(__global const float *restrict sinogram, __global const
     for (int b = member; b < 1024; b += members) own[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     const Placement p = PLACEMENT;
-    const int angle_begin = TILE_MAJOR ? ITEM_MAJOR * TILE_MAJOR : 0, r_begin = TILE_MINOR ? ITEM_MINOR * TILE_MINOR : 0;
+    const int angle_begin = TILE_MAJOR ? ITEM_MAJOR * TILE_MAJOR : 0, z_end = min(ITEM_Z + ITEM_LANES, n_z);
     const int angle_end = TILE_MAJOR ? min(angle_begin + TILE_MAJOR, n_angle) : ITEM_MAJOR ? 0 : n_angle;
-    const int r_end = TILE_MINOR ? min(r_begin + TILE_MINOR, n_r) : n_r;
-    const int z_begin = ITEM_SLAB * LANES + ITEM_LANE, z_end = min(z_begin + WIDTH * VECTORS, n_z);
     for (int angle = angle_begin; angle < angle_end; angle++)
-        for (int r = r_begin; r < r_end; r++)
-            for (int z = z_begin; z < z_end; z++) {
+        EACH_MINOR(r, n_r)
+            for (int z = ITEM_Z; z < z_end; z++) {
                 const float light = wanted(sinogram, p, angle, r, z, n_angle, n_r, n_z);
                 if (light <= 0.0f) continue;
                 const float full = brightness(flat, row_of(p, z, n_z), column_of(p, r, n_r), n_flat_row, n_flat_column);
@@ -78,8 +76,7 @@ FIELD_KERNEL count_light(__global const float *restrict sinogram, __global const
 #endif
 
 #ifdef COMPILE_quantize
-#define LANES_OWNED (WIDTH * VECTORS)
-#define EACH_LANE for (int k = 0; k < LANES_OWNED; k++)
+#define EACH_LANE for (int k = 0; k < ITEM_LANES; k++)
 
 // An item owns its pixels at every angle, so that errors can be carried from one to the next.
 FIELD_KERNEL quantize(__global const float *restrict sinogram, __global const float *restrict flat,
@@ -89,19 +86,19 @@ FIELD_KERNEL quantize(__global const float *restrict sinogram, __global const fl
                       int n_angle, int n_r, int n_z, int n_flat_row, int n_flat_column, int n_level) {
     const Placement p = PLACEMENT;
     const int r_begin = ITEM_MINOR * TILE_MINOR, r_end = min(r_begin + TILE_MINOR, n_r);
-    const int z_begin = ITEM_SLAB * LANES + ITEM_LANE;
+    const int z_begin = ITEM_Z;
     if (ITEM_MAJOR) return;
     const float black = curve[0], white = curve[n_level - 1];
-    float error[TILE_MINOR][LANES_OWNED];
+    float error[TILE_MINOR][ITEM_LANES];
     for (int r = r_begin; r < r_end; r++) EACH_LANE {
         const float start = row_of(p, z_begin + k, n_z) * START_Z + column_of(p, r, n_r) * START_R;
         error[r - r_begin][k] = carry * (start - floor(start) - 0.5f);
     }
     for (int angle = 0; angle < n_angle; angle++)
         for (int r = r_begin; r < r_end; r++) {
-            const int column = column_of(p, r, n_r), lanes = min(LANES_OWNED, n_z - z_begin);
-            float aim[LANES_OWNED];
-            int level[LANES_OWNED];
+            const int column = column_of(p, r, n_r), lanes = min(ITEM_LANES, n_z - z_begin);
+            float aim[ITEM_LANES];
+            int level[ITEM_LANES];
             EACH_LANE {
                 const int z = min(z_begin + k, n_z - 1);
                 const float full = brightness(flat, row_of(p, z, n_z), column, n_flat_row, n_flat_column);
@@ -122,11 +119,11 @@ FIELD_KERNEL quantize(__global const float *restrict sinogram, __global const fl
 __kernel void fold_bits(__global const uchar *restrict images, __global uchar *restrict folded,
                    int n_angle, int n_z, int n_r, int n_byte) {
     const int byte = get_global_id(0);
-    const size_t picture_row = (size_t)get_global_id(2) * n_z + get_global_id(1);
+    const size_t frame_row = (size_t)get_global_id(2) * n_z + get_global_id(1);
     uchar bits = 0;
     for (int column = 8 * byte; column < min(8 * byte + 8, n_r); column++)
-        bits |= (images[picture_row * n_r + column] & 1) << (7 - column % 8);
-    folded[picture_row * n_byte + byte] = bits;
+        bits |= (images[frame_row * n_r + column] & 1) << (7 - column % 8);
+    folded[frame_row * n_byte + byte] = bits;
 }
 #endif
 
@@ -147,14 +144,13 @@ FIELD_KERNEL unpack(__global const uchar *restrict images, __global const float 
                     __global float *restrict light,
                     int n_angle, int n_z, int n_byte, int n_flat_row, int n_flat_column, int n_level, int n_r) {
     const Placement p = PLACEMENT;
-    const int angle = ITEM_MAJOR, r_begin = TILE_MINOR ? ITEM_MINOR * TILE_MINOR : 0;
-    const int r_end = TILE_MINOR ? min(r_begin + TILE_MINOR, n_r) : n_r;
+    const int angle = ITEM_MAJOR;
     if (angle >= n_angle) return;
     light += slab_offset(n_angle, n_r);
 #define SHOWN(r, z) shown(images, flat, curve, bits, p, angle, r, z, n_z, n_byte, n_flat_row, n_flat_column, n_r)
-    for (int r = r_begin; r < r_end; r++)
-        for (int k = 0; k < WIDTH * VECTORS; k++) {
-            const int near_r = r + shift_r, near_z = ITEM_SLAB * LANES + ITEM_LANE + k + shift_z;
+    EACH_MINOR(r, n_r)
+        for (int k = 0; k < ITEM_LANES; k++) {
+            const int near_r = r + shift_r, near_z = ITEM_Z + k + shift_z;
             float sum = (1.0f - part_r) * (1.0f - part_z) * SHOWN(near_r, near_z);
             if (part_r > 0.0f) sum += part_r * (1.0f - part_z) * SHOWN(near_r + 1, near_z);
             if (part_z > 0.0f) sum += (1.0f - part_r) * part_z * SHOWN(near_r, near_z + 1);

@@ -1,8 +1,8 @@
-"""From light to frames and back: counting values, choosing gray levels, folding bits, and what the mirrors then show.
+"""From light to frames and back: count values, choose gray levels, fold bits, and compute what the mirrors show.
 
-A frame is a picture ``[row, column]`` of one pose: row 0 shows the largest z and column 0 the smallest r, before flips.
-A frame may lie off by ``shift`` whole pixels plus a ``part`` of one: frame pixel (r, z) shows what is wanted at
-(r − shift, z − shift), averaged over the beam pixels it covers, and nothing comes back in on the other side.
+A frame is an image ``[row, column]`` of one pose: row 0 shows the largest z and column 0 the smallest r, before flips.
+A frame may be displaced by ``shift`` whole pixels plus a ``part`` of one. Frame pixel (r, z) then shows the light of
+(r − shift, z − shift), averaged over the beam pixels that it covers. Light displaced over an edge is lost.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BytesOut = Annotated[np.ndarray, Table("uint8", ("angle", "z", "byte"), writes=T
 Flat = Annotated[np.ndarray, Table("float32", ("flat_row", "flat_column"))]  # one by one where the field is flat
 Curve = Annotated[np.ndarray, Table("float32", ("level",))]
 Bounds = Annotated[np.ndarray, Table("float32", ("256",))]
-Counts = Annotated[np.ndarray, Table("int32", ("1024",), writes=True)]
+Counts = Annotated[np.ndarray, Table("int32", ("1024",), writes=True, updates=True)]
 
 
 def tap(light: np.ndarray, across: int, up: int) -> np.ndarray:
@@ -49,13 +49,13 @@ def moved(light: np.ndarray, across: tuple[int, float], up: tuple[int, float], s
     return total
 
 
-def pictures(light: np.ndarray, flip_r: int, flip_z: int) -> np.ndarray:
-    """Light [angle, r, z] as pictures [angle, row, column]."""
+def frames(light: np.ndarray, flip_r: int, flip_z: int) -> np.ndarray:
+    """Light [angle, r, z] as frames [angle, row, column]."""
     return light.transpose(0, 2, 1)[:, :: 1 if flip_z else -1, :: -1 if flip_r else 1]
 
 
 def upright(frames: np.ndarray, flip_r: int, flip_z: int) -> np.ndarray:
-    """Pictures [angle, row, column] as light [angle, r, z]."""
+    """Frames [angle, row, column] as light [angle, r, z]."""
     return frames[:, :: 1 if flip_z else -1, :: -1 if flip_r else 1].transpose(0, 2, 1)
 
 
@@ -73,19 +73,19 @@ def count_light(
     prefix: Integer,
     counts: Counts,
 ) -> None:
-    """counts[b] += frame pixels whose wanted light, as the bits of a float32, starts with prefix and then b.
+    """counts[b] += frame pixels whose light, as the bits of a float32, starts with prefix and then b.
 
     drop: bits right of b's ten. Positive floats sort like their bits, so three rounds find a quantile to its last bit;
     dark pixels are left out, and what is not finite lands in bins 1020 to 1023 of the first round.
     """
-    wanted = pictures(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) / flat
+    wanted = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) / flat
     with np.errstate(over="ignore"):
         bits = np.abs(wanted[~(wanted <= 0)]).astype(np.float32).view(np.uint32)
     bits = bits[bits >> (drop + 10) == prefix]
     counts += np.bincount((bits >> drop) & (BINS - 1), minlength=BINS).astype(counts.dtype)
 
 
-@kernel(over="sinogram", cpu=Tiling(major=0, minor=16), gpu=Tiling(major=0, minor=1))
+@kernel(over="sinogram", reach="all", cpu=Tiling(major=0, minor=16), gpu=Tiling(major=0, minor=1))
 def quantize(
     sinogram: Sinogram,
     flat: Flat,
@@ -101,22 +101,22 @@ def quantize(
     carry: Real,
     images: ImagesOut,
 ) -> None:
-    """images = the level whose light ``curve[level]`` is nearest to gain · wanted / flat.
+    """images = the level whose light ``curve[level]`` is nearest to gain · light / flat.
 
     bounds: what light must exceed to leave each level for the next, midway between the two; `NEVER` after the last.
     carry: 0 rounds. Otherwise what a pixel shows too much or too little at one angle it makes up for at the next, and
     carry is the largest step between levels. Dose is a sum over angles, so errors at one pixel cancel there, and pixels
-    need not wait for each other. Neighbours start with different errors so that they do not flash in step. Light below
+    need not wait for each other. Neighbors start with different errors so that they do not flash in step. Light below
     black or above full-on is out of reach and never made up for.
     """
-    wanted = pictures(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) * gain / flat
+    wanted = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) * gain / flat
     wanted = np.clip(wanted, curve[0], curve[-1])
     rows, columns = np.meshgrid(*(np.arange(n) for n in images.shape[1:]), indexing="ij")
     error = carry * ((rows * START_Z + columns * START_R) % 1.0 - 0.5)
-    for picture, light in zip(images, wanted, strict=True):
-        picture[...] = np.searchsorted(bounds, light + error, side="left")
+    for frame, light in zip(images, wanted, strict=True):
+        frame[...] = np.searchsorted(bounds, light + error, side="left")
         if carry > 0:
-            error = light + error - curve[picture]
+            error = light + error - curve[frame]
 
 
 @kernel(over="folded")
@@ -125,7 +125,7 @@ def fold_bits(images: Images, folded: BytesOut) -> None:
     folded[...] = np.packbits(images, axis=-1)
 
 
-@kernel(over="light", cpu=Tiling(major=1, minor=0))
+@kernel(over="light", reach="all", cpu=Tiling(major=1, minor=0))
 def unpack(
     images: Bytes,
     flat: Flat,

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import warp as wp
 
+from vamgpu.kernels.wide_warp import Vectors, slice_of
+
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-START_R = wp.constant(0.7548776662466927)
-START_Z = wp.constant(0.5698402909980532)
+START_R = 0.7548776662466927
+START_Z = 0.5698402909980532
 
 
 @wp.func
@@ -18,25 +20,21 @@ def place(index: int, count: int, backwards: bool):
 
 
 @wp.func
-def brightness(flat: wp.array2d(dtype=float), row: int, column: int):
+def brightness(flat: wp.array2d[float], row: int, column: int):
     if flat.shape[0] == 1 and flat.shape[1] == 1:
         return flat[0, 0]
     return flat[row, column]
 
 
 @wp.func
-def sample(sinogram: wp.array4d(dtype=wp.vec4), angle: int, r: int, z: int, n_r: int, n_z: int):
+def sample(sinogram: Vectors, angle: int, r: int, z: int, n_r: int, n_z: int):
     if r < 0 or r >= n_r or z < 0 or z >= n_z:
         return 0.0
-    lanes = 4 * sinogram.shape[3]
-    vector = sinogram[z // lanes, angle, r, (z % lanes) // 4]
-    return vector[z % 4]
+    return slice_of(sinogram, angle, r, z)
 
 
 @wp.func
-def wanted(
-    sinogram: wp.array4d(dtype=wp.vec4), part_r: float, part_z: float, angle: int, r: int, z: int, n_r: int, n_z: int
-):
+def wanted(sinogram: Vectors, part_r: float, part_z: float, angle: int, r: int, z: int, n_r: int, n_z: int):
     light = (1.0 - part_r) * (1.0 - part_z) * sample(sinogram, angle, r, z, n_r, n_z)
     if part_r > 0.0:
         light += part_r * (1.0 - part_z) * sample(sinogram, angle, r - 1, z, n_r, n_z)
@@ -49,27 +47,14 @@ def wanted(
 
 @wp.kernel
 def count_light(
-    sinogram: wp.array4d(dtype=wp.vec4),
-    flat: wp.array2d(dtype=float),
-    shift_r: int,
-    shift_z: int,
-    part_r: float,
-    part_z: float,
-    flip_r: int,
-    flip_z: int,
-    drop: int,
-    prefix: int,
-    counts: wp.array(dtype=int),
-    n_angle: int,
-    n_r: int,
-    n_z: int,
-    n_flat_row: int,
-    n_flat_column: int,
-):
+    sinogram: Vectors, flat: wp.array2d[float], shift_r: int, shift_z: int, part_r: float, part_z: float,
+    flip_r: int, flip_z: int, drop: int, prefix: int, counts: wp.array[int],
+    n_angle: int, n_r: int, n_z: int, n_flat_row: int, n_flat_column: int,
+) -> None:  # fmt: skip
     slab, _, r, lane = wp.tid()
     column = place(r, n_r, flip_r != 0)
     last = int(-1)
-    run = int(0)  # neighbours often share a bin; adding a run at once spares the others' waiting
+    run = int(0)  # neighbors often share a bin; adding a run at once spares the others' waiting
     for angle in range(n_angle):
         for k in range(4):
             z = 4 * (slab * sinogram.shape[3] + lane) + k
@@ -91,7 +76,7 @@ def count_light(
 
 
 @wp.func
-def nearest(bounds: wp.array(dtype=float), aim: float):
+def nearest(bounds: wp.array[float], aim: float):
     level = int(0)
     step = int(128)
     for _ in range(8):
@@ -103,26 +88,11 @@ def nearest(bounds: wp.array(dtype=float), aim: float):
 
 @wp.kernel
 def quantize(
-    sinogram: wp.array4d(dtype=wp.vec4),
-    flat: wp.array2d(dtype=float),
-    curve: wp.array(dtype=float),
-    bounds: wp.array(dtype=float),
-    gain: float,
-    shift_r: int,
-    shift_z: int,
-    part_r: float,
-    part_z: float,
-    flip_r: int,
-    flip_z: int,
-    carry: float,
-    images: wp.array3d(dtype=wp.uint8),
-    n_angle: int,
-    n_r: int,
-    n_z: int,
-    n_flat_row: int,
-    n_flat_column: int,
-    n_level: int,
-):
+    sinogram: Vectors, flat: wp.array2d[float], curve: wp.array[float], bounds: wp.array[float],
+    gain: float, shift_r: int, shift_z: int, part_r: float, part_z: float, flip_r: int, flip_z: int, carry: float,
+    images: wp.array3d[wp.uint8],
+    n_angle: int, n_r: int, n_z: int, n_flat_row: int, n_flat_column: int, n_level: int,
+) -> None:  # fmt: skip
     slab, _, r, lane = wp.tid()
     column = place(r, n_r, flip_r != 0)
     black = curve[0]
@@ -145,13 +115,9 @@ def quantize(
 
 @wp.kernel
 def fold_bits(
-    images: wp.array3d(dtype=wp.uint8),
-    folded: wp.array3d(dtype=wp.uint8),
-    n_angle: int,
-    n_z: int,
-    n_r: int,
-    n_byte: int,
-):
+    images: wp.array3d[wp.uint8], folded: wp.array3d[wp.uint8],
+    n_angle: int, n_z: int, n_r: int, n_byte: int,
+) -> None:  # fmt: skip
     angle, row, byte = wp.tid()
     bits = int(0)
     for column in range(8 * byte, wp.min(8 * byte + 8, n_r)):
@@ -161,18 +127,9 @@ def fold_bits(
 
 @wp.func
 def shown(
-    images: wp.array3d(dtype=wp.uint8),
-    flat: wp.array2d(dtype=float),
-    curve: wp.array(dtype=float),
-    bits: int,
-    flip_r: int,
-    flip_z: int,
-    angle: int,
-    r: int,
-    z: int,
-    n_r: int,
-    n_z: int,
-):
+    images: wp.array3d[wp.uint8], flat: wp.array2d[float], curve: wp.array[float], bits: int,
+    flip_r: int, flip_z: int, angle: int, r: int, z: int, n_r: int, n_z: int,
+):  # fmt: skip
     if r < 0 or r >= n_r or z < 0 or z >= n_z:
         return 0.0
     row = place(z, n_z, flip_z == 0)
@@ -187,26 +144,10 @@ def shown(
 
 @wp.kernel
 def unpack(
-    images: wp.array3d(dtype=wp.uint8),
-    flat: wp.array2d(dtype=float),
-    curve: wp.array(dtype=float),
-    bits: int,
-    scale: float,
-    shift_r: int,
-    shift_z: int,
-    part_r: float,
-    part_z: float,
-    flip_r: int,
-    flip_z: int,
-    light: wp.array4d(dtype=wp.vec4),
-    n_angle: int,
-    n_z: int,
-    n_byte: int,
-    n_flat_row: int,
-    n_flat_column: int,
-    n_level: int,
-    n_r: int,
-):
+    images: wp.array3d[wp.uint8], flat: wp.array2d[float], curve: wp.array[float], bits: int,
+    scale: float, shift_r: int, shift_z: int, part_r: float, part_z: float, flip_r: int, flip_z: int, light: Vectors,
+    n_angle: int, n_z: int, n_byte: int, n_flat_row: int, n_flat_column: int, n_level: int, n_r: int,
+) -> None:  # fmt: skip
     slab, angle, column, lane = wp.tid()
     result = wp.vec4(0.0, 0.0, 0.0, 0.0)
     r = column + shift_r

@@ -8,15 +8,19 @@ typedef PASTE(int, WIDTH) Lanes;
 #define LANE_IDS ((Lanes)PASTE(LANE_IDS_, WIDTH))
 
 // All ones where lane k of vector v is a slice of the field, zero where it is padding.
-#define REAL_LANES ((ITEM_SLAB * LANES + ITEM_LANE + v * WIDTH + LANE_IDS) < (Lanes)(n_z))
+#define REAL_LANES ((ITEM_Z + v * WIDTH + LANE_IDS) < (Lanes)(n_z))
 #define ZERO ((Vector)(0.0f))
 #define MASKED(condition, value) select(ZERO, (value), (condition))
 
 #define I_BEGIN (TILE_MAJOR ? ITEM_MAJOR * TILE_MAJOR : 0)
 #define I_END (TILE_MAJOR ? min(I_BEGIN + TILE_MAJOR, n_i) : n_i)
-#define J_BEGIN (TILE_MINOR ? ITEM_MINOR * TILE_MINOR : 0)
-#define J_END (TILE_MINOR ? min(J_BEGIN + TILE_MINOR, n_j) : n_j)
-#define EACH_SAMPLE for (int i = I_BEGIN; i < I_END; i++) for (int j = J_BEGIN; j < J_END; j++)
+#define ARRAY __global const float *
+#define SIZES int n_i, int n_j, int n_z
+// Every vector of this item's samples, at place `at` of a field.
+#define EACH_VECTOR_AT                                                                                                 \
+    const size_t slab = slab_offset(n_i, n_j);                                                                         \
+    EACH_SAMPLE for (size_t at = slab + SAMPLE(i, j, n_j), end = at + 1; at < end; at++) EACH_VECTOR
+#define EACH_SAMPLE for (int i = I_BEGIN; i < I_END; i++) EACH_MINOR(j, n_j)
 
 // Where this item's partial result goes; -1 for items that only fill up a work-group.
 static inline int part_index(int n_i, int n_j, int n_z) {
@@ -26,12 +30,22 @@ static inline int part_index(int n_i, int n_j, int n_z) {
     return inside ? (ITEM_SLAB * major + ITEM_MAJOR) * minor * THREADS + (int)get_global_id(0) : -1;
 }
 
+// Whether this item does more than fill up a work-group.
+#define MINE (part_index(n_i, n_j, n_z) >= 0)
+
 static inline float across_lanes(Vector value, int kind) {
     float lane[WIDTH];
     PASTE(vstore, WIDTH)(value, 0, lane);
     float result = lane[0];
     for (int k = 1; k < WIDTH; k++)
         result = kind == 0 ? result + lane[k] : kind == 1 ? fmin(result, lane[k]) : fmax(result, lane[k]);
+    return result;
+}
+
+// Sum over the lanes of all vectors.
+static inline float sum_of(const Vector *sums) {
+    float result = 0.0f;
+    EACH_VECTOR result += across_lanes(sums[v], 0);
     return result;
 }
 

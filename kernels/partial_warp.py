@@ -6,7 +6,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-ROWS = wp.constant(32)  # the tiling all kernels with partial results declare for GPUs
+ROWS = 32  # the tiling all kernels with partial results declare for GPUs
 
 
 @wp.func

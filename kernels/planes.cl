@@ -1,7 +1,7 @@
 #ifdef COMPILE_split_planes
 #define LOW_BYTES 0x00FF00FF00FF00FFul
 
-// 64 columns from one on, a byte each, cut by the mask; 0 outside the picture.
+// 64 columns from one on, a byte each, cut by the mask; 0 outside the frame.
 static inline ulong8 levels(__global const uchar *line, __global const uchar *mask, int column, int n_byte) {
     if (column <= -64 || column >= n_byte) return 0;
     if (column >= 0 && column + 64 <= n_byte) {
@@ -78,9 +78,9 @@ static inline int sum_of(ulong8 x) {
 __kernel __attribute__((vec_type_hint(ulong8))) void split_planes(
     __global const uchar *restrict images, __global const uchar *restrict masks, __global const int *restrict chosen,
     int top, int left, __global uchar *restrict packed, __global int *restrict sent,
-    int n_angle, int n_line, int n_byte, int n_bin, int n_picture, int n_row, int n_width, int n_strip) {
-    const int strip = get_global_id(0), picture = get_global_id(1);
-    if (strip >= n_strip || picture >= n_picture) return;
+    int n_angle, int n_line, int n_byte, int n_bin, int n_frame, int n_row, int n_width, int n_strip) {
+    const int strip = get_global_id(0), frame = get_global_id(1);
+    if (strip >= n_strip || frame >= n_frame) return;
     const int across = n_width / 8, blocks = n_row * across;
     const int columns = n_strip > n_row && n_strip % across == 0, step = columns ? across : 1;
     const int bands = n_strip / across, run = columns ? (n_row + bands - 1) / bands * across
@@ -88,10 +88,10 @@ __kernel __attribute__((vec_type_hint(ulong8))) void split_planes(
     const int place = columns ? strip / across : strip;
     const int end = min((place + 1) * run, blocks);
     int b = min(place * run + (columns ? strip % across : 0), blocks);
-    __global const uchar *image = images + (size_t)chosen[2 * picture] * n_line * n_byte;
-    __global const uchar *mask = masks + (size_t)chosen[2 * picture + 1] * n_byte;
+    __global const uchar *image = images + (size_t)chosen[2 * frame] * n_line * n_byte;
+    __global const uchar *mask = masks + (size_t)chosen[2 * frame + 1] * n_byte;
     const size_t plane = (size_t)n_row * n_width;
-    __global uchar *out = packed + 8 * plane * picture;
+    __global uchar *out = packed + 8 * plane * frame;
     int row = b / across, block = b % across, sum = 0, many = 0;
     ulong8 few = 0;
 #define TAKE(x) \
@@ -124,20 +124,20 @@ __kernel __attribute__((vec_type_hint(ulong8))) void split_planes(
             row++;
         }
     }
-    sent[(size_t)picture * n_strip + strip] = sum + sum_of(few);
+    sent[(size_t)frame * n_strip + strip] = sum + sum_of(few);
 }
 #endif
 
-#ifdef COMPILE_pick_pictures
-__kernel void pick_pictures(__global const uchar *restrict images, __global const uchar *restrict masks,
+#ifdef COMPILE_pick_frames
+__kernel void pick_frames(__global const uchar *restrict images, __global const uchar *restrict masks,
                             __global const int *restrict chosen, int top, int left, __global uchar *restrict picked,
-                            int n_angle, int n_line, int n_byte, int n_bin, int n_picture, int n_row, int n_width) {
+                            int n_angle, int n_line, int n_byte, int n_bin, int n_frame, int n_row, int n_width) {
     const int tile = TILE_MINOR ? TILE_MINOR : n_width, first = tile * get_global_id(0), last = min(first + tile, n_width);
-    const int row = get_global_id(1), picture = get_global_id(2), y = row - top;
-    if (row >= n_row || picture >= n_picture) return;
-    __global const uchar *restrict line = images + ((size_t)chosen[2 * picture] * n_line + y) * n_byte - left;
-    __global const uchar *restrict mask = masks + (size_t)chosen[2 * picture + 1] * n_byte - left;
-    __global uchar *restrict out = picked + ((size_t)picture * n_row + row) * n_width;
+    const int row = get_global_id(1), frame = get_global_id(2), y = row - top;
+    if (row >= n_row || frame >= n_frame) return;
+    __global const uchar *restrict line = images + ((size_t)chosen[2 * frame] * n_line + y) * n_byte - left;
+    __global const uchar *restrict mask = masks + (size_t)chosen[2 * frame + 1] * n_byte - left;
+    __global uchar *restrict out = picked + ((size_t)frame * n_row + row) * n_width;
     const int begin = y >= 0 && y < n_line ? max(first, left) : last, end = max(begin, min(last, left + n_byte));
     for (int k = first; k < min(begin, last); k++) out[k] = 0;
     for (int k = begin; k < end; k++) out[k] = line[k] & mask[k];

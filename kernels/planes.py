@@ -1,8 +1,7 @@
-"""From frames to what mirrors are loaded with: pictures picked in the order they are shown, cut by columns, and split
-into bit planes.
+"""From frames to what is loaded into mirrors: frames in the order they are shown, masked by columns, as bit planes.
 
 A plane has rows from the top, and in a row eight columns a byte, the leftmost in the highest bit; bytes beyond the last
-column are 0. The planes of a picture come by falling weight: the first is that of 128, the last that of 1.
+column are 0. The planes of a frame come by falling weight: the first is that of 128, the last that of 1.
 """
 
 from __future__ import annotations
@@ -18,20 +17,20 @@ BLOCK = 64
 
 Images = Annotated[np.ndarray, Table("uint8", ("angle", "line", "byte"))]
 Masks = Annotated[np.ndarray, Table("uint8", ("bin", "byte"))]
-Chosen = Annotated[np.ndarray, Table("int32", ("picture", "2"))]
-Packed = Annotated[np.ndarray, Table("uint8", ("picture", "8", "row", "width"), writes=True)]
-Picked = Annotated[np.ndarray, Table("uint8", ("picture", "row", "width"), writes=True)]
-Sent = Annotated[np.ndarray, Table("int32", ("picture", "strip"), writes=True)]
+Chosen = Annotated[np.ndarray, Table("int32", ("frame", "2"))]
+Packed = Annotated[np.ndarray, Table("uint8", ("frame", "8", "row", "width"), writes=True)]
+Picked = Annotated[np.ndarray, Table("uint8", ("frame", "row", "width"), writes=True)]
+Sent = Annotated[np.ndarray, Table("int32", ("frame", "strip"), writes=True)]
 
 
 def put(whole: np.ndarray, part: np.ndarray, top: int, left: int) -> None:
-    """Write a picture into a larger one, whatever lies over its edges left out."""
+    """Write a frame into a larger one, whatever lies over its edges left out."""
     room = whole[top : top + part.shape[0], left : left + part.shape[1]]
     room[...] = part[: room.shape[0], : room.shape[1]]
 
 
 def strips_for(rows: int, width: int, gpu: bool) -> int:
-    """Into how many strips a picture of planes with so many rows and bytes in a row is best cut."""
+    """Into how many strips a frame of planes with so many rows and bytes in a row is best cut."""
     blocks = 8 * width // BLOCK
     return max(blocks * -(-rows // 8), 1) if gpu else min(128, rows)
 
@@ -50,34 +49,34 @@ def strips_of(rows: int, width: int, strips: int) -> np.ndarray:
 def split_planes(
     images: Images, masks: Masks, chosen: Chosen, top: Integer, left: Integer, packed: Packed, sent: Sent
 ) -> None:  # fmt: skip
-    """packed = the bit planes of the 8-bit pictures images[angle] & masks[bin], (angle, bin) = chosen[picture].
+    """packed = the bit planes of the 8-bit frames images[angle] & masks[bin], (angle, bin) = chosen[frame].
 
-    top, left: rows and columns of mirrors before the first of the picture, ≥ 0; all around it is dark.  sent: sum of
+    top, left: rows and columns of mirrors before the first of the frame, ≥ 0; all around it is dark.  sent: sum of
     the levels in each strip. Strips are equal runs of blocks of 64 columns, row by row, of a multiple of eight; where
     there are more of them than rows, and a multiple of the blocks of a row, equal bands of rows are cut into blocks.
     width: a multiple of 8.
     """
-    pictures, _, rows, width = packed.shape
+    frames, _, rows, width = packed.shape
     strips = sent.shape[1]
     strip = strips_of(rows, width, strips).ravel()
-    for picture in range(pictures):
-        angle, focus = chosen[picture]
+    for frame in range(frames):
+        angle, focus = chosen[frame]
         levels = np.zeros((rows, 8 * width), np.uint8)
         put(levels, images[angle] & masks[focus], top, left)
         for plane in range(8):
-            packed[picture, plane] = np.packbits((levels >> (7 - plane)) & 1, axis=-1)
+            packed[frame, plane] = np.packbits((levels >> (7 - plane)) & 1, axis=-1)
         sums = levels.reshape(-1, BLOCK).sum(axis=1, dtype=np.int64)
-        sent[picture] = np.bincount(strip, sums, minlength=strips).astype(sent.dtype)
+        sent[frame] = np.bincount(strip, sums, minlength=strips).astype(sent.dtype)
 
 
 @kernel(over="picked", cpu=Tiling(minor=0))
-def pick_pictures(
+def pick_frames(
     images: Images, masks: Masks, chosen: Chosen, top: Integer, left: Integer, picked: Picked
 ) -> None:  # fmt: skip
-    """picked = images[angle] & masks[bin] with (angle, bin) = chosen[picture], byte by byte, and 0 around it.
+    """picked = images[angle] & masks[bin] with (angle, bin) = chosen[frame], byte by byte, and 0 around it.
 
-    Bytes are levels, or eight columns each where pictures are of one bit; left counts them.
+    Bytes are levels, or eight columns each where frames are of one bit; left counts them.
     """
     picked[...] = 0
-    for picture, (angle, focus) in enumerate(chosen):
-        put(picked[picture], images[angle] & masks[focus], top, left)
+    for frame, (angle, focus) in enumerate(chosen):
+        put(picked[frame], images[angle] & masks[focus], top, left)

@@ -1,4 +1,4 @@
-"""Warp siblings of planes.py: a thread takes one block of 64 columns, or one byte of a picture."""
+"""Warp siblings of planes.py: a thread takes one block of 64 columns, or one byte of a frame."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-Eight = wp.types.vector(length=8, dtype=wp.uint64)
+Eight: type = wp.types.vector(length=8, dtype=wp.uint64)
 
 
 @wp.func
@@ -21,10 +21,8 @@ def turn_bits(x: wp.uint64):
 
 
 @wp.func
-def word_of(
-    images: wp.array3d(dtype=wp.uint8), masks: wp.array2d(dtype=wp.uint8), angle: int, focus: int, row: int, column: int
-):
-    """Eight columns from one on, cut by the mask, the leftmost in the lowest byte; 0 outside the picture."""
+def word_of(images: wp.array3d[wp.uint8], masks: wp.array2d[wp.uint8], angle: int, focus: int, row: int, column: int):
+    """Eight columns from one on, cut by the mask, the leftmost in the lowest byte; 0 outside the frame."""
     n_line = images.shape[1]
     n_byte = images.shape[2]
     bits = wp.uint64(0)
@@ -53,23 +51,11 @@ def sum_of(x: wp.uint64):
 
 @wp.kernel
 def split_planes(
-    images: wp.array3d(dtype=wp.uint8),
-    masks: wp.array2d(dtype=wp.uint8),
-    chosen: wp.array2d(dtype=int),
-    top: int,
-    left: int,
-    packed: wp.array4d(dtype=wp.uint8),
-    sent: wp.array2d(dtype=int),
-    n_angle: int,
-    n_line: int,
-    n_byte: int,
-    n_bin: int,
-    n_picture: int,
-    n_row: int,
-    n_width: int,
-    n_strip: int,
-):
-    picture, strip = wp.tid()
+    images: wp.array3d[wp.uint8], masks: wp.array2d[wp.uint8], chosen: wp.array2d[int], top: int,
+    left: int, packed: wp.array4d[wp.uint8], sent: wp.array2d[int],
+    n_angle: int, n_line: int, n_byte: int, n_bin: int, n_frame: int, n_row: int, n_width: int, n_strip: int,
+) -> None:  # fmt: skip
+    frame, strip = wp.tid()
     across = n_width // 8
     blocks = n_row * across
     run = (blocks + 8 * n_strip - 1) // (8 * n_strip) * 8
@@ -82,44 +68,34 @@ def split_planes(
         begin = strip // across * run + strip % across
         end = (strip // across + 1) * run
         step = across
-    out = wp.array(ptr=packed.ptr, shape=(n_picture * 8 * blocks,), dtype=wp.uint64)
+    out = wp.array(ptr=packed.ptr, shape=(n_frame * 8 * blocks,), dtype=wp.uint64)
     total = int(0)
     for b in range(begin, wp.min(end, blocks), step):
         row = b // across - top
         column = 64 * (b % across) - left
         planes = Eight()
         for k in range(8):
-            word = word_of(images, masks, chosen[picture, 0], chosen[picture, 1], row, column + 8 * k)
+            word = word_of(images, masks, chosen[frame, 0], chosen[frame, 1], row, column + 8 * k)
             total += sum_of(word)
             bits = turn_bits(word)
             for plane in range(8):
                 byte = (bits >> wp.uint64(8 * plane)) & wp.uint64(255)
                 planes[plane] = planes[plane] | (byte << wp.uint64(8 * k))
         for plane in range(8):
-            out[(picture * 8 + plane) * blocks + b] = planes[plane]
-    sent[picture, strip] = total
+            out[(frame * 8 + plane) * blocks + b] = planes[plane]
+    sent[frame, strip] = total
 
 
 @wp.kernel
-def pick_pictures(
-    images: wp.array3d(dtype=wp.uint8),
-    masks: wp.array2d(dtype=wp.uint8),
-    chosen: wp.array2d(dtype=int),
-    top: int,
-    left: int,
-    picked: wp.array3d(dtype=wp.uint8),
-    n_angle: int,
-    n_line: int,
-    n_byte: int,
-    n_bin: int,
-    n_picture: int,
-    n_row: int,
-    n_width: int,
-):
-    picture, row, byte = wp.tid()
+def pick_frames(
+    images: wp.array3d[wp.uint8], masks: wp.array2d[wp.uint8], chosen: wp.array2d[int], top: int,
+    left: int, picked: wp.array3d[wp.uint8],
+    n_angle: int, n_line: int, n_byte: int, n_bin: int, n_frame: int, n_row: int, n_width: int,
+) -> None:  # fmt: skip
+    frame, row, byte = wp.tid()
     value = wp.uint8(0)
     y = row - top
     x = byte - left
     if y >= 0 and y < n_line and x >= 0 and x < n_byte:
-        value = images[chosen[picture, 0], y, x] & masks[chosen[picture, 1], x]
-    picked[picture, row, byte] = value
+        value = images[chosen[frame, 0], y, x] & masks[chosen[frame, 1], x]
+    picked[frame, row, byte] = value

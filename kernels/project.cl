@@ -6,7 +6,7 @@ typedef struct {
     size_t plane_stride, cell_stride;
     float origin;               // cell position of ray 0 in plane 0
     float slope;                // cells a ray drifts per plane
-    float step;                 // cells between neighbouring rays
+    float step;                 // cells between neighboring rays
 } Crossing;
 
 static Crossing crossing(float2 direction, int n_x, int n_y, int n_r) {
@@ -22,7 +22,7 @@ static Crossing crossing(float2 direction, int n_x, int n_y, int n_r) {
 }
 
 #ifdef COMPILE_forward_joseph
-// Planes of [first, last) in which RAYS neighbouring rays all lie strictly between two cells: no bounds to check there.
+// Planes of [first, last) in which RAYS neighboring rays all lie strictly between two cells: no bounds to check there.
 static int2 interior(const Crossing k, float origin, int first, int last) {
     const float low = origin + fmin(0.0f, (RAYS - 1) * k.step), high = origin + fmax(0.0f, (RAYS - 1) * k.step);
     if (fabs(k.slope) < 1e-6f)
@@ -48,7 +48,7 @@ static inline void cross_edge(__global const float *volume, const Crossing k, fl
     }
 }
 
-// Adds to sum what RAYS neighbouring rays meet in planes [first, last); origin is that of the first ray.
+// Adds to sum what RAYS neighboring rays meet in planes [first, last); origin is that of the first ray.
 static inline void march(__global const float *restrict volume, const Crossing k, float origin, int first, int last,
                          Vector *sum) {
     const int2 inner = interior(k, origin, first, last);
@@ -160,13 +160,12 @@ static inline void gather(__global const float *restrict pose, float2 direction,
 FIELD_KERNEL back_joseph(__global const float *restrict sinogram, __global const float2 *restrict directions,
                          float pitch, __global float *restrict volume,
                          int n_angle, int n_r, int n_z, int n_x, int n_y) {
-    const int x_begin = ITEM_MAJOR * TILE_MAJOR, x_end = min(x_begin + TILE_MAJOR, n_x);
-    const int y_begin = TILE_MINOR ? ITEM_MINOR * TILE_MINOR : 0, y_end = TILE_MINOR ? min(y_begin + TILE_MINOR, n_y) : n_y;
+    const int x_begin = ITEM_MAJOR * TILE_MAJOR, x_end = min(x_begin + TILE_MAJOR, n_x), y_end = MINOR_END(n_y);
     sinogram += slab_offset(n_angle, n_r);
     volume += slab_offset(n_x, n_y);
     for (int block = 0; block < n_angle; block += min(ANGLES, n_angle))
         for (int x = x_begin; x < x_end; x += ROWS)
-            for (int y = y_begin; y < y_end; y += COLUMNS) {
+            for (int y = MINOR_BEGIN; y < y_end; y += COLUMNS) {
                 Vector sum[ROWS * COLUMNS * VECTORS];
                 UNROLL for (int i = 0; i < ROWS * COLUMNS * VECTORS; i++) sum[i] = (Vector)(0.0f);
                 const int stop = min(n_angle, block + min(ANGLES, n_angle));

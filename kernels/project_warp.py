@@ -11,7 +11,7 @@ from vamgpu.kernels.wide_warp import Flat, read
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-STRIP = wp.constant(16)  # planes a group crosses at its two poses before it goes on
+STRIP = 16  # planes a group crosses at its two poses before it goes on
 
 
 @wp.func
@@ -60,16 +60,9 @@ def length(pitch: float, c: float, s: float):
 
 @wp.kernel(launch_bounds=(256, 2))  # fewer registers, so that more threads hide the loads
 def forward_joseph(
-    volume: wp.array2d(dtype=wp.vec4),
-    directions: wp.array2d(dtype=float),
-    pitch: float,
-    sinogram: wp.array2d(dtype=wp.vec4),
-    n_x: int,
-    n_y: int,
-    n_z: int,
-    n_angle: int,
-    n_r: int,
-):
+    volume: Flat, directions: wp.array2d[float], pitch: float, sinogram: Flat,
+    n_x: int, n_y: int, n_z: int, n_angle: int, n_r: int,
+) -> None:  # fmt: skip
     slab, block, r, lane = wp.tid()
     lanes = volume.shape[1] // (n_x * n_y)
     offset = float(r) - 0.5 * float(n_r - 1)
@@ -109,16 +102,9 @@ def gather_one(field: Flat, slab: int, row: int, u: float, m: float):
 
 @wp.kernel
 def back_joseph(
-    sinogram: wp.array2d(dtype=wp.vec4),
-    directions: wp.array2d(dtype=float),
-    pitch: float,
-    volume: wp.array2d(dtype=wp.vec4),
-    n_angle: int,
-    n_r: int,
-    n_z: int,
-    n_x: int,
-    n_y: int,
-):
+    sinogram: Flat, directions: wp.array2d[float], pitch: float, volume: Flat,
+    n_angle: int, n_r: int, n_z: int, n_x: int, n_y: int,
+) -> None:  # fmt: skip
     slab, block_x, block_y, lane = wp.tid()
     lanes = volume.shape[1] // (n_x * n_y)
     for i in range(4 * block_x, wp.min(4 * block_x + 4, n_x), 2):

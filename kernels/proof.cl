@@ -1,4 +1,4 @@
-#include "common.h"
+#include "light.h"
 
 #define WIDE(name) PASTE(name, WIDTH)
 
@@ -7,15 +7,15 @@
 FIELD_KERNEL spread_rows(__global const float *restrict light, __global const float *restrict shares,
                          __global const int2 *restrict span, int lanes, __global float *restrict spread,
                          int n_angle, int n_r, int n_row, int n_slice, int n_z) {
-    const int begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_r) : n_r, angle = ITEM_MAJOR;
+    const int angle = ITEM_MAJOR;
     if (angle >= n_angle) return;
     spread += slab_offset(n_angle, n_r);
-    for (int r = begin; r < end; r++) EACH_VECTOR {
-        const int z = ITEM_SLAB * LANES + ITEM_LANE + v * WIDTH;
+    EACH_MINOR(r, n_r) EACH_VECTOR {
+        const int z = ITEM_Z + v * WIDTH;
         const int first = span[z].x, stop = span[z + WIDTH - 1].y;
         Vector sum = (Vector)(0.0f);
         for (int row = first; row < stop; row++) {
-            const float value = light[(((size_t)(row / lanes) * n_angle + angle) * n_r + r) * lanes + row % lanes];
+            const float value = light[slice_offset(angle, r, row, n_angle, n_r, lanes)];
             sum = fma((Vector)(value), WIDE(vload)(0, shares + (size_t)row * n_slice + z), sum);
         }
         STORE(spread + SAMPLE(angle, r, n_r), sum);
@@ -27,11 +27,11 @@ FIELD_KERNEL spread_rows(__global const float *restrict light, __global const fl
 FIELD_KERNEL spread_columns(__global const float *restrict spread, __global const int *restrict first,
                             __global const float *restrict shares, __global float *restrict profile,
                             int n_angle, int n_r, int n_z, int n_bin, int n_tap) {
-    const int begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_bin) : n_bin, angle = ITEM_MAJOR;
+    const int angle = ITEM_MAJOR;
     if (angle >= n_angle) return;
     spread += slab_offset(n_angle, n_r);
     profile += slab_offset(n_angle, n_bin);
-    for (int bin = begin; bin < end; bin++) {
+    EACH_MINOR(bin, n_bin) {
         __global const float *sample = spread + SAMPLE(angle, first[bin], n_r);
         __global const float *share = shares + bin * n_tap;
         Vector sum[VECTORS];
@@ -49,23 +49,15 @@ static inline float4 look_up(__global const float4 *restrict pose, int n_across,
                              float x, float y) {
     const float across = fma(y, turn.x, -x * turn.y) * scale + 0.5f * (n_across - 1);
     const float along = fma(-x, turn.x, -y * turn.y) * scale + 0.5f * (n_along - 1);
-    const int i = clamp((int)across, 0, n_across - 2), j = clamp((int)along, 0, n_along - 2);
-    const float a = across - i, b = along - j;
-    __global const float4 *here = pose + i * n_along + j;
-    const float4 near = here[0] + b * (here[1] - here[0]);
-    const float4 far = here[n_along] + b * (here[n_along + 1] - here[n_along]);
-    return near + a * (far - near);
+    return sampled(pose, n_across, n_along, across, along);
 }
 
 // How much of a bin lies between two places.
 static inline float inside(int bin, float low, float high) { return fmin(high, bin + 1.0f) - fmax(low, (float)bin); }
 
-// Half-integers below 2048 square exactly in float32, so every device agrees on each voxel.
-static inline bool within(float x, float y, float radius) { return x * x + y * y <= radius * radius; }
-
 #ifdef CPU
 // On a CPU core a look-up costs as much as the lanes it serves, so it is made once and noted, then applied to every slab
-// and, where a quarter turn maps voxels and poses onto themselves, to all four quarters (folds). TOGETHER neighbours are
+// and, where a quarter turn maps voxels and poses onto themselves, to all four quarters (folds). TOGETHER neighbors are
 // noted before any is applied, because they read the same bins: those then come from the nearest cache.
 typedef struct {
     int count;
@@ -191,12 +183,11 @@ FIELD_KERNEL expose_voxels(__global const float *restrict profile, __global cons
 FIELD_KERNEL average_voxels(__global const float *restrict fine, __global const float *restrict taps,
                             int corner_x, int corner_y, int first, __global float *restrict volume,
                             int n_u, int n_v, int n_level, int n_tap, int n_x, int n_y, int n_z) {
-    const int begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_y) : n_y, x = ITEM_MAJOR;
-    const int slab = ITEM_SLAB - first / LANES;
+    const int x = ITEM_MAJOR, slab = ITEM_SLAB - first / LANES;
     if (x >= n_x || slab < 0 || slab * LANES >= n_level) return;
     fine += (size_t)slab * n_u * n_v * LANES + ITEM_LANE;
     volume += slab_offset(n_x, n_y);
-    for (int y = begin; y < end; y++) {
+    EACH_MINOR(y, n_y) {
         Vector sum[VECTORS];
         EACH_VECTOR sum[v] = (Vector)(0.0f);
         for (int a = 0; a < n_tap; a++) for (int b = 0; b < n_tap; b++) {

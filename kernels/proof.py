@@ -7,6 +7,7 @@ voxels then take what lies between, and part voxels the mean of fine ones.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
@@ -28,9 +29,9 @@ First = Annotated[np.ndarray, Table("int32", ("bin",))]
 ColumnShares = Annotated[np.ndarray, Table("float32", ("bin", "tap"))]
 """Light of each bin per light of column first + tap."""
 Poses = Annotated[np.ndarray, Table("float32", ("angle", "4"))]
-"""Cosine, sine, time over the mean, and a number nobody reads."""
+"""Cosine, sine, time over the mean time, and a spare."""
 Pose = Annotated[np.ndarray, Table("float32", ("branch", "across", "along", "4"))]
-"""First and last bin (with fractions) whose light crosses a voxel, its share, and a number nobody reads."""
+"""First and last bin (with fractions) whose light crosses a voxel, its share, and a spare."""
 Taps = Annotated[np.ndarray, Table("float32", ("tap",))]
 
 
@@ -62,18 +63,28 @@ def expose_voxels(
     pose: of the laboratory, samples ``1 / scale`` voxels apart about the axis.  single: voxels this near to the axis
     are on the first branch alone.  Voxels beyond ``radius`` voxels from the axis get nothing.
     """
-    x, y = (np.arange(n) - middle(n) for n in dose.shape[:2])
-    far = x[:, None] ** 2 + y[None, :] ** 2
     dose[...] = 0.0
+    total = np.concatenate([np.zeros_like(profile[:, :1]), np.cumsum(profile, axis=1)], axis=1)
+    for angle, lit, low, high, weight in spans(poses, pose, scale, single, radius, dose.shape[:2]):
+        dose[lit] += weight[:, None] * (_running(total[angle], high) - _running(total[angle], low))
+
+
+def spans(
+    poses: np.ndarray, pose: np.ndarray, scale: float, single: float, radius: float, shape: tuple[int, ...]
+) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """For every pose and branch: its number, the voxels [x, y] lit, between which bins their light lies, their share.
+
+    Arguments as for `expose_voxels`; shape: voxels along x and y.
+    """
+    x, y = (np.arange(n) - middle(n) for n in shape)
+    far = x[:, None] ** 2 + y[None, :] ** 2
     for angle, (c, s, time, _) in enumerate(poses):
-        total = np.concatenate([np.zeros_like(profile[angle, :1]), np.cumsum(profile[angle], axis=0)])
         across = (y[None, :] * c - x[:, None] * s) * scale
         along = -(x[:, None] * c + y[None, :] * s) * scale
         for branch, table in enumerate(pose):
             low, high, share = np.moveaxis(_look_up(table, across, along)[..., :3], -1, 0)
             lit = (high > low) & (far <= radius**2) & ((branch == 0) | (far > single**2))
-            light = _running(total, high[lit]) - _running(total, low[lit])
-            dose[lit] += (time * share[lit])[:, None] * light
+            yield angle, lit, low[lit], high[lit], time * share[lit]
 
 
 def _look_up(table: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.ndarray:
@@ -88,10 +99,15 @@ def _look_up(table: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.nda
 
 def _running(total: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Running integral [place, z] at fractional bins, constant beyond both ends."""
-    place = np.clip(place, 0.0, len(total) - 1.0)
-    k = np.minimum(place.astype(int), len(total) - 2)
-    part = (place - k)[:, None]
-    return (1 - part) * total[k] + part * total[k + 1]
+    k, part = whole_and_part(len(total), place)
+    return (1 - part)[:, None] * total[k] + part[:, None] * total[k + 1]
+
+
+def whole_and_part(count: int, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sample before each place, of so many, and what is left; constant beyond both ends."""
+    place = np.clip(place, 0.0, count - 1.0)
+    k = np.minimum(place.astype(int), count - 2)
+    return k, place - k
 
 
 @kernel(over="volume", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1, group=(64, 4)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from vamgpu.kernels.light_warp import sampled
 from vamgpu.kernels.wide_warp import Flat, read, read_one
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
@@ -11,17 +12,9 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 @wp.kernel
 def spread_rows(
-    light: Flat,
-    shares: wp.array2d(dtype=float),
-    span: wp.array2d(dtype=int),
-    lanes: int,
-    spread: Flat,
-    n_angle: int,
-    n_r: int,
-    n_row: int,
-    n_slice: int,
-    n_z: int,
-):
+    light: Flat, shares: wp.array2d[float], span: wp.array2d[int], lanes: int, spread: Flat,
+    n_angle: int, n_r: int, n_row: int, n_slice: int, n_z: int,
+) -> None:  # fmt: skip
     slab, angle, r, lane = wp.tid()
     own = spread.shape[1] // (n_angle * n_r)
     z = 4 * (slab * own + lane)
@@ -35,16 +28,9 @@ def spread_rows(
 
 @wp.kernel
 def spread_columns(
-    spread: Flat,
-    first: wp.array(dtype=int),
-    shares: wp.array2d(dtype=float),
-    profile: Flat,
-    n_angle: int,
-    n_r: int,
-    n_z: int,
-    n_bin: int,
-    n_tap: int,
-):
+    spread: Flat, first: wp.array[int], shares: wp.array2d[float], profile: Flat,
+    n_angle: int, n_r: int, n_z: int, n_bin: int, n_tap: int,
+) -> None:  # fmt: skip
     slab, angle, bin, lane = wp.tid()
     lanes = profile.shape[1] // (n_angle * n_bin)
     result = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -53,57 +39,12 @@ def spread_columns(
     profile[slab, (angle * n_bin + bin) * lanes + lane] = result
 
 
-@wp.func_native("""
-    const char* at = (const char*)pose.data + (size_t)branch * pose.strides[0] + (size_t)i * pose.strides[1];
-    at += (size_t)j * 16;
-#if defined(__CUDA_ARCH__)
-    const float4 wide = *(const float4*)at;
-    return wp::vec4(wide.x, wide.y, wide.z, wide.w);
-#else
-    return *(const wp::vec4*)at;
-#endif
-""")
-def node(pose: wp.array4d(dtype=float), branch: int, i: int, j: int) -> wp.vec4:  # type: ignore[empty-body]
-    """A sample of the pose, in one load."""
-    ...
-
-
-@wp.func
-def look_up(
-    pose: wp.array4d(dtype=float), branch: int, n_across: int, n_along: int, c: float, s: float, scale: float,
-    x: float, y: float,
-):
-    across = (y * c - x * s) * scale + 0.5 * float(n_across - 1)
-    along = (-x * c - y * s) * scale + 0.5 * float(n_along - 1)
-    i = wp.clamp(int(across), 0, n_across - 2)
-    j = wp.clamp(int(along), 0, n_along - 2)
-    a = across - float(i)
-    b = along - float(j)
-    near = node(pose, branch, i, j)
-    far = node(pose, branch, i + 1, j)
-    near += b * (node(pose, branch, i, j + 1) - near)
-    far += b * (node(pose, branch, i + 1, j + 1) - far)
-    return near + a * (far - near)
-
-
 @wp.kernel(launch_bounds=(256, 3))  # fewer registers, so that more threads hide the loads
 def expose_voxels(
-    profile: Flat,
-    poses: wp.array2d(dtype=float),
-    pose: wp.array4d(dtype=float),
-    scale: float,
-    single: float,
-    radius: float,
-    dose: Flat,
-    n_angle: int,
-    n_bin: int,
-    n_z: int,
-    n_branch: int,
-    n_across: int,
-    n_along: int,
-    n_x: int,
-    n_y: int,
-):
+    profile: Flat, poses: wp.array2d[float], pose: wp.array4d[float], scale: float, single: float,
+    radius: float, dose: Flat,
+    n_angle: int, n_bin: int, n_z: int, n_branch: int, n_across: int, n_along: int, n_x: int, n_y: int,
+) -> None:  # fmt: skip
     block, i, j, lane = wp.tid()
     s0 = 4 * block
     s1 = wp.min(s0 + 1, dose.shape[0] - 1)  # the last thread's surplus slabs repeat the last one there is
@@ -122,8 +63,10 @@ def expose_voxels(
         if far <= single * single:
             branches = 1
         for angle in range(n_angle):
+            across = (y * poses[angle, 0] - x * poses[angle, 1]) * scale
+            along = (-x * poses[angle, 0] - y * poses[angle, 1]) * scale
             for branch in range(branches):
-                lit = look_up(pose, branch, n_across, n_along, poses[angle, 0], poses[angle, 1], scale, x, y)
+                lit = sampled(pose[branch], across, along)
                 low = wp.max(lit[0], 0.0)
                 high = wp.min(lit[1], float(n_bin))
                 if high > low:
@@ -144,20 +87,9 @@ def expose_voxels(
 
 @wp.kernel
 def average_voxels(
-    fine: Flat,
-    taps: wp.array(dtype=float),
-    corner_x: int,
-    corner_y: int,
-    first: int,
-    volume: Flat,
-    n_u: int,
-    n_v: int,
-    n_level: int,
-    n_tap: int,
-    n_x: int,
-    n_y: int,
-    n_z: int,
-):
+    fine: Flat, taps: wp.array[float], corner_x: int, corner_y: int, first: int, volume: Flat,
+    n_u: int, n_v: int, n_level: int, n_tap: int, n_x: int, n_y: int, n_z: int,
+) -> None:  # fmt: skip
     slab, x, y, lane = wp.tid()
     lanes = volume.shape[1] // (n_x * n_y)
     source = slab - first // (4 * lanes)

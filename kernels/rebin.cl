@@ -2,10 +2,11 @@
 
 FIELD_KERNEL rebin_rays(__global const float *restrict parallel, __global const float *restrict rays,
                         __global float *restrict light, int n_angle, int n_column, int n_z, int n_r) {
-    const int angle = ITEM_MAJOR, begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_r) : n_r;
+    const int angle = ITEM_MAJOR;
+    if (angle >= n_angle) return;
     __global const float *source = parallel + slab_offset(n_angle, n_column);
     __global float *out = light + slab_offset(n_angle, n_r);
-    for (int r = begin; r < end && angle < n_angle; r++) {
+    EACH_MINOR(r, n_r) {
         const float turn = rays[3 * r], column = rays[3 * r + 1], gain = rays[3 * r + 2];
         const int first = (int)floor(turn), near = (int)floor(column);
         Vector sum[VECTORS];

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import warp as wp
 
+from vamgpu.kernels.wide_warp import Vectors
+
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
 @wp.kernel
 def rebin_rays(
-    parallel: wp.array4d(dtype=wp.vec4),
-    rays: wp.array2d(dtype=float),
-    light: wp.array4d(dtype=wp.vec4),
-    n_angle: int,
-    n_column: int,
-    n_z: int,
-    n_r: int,
-):
+    parallel: Vectors, rays: wp.array2d[float], light: Vectors,
+    n_angle: int, n_column: int, n_z: int, n_r: int,
+) -> None:  # fmt: skip
     slab, angle, r, lane = wp.tid()
     turn = rays[r, 0]
     column = rays[r, 1]

@@ -9,9 +9,7 @@ FIELD_KERNEL partial_sum(__global const float *restrict a, __global float *restr
     Vector sum[VECTORS];
     EACH_VECTOR sum[v] = ZERO;
     EACH_SAMPLE EACH_VECTOR sum[v] += MASKED(REAL_LANES, LOAD(source + SAMPLE(i, j, n_j)));
-    float result = 0.0f;
-    EACH_VECTOR result += across_lanes(sum[v], 0);
-    parts[part] = result;
+    parts[part] = sum_of(sum);
 }
 #endif
 
@@ -27,9 +25,7 @@ FIELD_KERNEL partial_dot(__global const float *a, __global const float *b, __glo
         const size_t at = slab + SAMPLE(i, j, n_j);
         EACH_VECTOR sum[v] += MASKED(REAL_LANES, LOAD(a + at) * LOAD(b + at));
     }
-    float result = 0.0f;
-    EACH_VECTOR result += across_lanes(sum[v], 0);
-    parts[part] = result;
+    parts[part] = sum_of(sum);
 }
 #endif
 

@@ -52,7 +52,7 @@ def partial_extent(a: Array, mask: Array, lower: Real, upper: Real, reach: Real,
     highs[0] = a.max(where=chosen, initial=-np.inf)
 
 
-@kernel(over="folded")
+@kernel(over="folded", reach="part")
 def fold(parts: Partial, kind: Integer, folded: Folded) -> None:
     """folded[k] = sum (kind 0), minimum (1) or maximum (2) of parts[k], parts[k + n], … with n the length of folded."""
     combine = (np.add, np.minimum, np.maximum)[kind]

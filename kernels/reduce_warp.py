@@ -5,12 +5,13 @@ from __future__ import annotations
 import warp as wp
 
 from vamgpu.kernels.partial_warp import ROWS, disc_distance, part_index, real_lanes
+from vamgpu.kernels.wide_warp import Vectors
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
 @wp.kernel
-def partial_sum(a: wp.array4d(dtype=wp.vec4), parts: wp.array(dtype=float), n_i: int, n_j: int, n_z: int, n_part: int):
+def partial_sum(a: Vectors, parts: wp.array[float], n_i: int, n_j: int, n_z: int, n_part: int) -> None:
     slab, tile, j, lane = wp.tid()
     count = real_lanes(slab, lane, a.shape[3], n_z)
     result = float(0.0)
@@ -23,14 +24,9 @@ def partial_sum(a: wp.array4d(dtype=wp.vec4), parts: wp.array(dtype=float), n_i:
 
 @wp.kernel
 def partial_dot(
-    a: wp.array4d(dtype=wp.vec4),
-    b: wp.array4d(dtype=wp.vec4),
-    parts: wp.array(dtype=float),
-    n_i: int,
-    n_j: int,
-    n_z: int,
-    n_part: int,
-):
+    a: Vectors, b: Vectors, parts: wp.array[float],
+    n_i: int, n_j: int, n_z: int, n_part: int,
+) -> None:  # fmt: skip
     slab, tile, j, lane = wp.tid()
     count = real_lanes(slab, lane, a.shape[3], n_z)
     result = float(0.0)
@@ -44,18 +40,10 @@ def partial_dot(
 
 @wp.kernel
 def partial_extent(
-    a: wp.array4d(dtype=wp.vec4),
-    mask: wp.array4d(dtype=wp.vec4),
-    lower: float,
-    upper: float,
-    reach: float,
-    lows: wp.array(dtype=float),
-    highs: wp.array(dtype=float),
-    n_i: int,
-    n_j: int,
-    n_z: int,
-    n_part: int,
-):
+    a: Vectors, mask: Vectors, lower: float, upper: float, reach: float, lows: wp.array[float],
+    highs: wp.array[float],
+    n_i: int, n_j: int, n_z: int, n_part: int,
+) -> None:  # fmt: skip
     slab, tile, j, lane = wp.tid()
     count = real_lanes(slab, lane, a.shape[3], n_z)
     low = float(wp.inf)
@@ -74,7 +62,7 @@ def partial_extent(
 
 
 @wp.kernel
-def fold(parts: wp.array(dtype=float), kind: int, folded: wp.array(dtype=float), n_part: int, n_folded: int):
+def fold(parts: wp.array[float], kind: int, folded: wp.array[float], n_part: int, n_folded: int) -> None:
     k = wp.tid()
     result = float(0.0)
     if kind == 1:

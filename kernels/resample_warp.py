@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import warp as wp
 
+from vamgpu.kernels.wide_warp import Vectors, slice_of
+
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
 @wp.kernel
 def resample(
-    source: wp.array4d(dtype=wp.vec4),
-    first: wp.array(dtype=int),
-    weights: wp.array2d(dtype=float),
-    lanes: int,
-    target: wp.array4d(dtype=wp.vec4),
-    n_i: int,
-    n_j: int,
-    n_source: int,
-    n_z: int,
-    n_tap: int,
-):
+    source: Vectors, first: wp.array[int], weights: wp.array2d[float], lanes: int, target: Vectors,
+    n_i: int, n_j: int, n_source: int, n_z: int, n_tap: int,
+) -> None:  # fmt: skip
     slab, i, j, lane = wp.tid()
     result = wp.vec4(0.0, 0.0, 0.0, 0.0)
     for k in range(4):
@@ -27,8 +21,6 @@ def resample(
         total = float(0.0)
         if z < n_z:
             for tap in range(wp.max(0, -first[z]), wp.min(n_tap, n_source - first[z])):
-                s = first[z] + tap
-                vector = source[s // lanes, i, j, (s % lanes) // 4]
-                total += weights[z, tap] * vector[s % 4]
+                total += weights[z, tap] * slice_of(source, i, j, first[z] + tap)
         result[k] = total
     target[slab, i, j, lane] = result

@@ -5,12 +5,12 @@ FIELD_KERNEL shift_images(__global const float *restrict source, __global const 
                           __global const float *restrict tapers, int after, int lanes, __global float *restrict moved,
                           int n_image, int n_column, int n_row, int n_move, int n_tile, int n_taper,
                           int n_angle, int n_r, int n_z) {
-    const int begin = TILE_MINOR ? ITEM_MINOR : 0, end = TILE_MINOR ? min(begin + 1, n_r) : n_r, angle = ITEM_MAJOR;
+    const int angle = ITEM_MAJOR;
     if (angle >= n_angle) return;
     const int poses = min(n_image, n_angle);
-    for (int r = begin; r < end; r++)
-        for (int lane = 0; lane < WIDTH * VECTORS; lane++) {
-            const int z = ITEM_SLAB * LANES + ITEM_LANE + lane;
+    EACH_MINOR(r, n_r)
+        for (int lane = 0; lane < ITEM_LANES; lane++) {
+            const int z = ITEM_Z + lane;
             float sum = 0.0f;
             for (int k = angle; k < max(n_image, n_angle) && z < n_z; k += n_angle) {
                 const float4 move = moves[k];
@@ -19,8 +19,8 @@ FIELD_KERNEL shift_images(__global const float *restrict source, __global const 
                     const int column = r + (int)move.x + corner / 2, row = z + (int)move.z + corner % 2;
                     if (column < 0 || column >= n_column || row < 0 || row >= n_row) continue;
                     const float share = (corner / 2 ? move.y : 1.0f - move.y) * (corner % 2 ? move.w : 1.0f - move.w);
-                    const size_t at = (((size_t)(row / lanes) * n_image + k % n_image) * n_column + column) * lanes;
-                    sum = fma(share * taper[after ? z : row], source[at + row % lanes], sum);
+                    const size_t at = slice_offset(k % n_image, column, row, n_image, n_column, lanes);
+                    sum = fma(share * taper[after ? z : row], source[at], sum);
                 }
             }
             moved[slab_offset(n_angle, n_r) + SAMPLE(angle, r, n_r) + lane] = sum;

@@ -31,9 +31,10 @@ def shift_images(
 ) -> None:
     """moved[a] = Σ of the source's images of the same pose, each moved, its rows weighted by its tile's taper.
 
-    Whichever has more images holds tiles: image k belongs to pose k % n, n being the smaller count, to the tile k // n
-    and to the move k.  after: 1 where tapers are of the moved rows, 0 where they are of the source's.  lanes: of the
-    source's layout. With source and moved swapped, the opposite moves and the other ``after`` this is the transpose.
+    The source or the result holds tiles, whichever has more images: image k belongs to pose k % n, n being the smaller
+    count, to the tile k // n and to the move k.  after: 1 where tapers are of the moved rows, 0 where they are of the
+    source's.  lanes: of the source's layout. With source and moved swapped, the opposite moves and the other ``after``
+    this is the transpose.
     """
     images, angles = len(source), len(moved)
     moved[...] = 0.0

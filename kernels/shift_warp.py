@@ -4,27 +4,17 @@ from __future__ import annotations
 
 import warp as wp
 
+from vamgpu.kernels.wide_warp import Vectors, slice_of
+
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
 @wp.kernel
 def shift_images(
-    source: wp.array4d(dtype=wp.vec4),
-    moves: wp.array2d(dtype=float),
-    tapers: wp.array2d(dtype=float),
-    after: int,
-    lanes: int,
-    moved: wp.array4d(dtype=wp.vec4),
-    n_image: int,
-    n_column: int,
-    n_row: int,
-    n_move: int,
-    n_tile: int,
-    n_taper: int,
-    n_angle: int,
-    n_r: int,
-    n_z: int,
-):
+    source: Vectors, moves: wp.array2d[float], tapers: wp.array2d[float], after: int, lanes: int,
+    moved: Vectors,
+    n_image: int, n_column: int, n_row: int, n_move: int, n_tile: int, n_taper: int, n_angle: int, n_r: int, n_z: int,
+) -> None:  # fmt: skip
     slab, angle, r, lane = wp.tid()
     poses = wp.min(n_image, n_angle)
     result = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -44,7 +34,6 @@ def shift_images(
                         own = row
                         if after != 0:
                             own = z
-                        vector = source[row // lanes, k % n_image, column, (row % lanes) // 4]
-                        total += share * tapers[k // poses, own] * vector[row % 4]
+                        total += share * tapers[k // poses, own] * slice_of(source, k % n_image, column, row)
         result[which] = total
     moved[slab, angle, r, lane] = result

@@ -1,8 +1,8 @@
 """How a kernel is declared: once, by the annotations of its NumPy definition.
 
 A `Field` is a three-dimensional float array whose last axis is z. On OpenCL and Warp devices it is stored as
-``[slab][major][minor][lane]``: z cut into slabs of ``lanes`` neighbours so that one vector load serves many z, padded
-with whatever the last slab leaves over. A `Table` is a small or odd-shaped array in plain C order. The device siblings
+``[slab][major][minor][lane]``: z is cut into slabs of ``lanes`` neighbors, so that one vector load reads
+many z, and the last slab is padded. A `Table` is a small or odd-shaped array in plain C order. The device siblings
 of a definition receive the declared arguments in order, then one 32-bit integer ``n_<axis>`` for every named axis.
 """
 
@@ -18,21 +18,37 @@ from typing import Annotated, get_type_hints
 import numpy as np
 
 
+class Moved:
+    """What a kernel does with the bytes of an array."""
+
+    writes: bool
+    updates: bool
+    """Whether it also reads what stands there before it writes."""
+
+    @property
+    def reads(self) -> bool:
+        """Whether what stands in the array before a launch matters."""
+        return self.updates or not self.writes
+
+
 @dataclass(frozen=True)
-class Field:
+class Field(Moved):
     """A float32 array ``[major, minor, z]`` in the device's lane layout."""
 
     axes: tuple[str, str, str]
     writes: bool = False
+    updates: bool = False
+    dtype = "float32"
 
 
 @dataclass(frozen=True)
-class Table:
-    """An array in plain C order; axes given as digits are fixed sizes."""
+class Table(Moved):
+    """An array in plain C order; axes given as digits have that length."""
 
     dtype: str
     axes: tuple[str, ...]
     writes: bool = False
+    updates: bool = False
 
 
 @dataclass(frozen=True)
@@ -44,10 +60,13 @@ class Scalar:
 
 Volume = Annotated[np.ndarray, Field(("x", "y", "z"))]
 VolumeOut = Annotated[np.ndarray, Field(("x", "y", "z"), writes=True)]
+VolumeInOut = Annotated[np.ndarray, Field(("x", "y", "z"), writes=True, updates=True)]
 Sinogram = Annotated[np.ndarray, Field(("angle", "r", "z"))]
 SinogramOut = Annotated[np.ndarray, Field(("angle", "r", "z"), writes=True)]
+SinogramInOut = Annotated[np.ndarray, Field(("angle", "r", "z"), writes=True, updates=True)]
 Array = Annotated[np.ndarray, Field(("i", "j", "z"))]
 ArrayOut = Annotated[np.ndarray, Field(("i", "j", "z"), writes=True)]
+ArrayInOut = Annotated[np.ndarray, Field(("i", "j", "z"), writes=True, updates=True)]
 Real = Annotated[float, Scalar("float32")]
 Integer = Annotated[int, Scalar("int32")]
 
@@ -58,21 +77,29 @@ class Tiling:
 
     Of a table it is ``minor`` samples along the last axis; Warp's threads take one each.
     group counts the work items of a GPU's work-group along (minor × lanes, major, slabs): a sample's lanes are never
-    parted, and there are no more along slabs (1 if left out) than a field has.
+    parted, and there are no more along slabs (1 if left out) than a field has. registers: of a work item on NVIDIA's
+    OpenCL, at most; 0 leaves them to the compiler.
     """
 
     major: int = 1
     minor: int = 1
     slabs: int = 1
     group: tuple[int, ...] = (256, 1)
+    registers: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """One declared kernel: its definition, arguments, and the field whose samples its work items share out."""
+    """One declared kernel: its definition, arguments, and the field whose samples its work items share out.
+
+    reach: which other slices a slice's result depends on. Nothing: none. An axis: as many to either side as its length
+    less one. A table along z: those of another field, from its entry on, as many as the axis ``tap``. "all": any. A
+    kernel over a table reaches along "part" where partial results of partial results are the result.
+    """
 
     definition: Callable[..., None]
     over: str
+    reach: str = ""
     cpu: Tiling = Tiling()
     gpu: Tiling = Tiling()
     constants: dict[str, dict[str, int]] = field(default_factory=dict)
@@ -117,7 +144,7 @@ class Kernel:
         for name, shape in shapes.items():
             axes = self.arguments[name].axes  # type: ignore[union-attr]
             if len(axes) != len(shape):
-                raise ShapeMismatch(f"{self.name}: {name} has shape {shape}; wanted axes [{', '.join(axes)}]")
+                raise ShapeMismatch(f"{self.name}: {name} has shape {shape}; expected axes [{', '.join(axes)}]")
             for axis, size in zip(axes, shape, strict=True):
                 wanted = int(axis) if axis.isdigit() else sizes.setdefault(axis, size)
                 owner.setdefault(axis, name)
@@ -129,7 +156,12 @@ class Kernel:
 
 
 def kernel(
-    over: str, *, cpu: Tiling = Tiling(), gpu: Tiling = Tiling(), constants: dict[str, dict[str, int]] | None = None
+    over: str,
+    *,
+    reach: str = "",
+    cpu: Tiling = Tiling(),
+    gpu: Tiling = Tiling(),
+    constants: dict[str, dict[str, int]] | None = None,
 ) -> Callable[[Callable[..., None]], Kernel]:
     """Declare the decorated NumPy definition as a kernel whose items share out the field ``over``.
 
@@ -137,6 +169,6 @@ def kernel(
     """
 
     def declare(definition: Callable[..., None]) -> Kernel:
-        return Kernel(definition, over, cpu, gpu, constants or {})
+        return Kernel(definition, over, reach, cpu, gpu, constants or {})
 
     return declare

@@ -80,7 +80,7 @@ static inline void mark(__global float *when, Vector before, Vector after, float
     *(__global Vector *)when = select(*(__global Vector *)when, at, now);
 }
 
-// Nothing rather than next to nothing: arithmetic with denormal numbers is slow.
+// Values of at most NOTHING become 0: arithmetic with denormal numbers is slow.
 static inline Vector settled(Vector value) {
     return select((Vector)(0.0f), value, value > (Vector)(NOTHING));
 }

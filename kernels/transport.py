@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.signature import Integer, Real, Table, Tiling, Volume, VolumeOut, kernel
+from vamgpu.kernels.signature import Integer, Real, Table, Tiling, Volume, VolumeInOut, VolumeOut, kernel
 
 Open = Annotated[np.ndarray, Table("uint8", ("x", "y"))]  # 1 where a column of voxels is resin, 0 where it is wall
 Spread = Annotated[np.ndarray, Table("float32", ("3", "3"))]  # species, axis: D·Δt/d²
@@ -24,6 +24,7 @@ NOTHING = 1e-20
 
 @kernel(
     over="a_out",
+    reach="all",
     cpu=Tiling(major=32, minor=0, slabs=1 << 20),
     gpu=Tiling(major=8, minor=1, group=(128, 1)),
 )
@@ -47,7 +48,7 @@ def transport(
     a_out: VolumeOut,
     b_out: VolumeOut,
     c_out: VolumeOut,
-    dose: VolumeOut,
+    dose: VolumeInOut,
     optical_time: VolumeOut,
     mechanical_time: VolumeOut,
 ) -> None:
@@ -109,5 +110,5 @@ def _react(
 
 
 def _settled(value: np.ndarray) -> np.ndarray:
-    """Nothing rather than next to nothing, or less."""
+    """Values of at most `NOTHING`, negative ones too, become 0."""
     return np.where(value > NOTHING, value, 0.0)

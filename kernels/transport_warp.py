@@ -8,9 +8,9 @@ from vamgpu.kernels.wide_warp import Flat, read, read_one, write
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-TINY = wp.constant(1.0e-30)
-NOTHING = wp.constant(1.0e-20)
-RUN = wp.constant(8)  # of samples along x that a thread goes through
+TINY = 1.0e-30
+NOTHING = 1.0e-20
+RUN = 8  # of samples along x that a thread goes through
 
 
 @wp.func
@@ -20,7 +20,7 @@ def same(value: float):
 
 @wp.func
 def spread_one(
-    s: Flat, spread: wp.array2d(dtype=float), walls: wp.array3d(dtype=float), species: int, slab: int, x: int, y: int,
+    s: Flat, spread: wp.array2d[float], walls: wp.array3d[float], species: int, slab: int, x: int, y: int,
     lane: int, lanes: int, passes: wp.vec4, n_x: int, n_y: int, n_z: int,
 ):  # fmt: skip
     """What a species becomes by diffusion; passes holds 1 for the open faces x low, x high, y low, y high."""
@@ -77,7 +77,7 @@ def crossing(when: float, before: float, after: float, level: float, time: float
 
 
 @wp.func
-def passages(open: wp.array2d(dtype=wp.uint8), x: int, y: int, n_x: int, n_y: int):
+def passages(open: wp.array2d[wp.uint8], x: int, y: int, n_x: int, n_y: int):
     passes = same(1.0)
     if x > 0:
         passes[0] = float(open[x - 1, y])
@@ -92,34 +92,12 @@ def passages(open: wp.array2d(dtype=wp.uint8), x: int, y: int, n_x: int, n_y: in
 
 @wp.kernel
 def transport(
-    a: Flat,
-    b: Flat,
-    c: Flat,
-    visible: Flat,
-    ultraviolet: Flat,
-    open: wp.array2d(dtype=wp.uint8),
-    spread: wp.array2d(dtype=float),
-    walls: wp.array3d(dtype=float),
-    rates: wp.array(dtype=float),
-    order: int,
-    reacting: int,
-    optical: float,
-    mechanical: float,
-    time: float,
-    steps: int,
-    scratch: wp.array2d(dtype=float),
-    a_out: Flat,
-    b_out: Flat,
-    c_out: Flat,
-    dose: Flat,
-    optical_time: Flat,
-    mechanical_time: Flat,
-    n_x: int,
-    n_y: int,
-    n_z: int,
-    n_part: int,
-    n_room: int,
-):
+    a: Flat, b: Flat, c: Flat, visible: Flat, ultraviolet: Flat, open: wp.array2d[wp.uint8],
+    spread: wp.array2d[float], walls: wp.array3d[float], rates: wp.array[float], order: int,
+    reacting: int, optical: float, mechanical: float, time: float, steps: int, scratch: wp.array2d[float],
+    a_out: Flat, b_out: Flat, c_out: Flat, dose: Flat, optical_time: Flat, mechanical_time: Flat,
+    n_x: int, n_y: int, n_z: int, n_part: int, n_room: int,
+) -> None:  # fmt: skip
     slab, run, y, lane = wp.tid()
     lanes = a.shape[1] // (n_x * n_y)
     for x in range(RUN * run, wp.min(RUN * run + RUN, n_x)):

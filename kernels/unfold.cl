@@ -106,7 +106,7 @@ FIELD_KERNEL mix_poses(__global const float *restrict source, __global const int
                        __global float *restrict target, int n_source_major, int n_i, int n_z, int n_row, int n_entry,
                        int n_target_major) {
     const int m_begin = ITEM_MAJOR * TILE_MAJOR, m_end = min(m_begin + TILE_MAJOR, n_target_major);
-    const int i_begin = TILE_MINOR ? ITEM_MINOR : 0, i_end = TILE_MINOR ? min(i_begin + 1, n_i) : n_i;
+    const int i_begin = MINOR_BEGIN, i_end = MINOR_END(n_i);
     source += slab_offset(n_source_major, n_i);
     target += slab_offset(n_target_major, n_i);
     for (int m = m_begin; m < m_end; m++)

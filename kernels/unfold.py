@@ -35,7 +35,7 @@ def shift_window(
     """target[m·phases + c, n, z] = Σ over the bands of row c·minors + n of Σ_k w[k]·source[m·step + first + k, minor].
 
     Bands ``rows[row]`` to ``rows[row + 1]`` belong to a row; a band is (minor of the source, first, begin, count) and
-    its weights begin at ``weights[begin]``, filled up to fours with zeros. What lies outside the source is nothing.
+    its weights begin at ``weights[begin]``, filled up to fours with zeros. Outside the source, samples count as 0.
     """
     majors, minors = target.shape[:2]
     length, flat = source.shape[0], weights.reshape(-1)

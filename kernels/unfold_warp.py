@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.wide_warp import Flat, read
+from vamgpu.kernels.wide_warp import Flat, Vectors, read
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-TOGETHER = wp.constant(8)
+TOGETHER = 8
 
 
 @wp.func
 def seen(field: Flat, slab: int, index: int, length: int, at: int, column: int):
-    """Sample ``index`` of the source, or nothing outside it."""
+    """Sample ``index`` of the source, 0 outside it."""
     value = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if index >= 0 and index < length:
         value = read(field, slab, at + index * column)
@@ -25,22 +25,11 @@ def seen(field: Flat, slab: int, index: int, length: int, at: int, column: int):
 
 @wp.kernel
 def shift_window(
-    source: wp.array2d(dtype=wp.vec4),
-    rows: wp.array1d(dtype=wp.int32),
-    bands: wp.array2d(dtype=wp.int32),
-    weights: wp.array2d(dtype=float),
-    step: int,
-    phases: int,
-    target: wp.array2d(dtype=wp.vec4),
-    n_source_major: int,
-    n_source_minor: int,
-    n_z: int,
-    n_row: int,
-    n_band: int,
-    n_chunk: int,
-    n_target_major: int,
+    source: Flat, rows: wp.array1d[wp.int32], bands: wp.array2d[wp.int32],
+    weights: wp.array2d[float], step: int, phases: int, target: Flat,
+    n_source_major: int, n_source_minor: int, n_z: int, n_row: int, n_band: int, n_chunk: int, n_target_major: int,
     n_target_minor: int,
-):
+) -> None:  # fmt: skip
     slab, begin, n, lane = wp.tid()
     lanes = target.shape[1] // (n_target_major * n_target_minor)
     launched = (n_target_major + TOGETHER - 1) // TOGETHER
@@ -129,18 +118,10 @@ def shift_window(
 
 @wp.kernel
 def mix_poses(
-    source: wp.array4d(dtype=wp.vec4),
-    rows: wp.array1d(dtype=wp.int32),
-    indices: wp.array1d(dtype=wp.int32),
-    shares: wp.array1d(dtype=float),
-    target: wp.array4d(dtype=wp.vec4),
-    n_source_major: int,
-    n_i: int,
-    n_z: int,
-    n_row: int,
-    n_entry: int,
-    n_target_major: int,
-):
+    source: Vectors, rows: wp.array1d[wp.int32], indices: wp.array1d[wp.int32],
+    shares: wp.array1d[float], target: Vectors,
+    n_source_major: int, n_i: int, n_z: int, n_row: int, n_entry: int, n_target_major: int,
+) -> None:  # fmt: skip
     slab, m, i, lane = wp.tid()
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     for e in range(rows[m], rows[m + 1]):

@@ -1,12 +1,5 @@
 #include "partial.h"
 
-#define ARRAY __global const float *
-#define SIZES int n_i, int n_j, int n_z
-#define MINE (part_index(n_i, n_j, n_z) >= 0)
-#define EACH_VECTOR_AT                                                                                                 \
-    const size_t slab = slab_offset(n_i, n_j);                                                                         \
-    EACH_SAMPLE for (size_t at = slab + SAMPLE(i, j, n_j), end = at + 1; at < end; at++) EACH_VECTOR
-
 #ifdef COMPILE_linear
 FIELD_KERNEL linear(float a, ARRAY x, float b, ARRAY y, float floor, __global float *out, SIZES) {
     if (!MINE) return;
@@ -14,12 +7,19 @@ FIELD_KERNEL linear(float a, ARRAY x, float b, ARRAY y, float floor, __global fl
 }
 #endif
 
-#ifdef COMPILE_free_gradient
+#ifdef COMPILE_multiply
+FIELD_KERNEL multiply(ARRAY x, ARRAY y, __global float *out, SIZES) {
+    if (!MINE) return;
+    EACH_VECTOR_AT STORE(out + at, LOAD(x + at) * LOAD(y + at));
+}
+#endif
+
+#ifdef COMPILE_apply_penalty
 static inline Vector raised(Vector x, float power) {
     return power == 0.0f ? (Vector)(1.0f) : power == 1.0f ? x : power == 3.0f ? x * x * x : pow(x, (Vector)(power));
 }
 
-FIELD_KERNEL free_gradient(ARRAY light, float weight, float power, int hold, __global float *gradient,
+FIELD_KERNEL apply_penalty(ARRAY light, float weight, float power, int hold, __global float *gradient,
                            __global float *restrict parts, SIZES, int n_part) {
     const int part = part_index(n_i, n_j, n_z);
     if (part < 0 || part >= n_part) return;
@@ -35,14 +35,12 @@ FIELD_KERNEL free_gradient(ARRAY light, float weight, float power, int hold, __g
         }
         STORE(gradient + at, select(value, fmin(value, ZERO), (from <= ZERO) & (Lanes)(hold ? -1 : 0)));
     }
-    float result = 0.0f;
-    EACH_VECTOR result += across_lanes(sum[v], 0);
-    parts[part] = weight * result;
+    parts[part] = weight * sum_of(sum);
 }
 #endif
 
-#ifdef COMPILE_paint
-FIELD_KERNEL paint(ARRAY target, float low, float high, float reach, __global float *model, SIZES) {
+#ifdef COMPILE_fill_background
+FIELD_KERNEL fill_background(ARRAY target, float low, float high, float reach, __global float *model, SIZES) {
     if (!MINE) return;
     EACH_VECTOR_AT {
         const int near = disc_distance(i, j, n_i, n_j) <= reach * reach;

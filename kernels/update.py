@@ -6,7 +6,7 @@ import numpy as np
 
 from vamgpu.kernels.reduce import CPU, Parts, disc
 from vamgpu.kernels.reduce import GPU as PARTIAL
-from vamgpu.kernels.signature import Array, ArrayOut, Integer, Real, Tiling, kernel
+from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Integer, Real, Tiling, kernel
 
 GPU = Tiling(major=1, minor=1)
 
@@ -17,9 +17,15 @@ def linear(a: Real, x: Array, b: Real, y: Array, floor: Real, out: ArrayOut) -> 
     out[...] = np.maximum(floor, a * x + b * y)
 
 
+@kernel(over="out", cpu=CPU, gpu=GPU)
+def multiply(x: Array, y: Array, out: ArrayOut) -> None:
+    """out = x·y; out may be x or y."""
+    out[...] = x * y
+
+
 @kernel(over="gradient", cpu=CPU, gpu=PARTIAL)
-def free_gradient(light: Array, weight: Real, power: Real, hold: Integer, gradient: ArrayOut, parts: Parts) -> None:
-    """Add the derivative of weight·light^power to the gradient, then, with ``hold``, hold what cannot follow it.
+def apply_penalty(light: Array, weight: Real, power: Real, hold: Integer, gradient: ArrayInOut, parts: Parts) -> None:
+    """Add the derivative of weight·light^power to the gradient, then, with ``hold``, stop dark light from falling.
 
     Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where it would make dark light (≤ 0) negative: a
     filter or a metric applied to what is left keeps it a direction of descent. power ≥ 1.
@@ -34,19 +40,19 @@ def free_gradient(light: Array, weight: Real, power: Real, hold: Integer, gradie
 
 
 @kernel(over="model", cpu=CPU, gpu=GPU)
-def paint(target: Array, low: Real, high: Real, reach: Real, model: ArrayOut) -> None:
+def fill_background(target: Array, low: Real, high: Real, reach: Real, model: ArrayOut) -> None:
     """model = low + (high − low)·target within ``reach`` samples of the axis, 0 beyond."""
     model[...] = (low + (high - low) * target) * disc(model.shape[0], model.shape[1], reach)[:, :, None]
 
 
 @kernel(over="model", cpu=CPU, gpu=GPU)
 def correct_by_ratio(
-    dose: Array, scale: Real, target: Array, low: Real, high: Real, most: Real, model: ArrayOut
+    dose: Array, scale: Real, target: Array, low: Real, high: Real, most: Real, model: ArrayInOut
 ) -> None:
-    """model ·= wanted / dose, the ratio within 1/most … most; wanted = low + (high − low)·target, dose times scale."""
-    wanted = low + (high - low) * target
-    floor = wanted / most
-    model *= np.minimum(most, wanted / np.maximum(np.maximum(dose * scale, floor), 1e-30))
+    """model ·= goal / (scale·dose), the ratio within 1/most … most; goal = low + (high − low)·target."""
+    goal = low + (high - low) * target
+    floor = goal / most
+    model *= np.minimum(most, goal / np.maximum(np.maximum(dose * scale, floor), 1e-30))
 
 
 @kernel(over="model", cpu=CPU, gpu=GPU)
@@ -59,7 +65,7 @@ def correct_by_difference(
     gain_outside: Real,
     gain_inside: Real,
     reach: Real,
-    model: ArrayOut,
+    model: ArrayInOut,
 ) -> None:
     """Lower the model where a void has more than ``low``, raise it where the part has less than ``high``.
 

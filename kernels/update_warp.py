@@ -5,32 +5,31 @@ from __future__ import annotations
 import warp as wp
 
 from vamgpu.kernels.partial_warp import ROWS, disc_distance, part_index, real_lanes
+from vamgpu.kernels.wide_warp import Vectors
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-Vectors = wp.array4d(dtype=wp.vec4)
-
 
 @wp.kernel
-def linear(a: float, x: Vectors, b: float, y: Vectors, floor: float, out: Vectors, n_i: int, n_j: int, n_z: int):
+def linear(
+    a: float, x: Vectors, b: float, y: Vectors, floor: float, out: Vectors, n_i: int, n_j: int, n_z: int
+) -> None:
     slab, i, j, lane = wp.tid()
     lowest = wp.vec4(floor, floor, floor, floor)
     out[slab, i, j, lane] = wp.max(lowest, a * x[slab, i, j, lane] + b * y[slab, i, j, lane])
 
 
 @wp.kernel
-def free_gradient(
-    light: Vectors,
-    weight: float,
-    power: float,
-    hold: int,
-    gradient: Vectors,
-    parts: wp.array(dtype=float),
-    n_i: int,
-    n_j: int,
-    n_z: int,
-    n_part: int,
-):
+def multiply(x: Vectors, y: Vectors, out: Vectors, n_i: int, n_j: int, n_z: int) -> None:
+    slab, i, j, lane = wp.tid()
+    out[slab, i, j, lane] = wp.cw_mul(x[slab, i, j, lane], y[slab, i, j, lane])
+
+
+@wp.kernel
+def apply_penalty(
+    light: Vectors, weight: float, power: float, hold: int, gradient: Vectors, parts: wp.array[float],
+    n_i: int, n_j: int, n_z: int, n_part: int,
+) -> None:  # fmt: skip
     slab, tile, j, lane = wp.tid()
     count = real_lanes(slab, lane, light.shape[3], n_z)
     result = float(0.0)
@@ -51,7 +50,9 @@ def free_gradient(
 
 
 @wp.kernel
-def paint(target: Vectors, low: float, high: float, reach: float, model: Vectors, n_i: int, n_j: int, n_z: int):
+def fill_background(
+    target: Vectors, low: float, high: float, reach: float, model: Vectors, n_i: int, n_j: int, n_z: int
+) -> None:
     slab, i, j, lane = wp.tid()
     value = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if disc_distance(i, j, n_i, n_j) <= reach * reach:
@@ -61,17 +62,9 @@ def paint(target: Vectors, low: float, high: float, reach: float, model: Vectors
 
 @wp.kernel
 def correct_by_ratio(
-    dose: Vectors,
-    scale: float,
-    target: Vectors,
-    low: float,
-    high: float,
-    most: float,
-    model: Vectors,
-    n_i: int,
-    n_j: int,
-    n_z: int,
-):
+    dose: Vectors, scale: float, target: Vectors, low: float, high: float, most: float, model: Vectors,
+    n_i: int, n_j: int, n_z: int,
+) -> None:  # fmt: skip
     slab, i, j, lane = wp.tid()
     value = model[slab, i, j, lane]
     doses = dose[slab, i, j, lane]
@@ -85,19 +78,10 @@ def correct_by_ratio(
 
 @wp.kernel
 def correct_by_difference(
-    dose: Vectors,
-    scale: float,
-    target: Vectors,
-    low: float,
-    high: float,
-    gain_outside: float,
-    gain_inside: float,
-    reach: float,
-    model: Vectors,
-    n_i: int,
-    n_j: int,
-    n_z: int,
-):
+    dose: Vectors, scale: float, target: Vectors, low: float, high: float, gain_outside: float, gain_inside: float,
+    reach: float, model: Vectors,
+    n_i: int, n_j: int, n_z: int,
+) -> None:  # fmt: skip
     slab, i, j, lane = wp.tid()
     if disc_distance(i, j, n_i, n_j) <= reach * reach:
         value = model[slab, i, j, lane]

@@ -96,20 +96,17 @@ COUNT_KERNEL count_crossings(__global const int *restrict triangles, __global co
 }
 
 #ifdef COMPILE_voxelize
-
-static inline size_t place(int x, int y, int z, int n_x, int n_y) {
-    return (((size_t)(z / LANES) * n_x + x) * n_y + y) * LANES + z % LANES;
-}
+#define PLACE(x, y, z) slice_offset(x, y, z, n_x, n_y, LANES)
 
 // From height h on, all voxels of a column change by weight; the voxel that h cuts, by its part above h.
 static inline void change(__global float *volume, int x, int y, int h, float weight, int bits,
                           int n_x, int n_y, int n_z) {
     const int z = max(h, 0) >> bits, below = max(h, 0) - (z << bits);
-    if (z < n_z) volume[place(x, y, z, n_x, n_y)] += weight * ((1 << bits) - below);
-    if (below && z + 1 < n_z) volume[place(x, y, z + 1, n_x, n_y)] += weight * below;
+    if (z < n_z) volume[PLACE(x, y, z)] += weight * ((1 << bits) - below);
+    if (below && z + 1 < n_z) volume[PLACE(x, y, z + 1)] += weight * below;
 }
 
-// Shell's sort of code[0..n): lists are short, and nothing but the list is needed.
+// Shell's sort of code[0..n): lists are short, and no other memory is needed.
 static inline void sort(__global int *code, int n) {
     int gap = 1;
     while (gap < n / 3) gap = 3 * gap + 1;
@@ -147,7 +144,7 @@ static inline int2 walk(__global const int *code, int n, int x, int y, int bits,
 static inline float settle(__global float *volume, int x, int y, int2 reach, int n_x, int n_y, int n_z) {
     float inside = 0.0f, sum = 0.0f;
     for (int z = reach.x; z < n_z && (z <= reach.y || inside > 0.0f); z++) {
-        __global float *voxel = volume + place(x, y, z, n_x, n_y);
+        __global float *voxel = volume + PLACE(x, y, z);
         inside += *voxel;
         *voxel = inside;
         sum += inside;
@@ -165,7 +162,7 @@ FIELD_KERNEL voxelize(__global const int *restrict triangles, __global const int
     const int slabs = (n_z + LANES - 1) / LANES;
     for (int slab = 0; slab < slabs; slab++)
         for (int x = low.x; x < high.x; x++) {
-            __global float *line = volume + place(x, low.y, slab * LANES, n_x, n_y);
+            __global float *line = volume + PLACE(x, low.y, slab * LANES);
             for (int k = 0; k < (high.y - low.y) * LANES; k++) line[k] = 0.0f;
         }
     for (int x = low.x; x < high.x; x++)

@@ -1,4 +1,4 @@
-"""Reading four lanes at once in Warp.
+"""Fields as Warp kernels see them, and reading four lanes of one at once.
 
 Warp aligns its vec4 to four bytes, so a plain read becomes four loads of one float each; fields are aligned to sixteen.
 """
@@ -9,18 +9,24 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-Flat = wp.array2d(dtype=wp.vec4)  # a field, flat per slab: [slab, sample · lane]
+Vectors = wp.array4d[wp.vec4]  # a field: [slab, major, minor, lane]
+Flat = wp.array2d[wp.vec4]  # a field, flat per slab: [slab, sample · lane]
 
 
-@wp.func_native("""
-    const char* at = (const char*)field.data + (size_t)slab * field.strides[0] + (size_t)index * 16;
+READ_WIDE = """
 #if defined(__CUDA_ARCH__)
     const float4 wide = *(const float4*)at;
     return wp::vec4(wide.x, wide.y, wide.z, wide.w);
 #else
     return *(const wp::vec4*)at;
 #endif
-""")
+"""
+"""End of a native function: four floats at the address ``at``."""
+
+
+@wp.func_native(
+    "const char* at = (const char*)field.data + (size_t)slab * field.strides[0] + (size_t)index * 16;" + READ_WIDE
+)
 def read(field: Flat, slab: int, index: int) -> wp.vec4:  # type: ignore[empty-body]
     ...
 
@@ -33,8 +39,7 @@ def read(field: Flat, slab: int, index: int) -> wp.vec4:  # type: ignore[empty-b
     *(wp::vec4*)at = value;
 #endif
 """)
-def write(field: Flat, slab: int, index: int, value: wp.vec4):
-    ...
+def write(field: Flat, slab: int, index: int, value: wp.vec4): ...
 
 
 @wp.func_native("""
@@ -43,3 +48,11 @@ def write(field: Flat, slab: int, index: int, value: wp.vec4):
 """)
 def read_one(field: Flat, slab: int, index: int, k: int) -> float:  # type: ignore[empty-body]
     ...
+
+
+@wp.func
+def slice_of(field: Vectors, major: int, minor: int, z: int):
+    """Slice z of a sample: neighbors in z lie in one slab, or in the next."""
+    lanes = 4 * field.shape[3]
+    vector = field[z // lanes, major, minor, (z % lanes) // 4]
+    return vector[z % 4]

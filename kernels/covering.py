@@ -1,0 +1,58 @@
+"""Prices of a dose, raised until no pixel gains: what certifies that no light has a wider process window.
+
+Where the prices of all limits cost every pixel at least what they pay it, they bound the window of any light. Prices of
+a run that has not ended pay some pixels too much. A cover is what these prices are raised by: light on the pixels that
+are paid too much, exposed, so that it costs them most. Light grows where the cover is short, and the cover is
+scaled to the pixel where it is shortest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vamgpu.kernels.reduce import CPU, Parts, disc
+from vamgpu.kernels.reduce import GPU as PARTIAL
+from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real, Tiling, kernel
+
+GPU = Tiling(major=1, minor=1)
+FAINT = 1e-9
+"""Least light of a pixel that is paid too much."""
+NEVER = 1e30
+"""Scale of a cover that does not reach such a pixel."""
+
+
+@kernel(over="wall", cpu=CPU, gpu=GPU)
+def divide_prices(
+    wall: Array, cap: Array, target: Array, inside: Real, outside: Real, paid: ArrayOut, cost: ArrayOut
+) -> None:
+    """paid = inside·wall in the part, 0 outside; cost = inside·cap in the part, outside·wall outside.
+
+    Prices below 0 count as 0; see `vamgpu.kernels.saddle.limit_step` for wall and cap.
+    """
+    part = target >= 0.5
+    paid[...] = np.where(part, inside * np.maximum(wall, 0.0), 0.0)
+    cost[...] = np.where(part, inside * np.maximum(cap, 0.0), outside * np.maximum(wall, 0.0))
+
+
+@kernel(over="light", cpu=CPU, gpu=GPU)
+def light_short_pixels(paid: Array, cost: Array, cover: Array, scale: Real, light: ArrayInOut) -> None:
+    """light = max(FAINT, light·(short / (scale·cover))²) where short = paid − cost > 0, else 0; 1 where cover is 0."""
+    short, reached = paid - cost, cover > 0.0
+    grown = light * (np.maximum(short, 0.0) / np.where(reached, scale * cover, 1.0)) ** 2
+    light[...] = np.where(short > 0.0, np.where(reached, np.clip(grown, FAINT, 1.0), 1.0), 0.0)
+
+
+@kernel(over="cover", cpu=CPU, gpu=GPU)
+def level_cover(rows: Array, reach: Real, cover: ArrayInOut) -> None:
+    """cover = cover / rows within ``reach`` samples of the axis where rows > 0, else 0."""
+    near = disc(cover.shape[0], cover.shape[1], reach)[:, :, None] & (rows > 0)
+    cover[...] = np.where(near, cover / np.where(near, rows, 1.0), 0.0)
+
+
+@kernel(over="paid", cpu=CPU, gpu=PARTIAL)
+def cover_scale(paid: Array, cost: Array, cover: Array, keep: Real, highs: Parts) -> None:
+    """max highs = greatest (keep·paid − cost) / cover of all pixels where that is > 0; NEVER where their cover is 0."""
+    short, reached = keep * paid - cost, cover > 0.0
+    scales = np.where(short > 0.0, np.where(reached, short / np.where(reached, cover, 1.0), NEVER), 0.0)
+    highs[...] = 0.0
+    highs[0] = scales.max(initial=0.0)

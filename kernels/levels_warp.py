@@ -1,0 +1,123 @@
+"""Warp sibling of `levels`; a thread owns a strip of pixels, on a GPU of one."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from vamgpu.kernels.curethrough_warp import added, bit_of
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+BEYOND = 1 << 20
+NEVER = 1e30
+START_X = 0.7548776662466927
+START_Y = 0.5698402909980532
+
+
+@wp.func
+def run_ahead(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x: int, solid: int):
+    """Slices before a block that are like its first, which is void or solid."""
+    if block > 0:
+        n_word = words.shape[0]
+        run = int(0)
+        j = block - 1
+        while j >= 0 and j > block - n_word:
+            word = words[j % n_word, y, x]
+            n = int(31)
+            while n >= 0 and bit_of(word, n) == solid:
+                n -= 1
+                run += 1
+            if n >= 0:
+                return run
+            j -= 1
+        if j >= 0 or solid == 0 or platform != 0:
+            run += BEYOND
+        return run
+    if solid == 1 and platform == 0:
+        return 0
+    return BEYOND
+
+
+@wp.func
+def run_of(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x: int, n: int, solid: int):
+    """Slices before slice n of a block that are like it."""
+    word = words[block % words.shape[0], y, x]
+    k = n - 1
+    while k >= 0 and bit_of(word, k) == solid:
+        k -= 1
+    if k >= 0:
+        return n - 1 - k
+    return n + run_ahead(words, block, platform, y, x, solid)
+
+
+@wp.kernel
+def correct_slices(
+    words: wp.array3d[wp.uint32], block: int, light: wp.array[float], edges: wp.array[float],
+    first: wp.array[wp.uint8], bins: float, decay: float, inner: wp.array2d[float],
+    back: wp.array[float], platform: int, reached: float, opened: float, spread: float,
+    state: wp.array3d[float], flaws: wp.array3d[int], levels: wp.array3d[wp.uint8],
+    missed: wp.array2d[int], n_word: int, n_y: int, n_x: int, n_bin: int, n_below: int, n_above: int,
+    n_void: int, n_slice: int, n_strip: int,
+) -> None:  # fmt: skip
+    y, strip = wp.tid()
+    width = (n_x + n_strip - 1) // n_strip
+    low = light[0]
+    full = light[255]
+    lost = int(0)
+    for x in range(strip * width, wp.min((strip + 1) * width, n_x)):
+        word = words[block % n_word, y, x]
+        dose = state[0, y, x]
+        rest = state[1, y, x]
+        lowest = state[2, y, x]
+        done = int(state[3, y, x])
+        lean = float(x) * START_X + float(y) * START_Y
+        shift = spread * (lean - wp.floor(lean) - 0.5)
+        run = int(0)
+        was = int(-1)
+        for k in range(n_slice):
+            n = n_slice - 1 - k
+            solid = bit_of(word, n)
+            if solid == was:
+                run -= 1
+            else:
+                run = run_of(words, block, platform, y, x, n, solid)
+            was = solid
+            target = float(0.0)
+            if solid == 1:
+                if done == 0:
+                    if dose < reached:
+                        flaws[0, y, x] = flaws[0, y, x] + 1
+                        lost += 1
+                    if lowest > opened:
+                        flaws[1, y, x] = flaws[1, y, x] + 1
+                target = inner[wp.min(done, n_below - 1), wp.min(run, n_above - 1)]
+            else:
+                target = back[wp.min(run, n_void - 1)]
+            wanted = target - dose + decay * dose
+            level = int(0)
+            if wanted >= full:
+                level = int(255)
+            elif wanted > low:
+                aim = wanted + shift
+                place = int((wp.clamp(aim, low, full) - low) * bins)
+                level = int(first[wp.clamp(place, 0, n_bin - 1)])
+                while level < 255 and aim > edges[level]:
+                    level += 1
+                if solid == 0 and run > 0 and level < 255 and light[level] < wanted:
+                    level += 1
+            levels[n, y, x] = wp.uint8(level)
+            before = dose
+            both = added(dose, rest, light[level] - decay * dose)
+            dose = both[0]
+            rest = both[1]
+            if solid == 1:
+                lowest = float(NEVER)
+                done += 1
+            else:
+                lowest = wp.min(wp.min(lowest, before), dose)
+                done = int(0)
+        state[0, y, x] = dose
+        state[1, y, x] = rest
+        state[2, y, x] = lowest
+        state[3, y, x] = float(done)
+    missed[y, strip] = lost

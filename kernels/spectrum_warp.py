@@ -1,0 +1,225 @@
+"""Warp siblings of `spectrum`; a thread owns four lanes of z, two complex numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from vamgpu.kernels.wide_warp import Flat, Vectors, read, write
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+ROWS = 8
+Rows: Any = wp.types.matrix(shape=(8, 4), dtype=wp.float32)
+Entry: Any = wp.types.vector(length=8, dtype=wp.float32)
+OUTPUTS = 5  # samples of a transform that a thread computes
+Outputs: Any = wp.types.matrix(shape=(5, 4), dtype=wp.float32)
+Waves: Any = wp.types.vector(length=5, dtype=wp.float32)
+Steps: Any = wp.types.vector(length=5, dtype=wp.int32)
+
+
+@wp.func
+def turned(x: wp.vec4):
+    """i times each pair of lanes."""
+    return wp.vec4(-x[1], x[0], -x[3], x[2])
+
+
+@wp.kernel
+def fold_columns(sinogram: Vectors, mirrored: int, folded: Vectors, n_k: int, n_r: int, n_z: int, n_pair: int) -> None:
+    slab, k, p, lane = wp.tid()
+    half = n_pair // 2
+    right = p
+    if mirrored != 0:
+        right = n_r // 2 + p % half
+    left = n_r - 1 - right
+    whole = mirrored == 0 or right == left
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if right < n_r and p < 2 * half and (mirrored == 0 or not whole or p < half):
+        total = sinogram[slab, k, right, lane]
+        if not whole:
+            other = sinogram[slab, k, left, lane]
+            if p < half:
+                total += other
+            else:
+                total -= other
+    folded[slab, k, p, lane] = total
+
+
+@wp.kernel
+def unfold_columns(
+    folded: Vectors, mirrored: int, sinogram: Vectors, n_k: int, n_pair: int, n_z: int, n_r: int
+) -> None:
+    slab, k, r, lane = wp.tid()
+    mirror = n_r - 1 - r
+    pair = r
+    if mirrored != 0:
+        pair = wp.max(r, mirror) - n_r // 2
+    total = folded[slab, k, pair, lane]
+    if mirrored != 0 and r != mirror:
+        other = folded[slab, k, n_pair // 2 + pair, lane]
+        if r > mirror:
+            total += other
+        else:
+            total -= other
+    sinogram[slab, k, r, lane] = total
+
+
+@wp.kernel
+def fourier(
+    source: Flat, belts: wp.array2d[int], waves: wp.array2d[float], sign: float, sink: Flat,
+    n_a: int, n_b: int, n_z: int, n_belt: int, n_wave: int, n_i: int, n_j: int,
+) -> None:  # fmt: skip
+    slab, major, minor, lane = wp.tid()
+    lanes = source.shape[1] // (n_a * n_b)
+    own = major * ((n_j + 1) // 2) + minor
+    g = int(0)
+    blocks = (belts[0, 3] + OUTPUTS - 1) // OUTPUTS
+    count = belts[0, 1] // belts[0, 3] * blocks * belts[0, 2]
+    while own >= count:
+        own -= count
+        g += 1
+        if g == n_belt:
+            return
+        blocks = (belts[g, 3] + OUTPUTS - 1) // OUTPUTS
+        count = belts[g, 1] // belts[g, 3] * blocks * belts[g, 2]
+    n = belts[g, 1]
+    rings = belts[g, 2]
+    radix = belts[g, 3]
+    done = belts[g, 4]
+    turns = n // (done * radix)
+    ring = own % rings
+    block = own // rings % blocks * OUTPUTS
+    group = own // rings // blocks
+    inner = group % done
+    start = group // done
+    phase = Steps()
+    step = Steps()
+    for o in range(OUTPUTS):
+        step[o] = (inner + wp.min(block + o, radix - 1) * done) * turns
+    sample = start * done + inner
+    along = Outputs()
+    across = Outputs()
+    for _ in range(radix):
+        at = belts[g, 6] + sample % belts[g, 7] * belts[g, 8] + sample // belts[g, 7] * belts[g, 9] + ring
+        given = read(source, slab, at * lanes + lane)
+        c = Waves()
+        s = Waves()
+        for o in range(OUTPUTS):
+            c[o] = waves[belts[g, 5] + phase[o], 0]
+            s[o] = waves[belts[g, 5] + phase[o], 1]
+            phase[o] = phase[o] + step[o]
+            if phase[o] >= n:
+                phase[o] = phase[o] - n
+        along += wp.outer(c, given)
+        across += wp.outer(s, given)
+        sample += turns * done
+    for o in range(OUTPUTS):
+        if block + o < radix:
+            out = start * done * radix + inner + (block + o) * done
+            at = belts[g, 10] + out % belts[g, 11] * belts[g, 12] + out // belts[g, 11] * belts[g, 13] + ring
+            write(sink, slab, at * lanes + lane, along[o] + sign * turned(across[o]))
+
+
+@wp.func_native("""
+    const float* at = (const float*)entries.data + start;
+    wp::vec_t<8, wp::float32> out;
+#if defined(__CUDA_ARCH__)
+    const float4 low = __ldg((const float4*)at), high = __ldg((const float4*)at + 1);
+    out[0] = low.x; out[1] = low.y; out[2] = low.z; out[3] = low.w;
+    out[4] = high.x; out[5] = high.y; out[6] = high.z; out[7] = high.w;
+#else
+    for (int i = 0; i < 8; i++) out[i] = at[i];
+#endif
+    return out;
+""")
+def eight(entries: wp.array[float], start: int) -> Entry:  # type: ignore[empty-body]
+    """Eight entries that follow each other."""
+    ...
+
+
+@wp.func
+def first_entry(entries: wp.array[float], k: int, n_k: int):
+    """Where the entries of a frequency begin."""
+    frequency = k
+    if 2 * k > n_k:
+        frequency = n_k - k
+    return frequency * (entries.shape[0] // (n_k // 2 + 1))
+
+
+@wp.func
+def tile_at(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
+    """The tile whose entries another one takes at a frequency."""
+    if 2 * k > n_k:
+        return tiles[tile, 2]
+    return tile
+
+
+@wp.kernel
+def light_rings(
+    folded: Vectors, entries: wp.array[float], tiles: wp.array2d[int], mirrored: int, spectrum: Vectors,
+    n_k: int, n_pair: int, n_z: int, n_entry: int, n_tile: int, n_cell: int,
+) -> None:  # fmt: skip
+    pair_of_slabs, k, tile, lane = wp.tid()
+    slab = 2 * pair_of_slabs
+    if slab >= spectrum.shape[0] or k >= n_k or tile >= n_tile:
+        return
+    other = wp.min(slab + 1, spectrum.shape[0] - 1)
+    half = int(0)
+    if mirrored != 0:
+        half = n_pair // 2
+    own = tile_at(tiles, tile, k, n_k)
+    entry = first_entry(entries, k, n_k) + tiles[own, 0]
+    real = Rows()
+    imaginary = Rows()
+    other_real = Rows()
+    other_imaginary = Rows()
+    for pair in range(tiles[own, 1]):
+        a = eight(entries, entry)
+        b = eight(entries, entry + ROWS)
+        real += wp.outer(a, folded[slab, k, pair, lane])
+        imaginary += wp.outer(b, folded[slab, k, half + pair, lane])
+        other_real += wp.outer(a, folded[other, k, pair, lane])
+        other_imaginary += wp.outer(b, folded[other, k, half + pair, lane])
+        entry += 2 * ROWS
+    sign = wp.where(2 * k > n_k, -1.0, 1.0)
+    for row in range(ROWS):
+        spectrum[slab, k, tile * ROWS + row, lane] = real[row] + sign * turned(imaginary[row])
+        spectrum[other, k, tile * ROWS + row, lane] = other_real[row] + sign * turned(other_imaginary[row])
+
+
+@wp.kernel
+def gather_rings(
+    spectrum: Vectors, entries: wp.array[float], tiles: wp.array2d[int], mirrored: int, folded: Vectors,
+    n_k: int, n_cell: int, n_z: int, n_entry: int, n_tile: int, n_pair: int,
+) -> None:  # fmt: skip
+    slab, k, here, lane = wp.tid()
+    half = int(0)
+    pairs = n_pair
+    if mirrored != 0:
+        half = n_pair // 2
+        pairs = half
+    first = here * ROWS
+    if slab >= folded.shape[0] or k >= n_k or first >= pairs:
+        return
+    frequency = first_entry(entries, k, n_k)
+    real = Rows()
+    imaginary = Rows()
+    for tile in range(n_tile):
+        own = tile_at(tiles, tile, k, n_k)
+        if tiles[own, 1] > first:
+            entry = frequency + tiles[own, 0] + 2 * ROWS * first
+            rings = Rows()
+            for row in range(ROWS):
+                rings[row] = spectrum[slab, k, tile * ROWS + row, lane]
+            for pair in range(ROWS):
+                real[pair] += eight(entries, entry + 2 * ROWS * pair) @ rings
+                imaginary[pair] += eight(entries, entry + 2 * ROWS * pair + ROWS) @ rings
+    sign = wp.where(2 * k > n_k, 1.0, -1.0)
+    for pair in range(ROWS):
+        difference = sign * turned(imaginary[pair])
+        if mirrored != 0:
+            folded[slab, k, first + pair, lane] = real[pair]
+            folded[slab, k, half + first + pair, lane] = difference
+        else:
+            folded[slab, k, first + pair, lane] = real[pair] + difference

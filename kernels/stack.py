@@ -1,0 +1,21 @@
+"""Slices of one field that are put among those of a taller one."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
+from vamgpu.kernels.signature import ArrayInOut, Field, Integer, Real, Tiling, kernel
+
+Source = Annotated[np.ndarray, Field(("i", "j", "source"))]
+
+
+@kernel(over="stack", cpu=Tiling(major=1, minor=0))
+def put_slices(source: Source, first: Integer, factor: Real, keep: Integer, lanes: Integer, stack: ArrayInOut) -> None:
+    """stack[i, j, first + s] = factor·source[i, j, s], added to what stands there where ``keep`` is not 0.
+
+    lanes: of the source's layout (0 where it is plain).  Other slices stay as they are.
+    """
+    room = stack[:, :, first : first + source.shape[2]]
+    room[...] = factor * source + (room if keep else 0.0)
