@@ -10,14 +10,14 @@ from vamgpu.errors import BadInput
 from vamgpu.units import NAMES
 
 QUANTITY = re.compile(r"\s*([-+]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*")
-SPELLINGS = {
+SPELLINGS: dict[str, tuple[str, ...]] = {
     "a length": ("mm", "um", "µm", "cm", "m"),
     "an absorption": ("1/mm", "/mm", "1/cm", "/cm"),
     "an irradiance": ("mW/cm2", "W/cm2", "mW/mm2"),
     "a dose": ("mJ/cm3", "J/cm3", "mJ/mm3"),
     "a speed": ("mm/min", "mm/s", "mm/h", "m/min"),
     "an angle": ("deg", "°", "rad"),
-    "a time": ("ms", "s", "us", "µs", "min"),
+    "a time": ("ms", "s", "us", "µs", "min", "h", "d"),
     "a rate": ("Hz", "kHz"),
     "a density": ("kg/m3", "g/cm3"),
     "a viscosity": ("Pa s", "mPa s"),
@@ -29,14 +29,18 @@ SPELLINGS = {
     "a temperature": ("K",),
     "a share of mass": ("wt%", "ppm"),
     "a wavelength": ("nm", "um", "µm"),
+    "a share": ("%",),
 }
 """What is measured → the units it may be written in, the most usual first; `spelled` says how else."""
+FOREIGN = {"in": 25.4, "inch": 25.4, "inches": 25.4, '"': 25.4, "mil": 0.0254, "thou": 0.0254, "ft": 304.8}
+"""Lengths that files do not take, in mm: the complaint converts them."""
 EXAMPLES = {
     "a length": "12.4 mm", "an absorption": "0.05 1/mm", "an irradiance": "65 mW/cm2", "a dose": "100 mJ/cm3",
     "a speed": "48 mm/min", "an angle": "0.5 deg", "a time": "5 ms", "a rate": "266 Hz", "a density": "1100 kg/m3",
     "a viscosity": "40 Pa s", "a lens power": "5 dpt", "a data rate": "400 MB/s", "a diffusivity": "3.27e-7 mm2/s",
     "a molar mass": "32 g/mol", "a concentration": "1 mol/m3", "a temperature": "293.15 K",
     "a share of mass": "0.4 wt%", "a wavelength": "405 nm",
+    "a share": "5 %",
 }  # fmt: skip
 
 
@@ -57,9 +61,9 @@ def positive(name: str, value: float, *, zero: bool = False) -> float:
     try:
         number = float(value) if not isinstance(value, (str, bytes)) else float("nan")
     except (TypeError, ValueError, OverflowError) as error:
-        raise BadInput(f"{name} is {value!r}; wanted a number") from error
+        raise BadInput(f"{name} is {value!r}; expected a number") from error
     if not isfinite(number) or number < 0 or (number == 0 and not zero):
-        raise BadInput(f"{name} is {value!r}; wanted a finite number {'≥' if zero else '>'} 0")
+        raise BadInput(f"{name} is {value!r}; expected a finite number {'≥' if zero else '>'} 0")
     return number
 
 
@@ -69,18 +73,39 @@ def unit_of(kind: str) -> str:
 
 
 def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False) -> float:
-    """A quantity in mm, s and mJ; ``kind`` is a key of `SPELLINGS`. Raises `ValueError` saying what was wanted."""
+    """A quantity in mm, s and mJ; ``kind`` is a key of `SPELLINGS`. Raises `ValueError` saying what was expected."""
     example = f'write it like "{EXAMPLES[kind]}"'
     if not isinstance(text, str):
-        raise ValueError(f"wanted {kind} with its unit in quotes: {example}")
+        raise ValueError(f"expected {kind} with its unit in quotes: {example}")
     match = QUANTITY.fullmatch(text)
     if match is None:
-        raise ValueError(f"wanted {kind}, a number and a unit: {example}")
+        raise ValueError(f"expected {kind}, a number and a unit: {example}")
     number, unit = float(match[1].replace("_", "")), spelled(match[2] or "")
     if unit not in SPELLINGS[kind]:
         got = f"unit {match[2]!r}" if unit else "no unit"
-        raise ValueError(f"{got}; wanted {kind} in {', '.join(SPELLINGS[kind])}: {example}")
+        if kind == "a length" and unit in FOREIGN:
+            mm = f"{number * FOREIGN[unit]:.6g} mm"
+            got, example = f"{got}: {number:g} × {FOREIGN[unit]:g} mm = {mm}", f'write it like "{mm}"'
+        raise ValueError(f"{got}; expected {kind} in {', '.join(SPELLINGS[kind])}: {example}")
     value = number * NAMES[unit]
     if not isfinite(value) or (not signed and (value < 0 or (value == 0 and not zero))):
-        raise ValueError(f"wanted {kind}{'' if signed else ' ≥ 0' if zero else ' > 0'}: {example}")
+        raise ValueError(f"expected {kind}{'' if signed else ' ≥ 0' if zero else ' > 0'}: {example}")
     return value
+
+
+SIZES = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12,
+         "KIB": 2**10, "MIB": 2**20, "GIB": 2**30, "TIB": 2**40}  # fmt: skip
+
+
+def bytes_of(text: str) -> int | None:
+    """Read a size of memory.
+
+    Args:
+        text: A number and a unit, such as ``24 GB``; bytes without one.
+
+    Returns:
+        Bytes, or None where the text is no size above zero.
+    """
+    found = re.fullmatch(r"([0-9]{1,15}(?:\.[0-9]{1,15})?)\s*([A-Za-z]*)", text.strip())
+    unit = SIZES.get(found[2].upper()) if found else None
+    return int(float(found[1]) * unit) or None if found and unit else None

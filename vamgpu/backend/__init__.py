@@ -2,6 +2,10 @@
 
 ``numpy`` · ``opencl:<platform>:<index>`` · ``warp:cpu`` · ``warp:cuda:<index>``. The default is Warp on CUDA, else an
 OpenCL GPU, else OpenCL on the CPU, else Warp on the CPU, else NumPy.
+
+Several share the slices of every field: ``warp:cuda:*`` is all of a kind, ``warp:cuda:0+warp:cuda:2`` those that are
+named. ``opencl:pocl:0@8GB`` lets fields take 8 GB of memory and keeps further ones in files, in the folder that TMPDIR
+names or in ``/var/tmp``.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import DeviceError
+from vamgpu.quantity import bytes_of
 
 if TYPE_CHECKING:
     from vamgpu.backend.device import Device
@@ -39,7 +44,19 @@ def default_device() -> str:
 
 
 def open_device(name: str | Device | None = None) -> Device:
-    """The device of that name, opened once; None opens the default. Raises `DeviceError` naming what there is."""
+    """Open the device of that name; each is opened once.
+
+    Args:
+        name: A name that `devices` lists, several joined by ``+``, all that begin alike as in ``warp:cuda:*``, an open
+            device, or None for the default.
+
+    Returns:
+        The device.
+
+    Raises:
+        DeviceError: There is no such device; the message names those there are. Or it
+            keeps no fields in files.
+    """
     if name is None:
         name = default_device()
     if isinstance(name, str):
@@ -47,13 +64,28 @@ def open_device(name: str | Device | None = None) -> Device:
     from vamgpu.backend.device import Device
 
     if not isinstance(name, Device):
-        raise DeviceError(f"got {name!r} for a device; wanted a name, one of {', '.join(devices())}, or an open device")
+        raise DeviceError(
+            f"got {name!r} for a device; expected a name, one of {', '.join(devices())}, or an open device"
+        )
     return name
 
 
 @cache
 def _open(name: str) -> Device:
+    name, limited, size = name.partition("@")
+    memory = bytes_of(size)
     kind, _, rest = name.partition(":")
+    if limited and (memory is None or name not in _opencl_names()[1]):
+        raise DeviceError(
+            f"{name}@{size} is no device; expected a processor through OpenCL, one of "
+            f"{', '.join(_opencl_names()[1]) or 'none here'}, and a size of memory, as in opencl:pocl:0@8GB"
+        )
+    if name.endswith(":*") or "+" in name:
+        from vamgpu.backend.slabs import SlabDevice
+
+        found = [each for each in devices() if each.startswith(name[:-1])] if name.endswith(":*") else name.split("+")
+        if found:
+            return SlabDevice(name, [open_device(each) for each in found])
     if name == "numpy":
         from vamgpu.backend.numpy import NumpyDevice
 
@@ -62,7 +94,7 @@ def _open(name: str) -> Device:
         from vamgpu.backend.opencl import OpenclDevice
         from vamgpu.backend.opencl_platforms import context_of
 
-        return OpenclDevice(name, context_of(name))
+        return OpenclDevice(name + limited + size, context_of(name), memory)
     if kind == "warp" and (rest == "cpu" or name in _cuda_names()) and importlib.util.find_spec("warp"):
         from vamgpu.backend.warp import WarpDevice
 

@@ -13,9 +13,14 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class DeviceArray:
-    """An array on a device: a field ``[major, minor, z]`` in lane layout (``lanes`` > 0) or a plain table (0).
+    """An array on a device: a field [major, minor, z] in lane layout (``lanes`` > 0) or a plain table (0).
 
-    shape: logical shape, padding not counted.  handle: what the device's own library calls it.
+    Attributes:
+        device: Where it lives.
+        handle: What the device's own library calls it.
+        shape: Logical shape, padding not counted.
+        dtype: NumPy type of the elements.
+        lanes: Slices z that lie together in memory.
     """
 
     device: Device
@@ -30,8 +35,34 @@ class DeviceArray:
         return self.device.stored_bytes(self.shape, self.dtype, self.lanes)
 
     def numpy(self, out: np.ndarray | None = None) -> np.ndarray:
-        """A NumPy copy of the logical array; that of a table may go to ``out``."""
+        """Copy the logical array to NumPy.
+
+        Args:
+            out: Takes the copy of a table, [shape]; None for a new array.
+
+        Returns:
+            The copy, [shape].
+        """
         return self.device.download(self, out)
+
+    def native(self) -> Any:
+        """The array as the device's own library has it, in logical shape and C order.
+
+        It shares memory with this one, or is a copy on the device where this one is in slabs; so read it, and write to
+        an array of your own.
+
+        Returns:
+            (*shape,): a `numpy.ndarray`, `warp.array` or `pyopencl.array.Array`.
+        """
+        return self.device.native(self)
+
+    def __dlpack__(
+        self, *, stream: Any = None, max_version: Any = None, dl_device: Any = None, copy: bool | None = None
+    ) -> Any:
+        return self.device.export(self, stream, max_version, dl_device, copy)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return self.device.dlpack_device
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         array = self.numpy()

@@ -6,14 +6,66 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any, final
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.ledger import Ledger
-from vamgpu.errors import BadInput, DeviceError, KernelError, ShapeMismatch
+from vamgpu.errors import BadInput, DeviceError, KernelError, ShapeMismatch, TransferForbidden
+from vamgpu.kernels.lanes import from_lanes, to_lanes
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
+from vamgpu.kernels.update import linear
+
+SMALL = 4096
+"""Transfers up to this many bytes (scalars, partial sums) are allowed everywhere."""
+HOST = (1, 0)
+"""Host memory, as DLPack names it."""
+
+
+@dataclass
+class Ledger:
+    """Transfers and memory of a device; ``transfers`` lists (direction, bytes) of everything above 4 kB."""
+
+    transfers: list[tuple[str, int]] = field(default_factory=list)
+    small: int = 0
+    allocated: int = 0
+    peak: int = 0
+    _forbidden: int = 0
+
+    def cross(self, direction: str, nbytes: int) -> None:
+        """Book a transfer; raises `TransferForbidden` for a large one inside ``forbid()``."""
+        if nbytes <= SMALL:
+            self.small += 1
+            return
+        if self._forbidden:
+            raise TransferForbidden(
+                f"{direction} of {nbytes} bytes inside no_transfers(); at most {SMALL} are allowed: "
+                "keep the array on the device, or move the transfer out of the block"
+            )
+        self.transfers.append((direction, nbytes))
+
+    def take(self, nbytes: int) -> None:
+        """Book memory that was allocated."""
+        self.allocated += nbytes
+        self.peak = max(self.peak, self.allocated)
+
+    def give(self, nbytes: int) -> None:
+        """Book memory that was freed."""
+        self.allocated -= nbytes
+
+    def reset_peak(self) -> None:
+        """Start measuring the peak from what is allocated now."""
+        self.peak = self.allocated
+
+    @contextmanager
+    def forbid(self) -> Iterator[None]:
+        """Inside, large transfers are refused; may be nested."""
+        self._forbidden += 1
+        try:
+            yield
+        finally:
+            self._forbidden -= 1
 
 
 class Device(ABC):
@@ -21,11 +73,13 @@ class Device(ABC):
 
     is_gpu = False
     """Whether it is a graphics processor, with memory of its own."""
+    dlpack_device: tuple[int, int] = HOST
+    """Type and number, as DLPack counts them, of the memory that arrays are exported in."""
 
     def __init__(self, name: str, description: str) -> None:
         self.name = name
         self.description = description
-        self.ledger = Ledger()
+        self.ledger: Ledger = Ledger()
 
     def __repr__(self) -> str:
         return f"Device({self.name!r}: {self.description})"
@@ -54,13 +108,39 @@ class Device(ABC):
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
         """Run a kernel on handles and scalars that already fit its declaration."""
 
+    def flush(self) -> None:
+        """Begin what was launched, where a driver would wait for more."""
+        return
+
     @abstractmethod
     def synchronize(self) -> None:
         """Wait until everything launched has run."""
 
     @abstractmethod
     def adopt(self, foreign: Any) -> DeviceArray:
-        """Use a foreign device array as a plain table without a copy, or refuse with `DeviceError` saying why."""
+        """Use an array of another library as a plain table, without a copy unless it is strided.
+
+        Args:
+            foreign: In this device's memory: an array of the device's own library, or any that speaks DLPack.
+
+        Returns:
+            The table, which keeps the array alive.
+
+        Raises:
+            DeviceError: The array is no such array, or elsewhere.
+        """
+
+    @abstractmethod
+    def _native(self, table: DeviceArray) -> Any:
+        """A plain table as the device's own library has it, sharing memory."""
+
+    @abstractmethod
+    def _exported(self, table: DeviceArray, copy: bool) -> Any:
+        """What exports a plain table by DLPack, sharing memory with it or not."""
+
+    def _relaid(self, array: DeviceArray, lanes: int) -> Any:
+        """A handle of the same memory for other lanes, which means the same there; None where it cannot be had."""
+        return array.handle
 
     @abstractmethod
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
@@ -109,7 +189,7 @@ class Device(ABC):
         """
         source = np.asarray(values)
         if source.dtype.kind not in "fiub":
-            raise BadInput(f"the array holds {source.dtype}; wanted real numbers")
+            raise BadInput(f"the array holds {source.dtype}; expected real numbers")
         if not table and source.ndim != 3:
             raise BadInput(f"a field has 3 axes; got an array of shape {source.shape}")
         if source.dtype.kind == "f" and not np.isfinite(source).all():
@@ -117,14 +197,119 @@ class Device(ABC):
         kind = np.dtype(dtype) if dtype is not None else (source.dtype if table else self.real)
         _check_range(source, kind)
         array = self.empty(source.shape, kind, table=table)
-        stored = np.zeros(self.stored_shape(source.shape, array.lanes), kind) if array.lanes else None
-        if stored is None:
-            stored = np.ascontiguousarray(source, kind)
-        else:
-            _pack(source, stored)
         self.ledger.cross("upload", array.nbytes)
-        self._write(array.handle, stored)
+        self._store(array, source)
         return array
+
+    def _store(self, array: DeviceArray, source: np.ndarray) -> None:
+        """Copy a NumPy array of any layout and type into an array of its shape."""
+        if array.lanes:
+            stored = np.zeros(self.stored_shape(source.shape, array.lanes), array.dtype)
+            _pack(source, stored)
+        else:
+            stored = np.ascontiguousarray(source, array.dtype)
+        self._write(array.handle, stored)
+
+    def _load(self, array: DeviceArray) -> np.ndarray:
+        """A NumPy copy in logical shape."""
+        stored = np.empty(self.stored_shape(array.shape, array.lanes), array.dtype)
+        self._read(array.handle, stored)
+        return _unpack(stored, array.shape) if array.lanes else stored
+
+    @final
+    def field(self, values: Any) -> DeviceArray:
+        """A field of any array: as it is, adopted, or copied on the device; from the host where it has to.
+
+        Args:
+            values: [major, minor, z]: of this device, NumPy's, or of any library that `adopt` knows.
+
+        Returns:
+            The field, which may share memory with the array.
+
+        Raises:
+            BadInput: The array has not three axes, is not finite, or lies on the device in another type.
+            DeviceError: The array lives elsewhere and cannot be fetched.
+        """
+        if isinstance(values, DeviceArray):
+            self.check_mine(values)
+            return self._in_lanes(values)
+        if isinstance(values, np.ndarray) or not (hasattr(values, "__dlpack__") or hasattr(values, "base_data")):
+            return self.upload(values)
+        try:
+            table = self.adopt(values)
+        except DeviceError:
+            if tuple(getattr(values, "__dlpack_device__", lambda: (0, 0))()) != HOST:
+                raise
+            return self.upload(np.from_dlpack(values))
+        return self._in_lanes(table)
+
+    def _in_lanes(self, array: DeviceArray) -> DeviceArray:
+        if array.dtype != self.real and not self.is_gpu:
+            array = self.adopt(np.from_dlpack(array).astype(self.real))
+        if len(array.shape) != 3 or array.dtype != self.real:
+            raise BadInput(
+                f"got {array!r}; a field on {self.name} has three axes of {self.real}: cast or reshape it first"
+            )
+        lanes = self.lanes_for(array.shape[2])
+        if array.lanes == lanes:
+            return array
+        handle = self._relaid(array, lanes) if array.shape[2] == lanes else None
+        if handle is not None:
+            return DeviceArray(self, handle, array.shape, array.dtype, lanes)
+        out = self.empty(array.shape)
+        self.launch(to_lanes, plain=array, field=out)
+        return out
+
+    @final
+    def plain(self, array: DeviceArray) -> DeviceArray:
+        """A field as a table in C order; shares memory where all slices lie in one slab that they fill."""
+        self.check_mine(array)
+        shared = self._shared(array)
+        if shared is not None:
+            return shared
+        out = self.empty(array.shape, array.dtype, table=True)
+        self.launch(from_lanes, field=array, plain=out)
+        return out
+
+    def _shared(self, array: DeviceArray) -> DeviceArray | None:
+        """The same memory as a table; None where slabs forbid it."""
+        if not array.lanes:
+            return array
+        handle = self._relaid(array, 0) if array.shape[2] == array.lanes else None
+        return None if handle is None else DeviceArray(self, handle, array.shape, array.dtype, 0)
+
+    @final
+    def put(self, values: Any, out: DeviceArray) -> None:
+        """Copy an array into a field, out = values.
+
+        Args:
+            values: As for `field`.
+            out: Takes the copy; of the same shape.
+        """
+        source = self.field(values)
+        self.launch(linear, a=1.0, x=source, b=0.0, y=source, floor=-3e38, out=out)
+
+    @final
+    def native(self, array: DeviceArray) -> Any:
+        """See `DeviceArray.native`."""
+        return self._native(self.plain(array))
+
+    @final
+    def export(self, array: DeviceArray, stream: Any, version: Any, where: Any, copy: bool | None) -> Any:
+        """A DLPack capsule of an array; see the protocol for the arguments. Raises `BufferError`."""
+        self.check_mine(array)
+        there = self.dlpack_device if where is None else tuple(map(int, where))
+        if there not in (HOST, self.dlpack_device):
+            raise BufferError(f"{self.name} exports to {self.dlpack_device} and to host memory; got {where}")
+        fetched = there != self.dlpack_device or (self.is_gpu and there == HOST)
+        shared = None if fetched else self._shared(array)
+        if shared is None and copy is False:
+            raise BufferError(f"{array!r} cannot be exported without a copy; leave out copy=False")
+        if fetched:
+            return array.numpy().__dlpack__(max_version=version)
+        exported = self._exported(shared or self.plain(array), bool(copy) and shared is not None)
+        known = {"max_version": version} if isinstance(exported, np.ndarray) else {}
+        return exported.__dlpack__(stream=stream, **known)
 
     def borrow(self, values: np.ndarray) -> DeviceArray:
         """A table to read that is the NumPy array itself where device and host share memory, and a copy elsewhere.
@@ -147,19 +332,20 @@ class Device(ABC):
         if out is not None:
             if array.lanes or out.shape != array.shape or out.dtype != array.dtype or not out.flags.c_contiguous:
                 raise ShapeMismatch(
-                    f"out has shape {out.shape} of {out.dtype}; wanted {array.shape} of {array.dtype}, C contiguous"
+                    f"out has shape {out.shape} of {out.dtype}; expected {array.shape} of {array.dtype}, C contiguous"
                 )
             self.ledger.cross("download", array.nbytes)
             self._read(array.handle, out)
             return out
-        stored = np.empty(self.stored_shape(array.shape, array.lanes), array.dtype)
         self.ledger.cross("download", array.nbytes)
-        self._read(array.handle, stored)
-        return _unpack(stored, array.shape) if array.lanes else stored
+        return self._load(array)
 
     @final
     def launch(self, kernel: Kernel, **bindings: Any) -> None:
-        """Run ``kernel`` with arguments bound by name; raises `KernelError` for what does not fit the declaration."""
+        """Run a kernel with arguments bound by name; an array in a number's place gives its lanes.
+
+        Raises `KernelError` for what does not fit the declaration.
+        """
         if set(bindings) != set(kernel.arguments):
             raise KernelError(
                 f"{kernel.name} takes {', '.join(kernel.arguments)}; got {', '.join(bindings) or 'nothing'}"
@@ -169,16 +355,19 @@ class Device(ABC):
         bound = {name: self._bind(kernel, name, spec, bindings[name]) for name, spec in kernel.arguments.items()}
         self._launch(kernel, bound, sizes, self.lanes_for(sizes["z"]) if "z" in sizes else 0)
 
+    def _lanes_of(self, array: DeviceArray) -> Any:
+        return np.int32(array.lanes)
+
     @final
     def _bind(self, kernel: Kernel, name: str, spec: Field | Table | Scalar, value: Any) -> Any:
         if isinstance(spec, Scalar):
-            return self.kept(spec.dtype).type(value)
+            return self._lanes_of(value) if isinstance(value, DeviceArray) else self.kept(spec.dtype).type(value)
         if not isinstance(value, DeviceArray):
             raise KernelError(f"{kernel.name}: {name} is a {type(value).__name__}; upload it to {self.name} first")
         self.check_mine(value)
-        wanted = self.real if isinstance(spec, Field) else self.kept(spec.dtype)
-        if value.dtype != wanted or (value.lanes == 0) == (isinstance(spec, Field) and self.lanes_for(1) > 0):
-            raise KernelError(f"{kernel.name}: {name} is {value!r}; wanted {wanted} {type(spec).__name__.lower()}")
+        expected = self.real if isinstance(spec, Field) else self.kept(spec.dtype)
+        if value.dtype != expected or (value.lanes == 0) == (isinstance(spec, Field) and self.lanes_for(1) > 0):
+            raise KernelError(f"{kernel.name}: {name} is {value!r}; expected {expected} {type(spec).__name__.lower()}")
         return value.handle
 
     @final
@@ -205,6 +394,18 @@ class Device(ABC):
         """Inside, a transfer above 4 kB raises `TransferForbidden`."""
         with self.ledger.forbid():
             yield
+
+
+def from_host(device: Device, foreign: Any) -> np.ndarray:
+    """A C contiguous NumPy array from host memory; a copy where that is strided or read-only. Raises `DeviceError`."""
+    try:
+        array = foreign if isinstance(foreign, np.ndarray) else np.from_dlpack(foreign)
+    except (AttributeError, TypeError, RuntimeError, ValueError, BufferError) as error:
+        raise DeviceError(
+            f"{device.name} adopts arrays in host memory that speak DLPack; got {type(foreign).__name__} ({error}): "
+            "upload a NumPy copy instead"
+        ) from error
+    return np.require(array, requirements=["C", "W"])
 
 
 def _check_range(source: np.ndarray, kind: np.dtype) -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
-from vamgpu.errors import DeviceError, OutOfMemory
+from vamgpu.backend.device import Device, from_host
+from vamgpu.errors import OutOfMemory
 from vamgpu.kernels.signature import Kernel
 
 
@@ -51,6 +51,11 @@ class NumpyDevice(Device):
         return run
 
     def adopt(self, foreign: Any) -> DeviceArray:
-        if not isinstance(foreign, np.ndarray):
-            raise DeviceError(f"numpy adopts NumPy arrays; got {type(foreign).__name__}; convert it to NumPy first")
-        return DeviceArray(self, foreign, foreign.shape, foreign.dtype, 0)
+        array = from_host(self, foreign)
+        return DeviceArray(self, array, array.shape, array.dtype, 0)
+
+    def _native(self, table: DeviceArray) -> np.ndarray:
+        return table.handle
+
+    def _exported(self, table: DeviceArray, copy: bool) -> np.ndarray:
+        return table.handle.copy() if copy else table.handle

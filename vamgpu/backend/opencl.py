@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import mmap
+import os
+import tempfile
 import warnings
+import weakref
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
+import pyopencl.array as cla
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
+from vamgpu.backend.device import Device, from_host
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Table, Tiling
 
 MOST_TOGETHER = 64
 """Items of a table kernel that PoCL runs together: it keeps the arrays of them all on one stack, and left to choose
 takes groups of thousands, which overflow it."""
+
+
+def _release(queue: cl.CommandQueue, values: Any) -> None:
+    """Let host memory go once no kernel that was launched works on it any more."""
+    queue.finish()
 
 
 def _divisor(count: int) -> int:
@@ -31,13 +41,16 @@ class OpenclDevice(Device):
     CPUs take a whole slab of 16 to 64 lanes per work item; GPUs give each item four lanes, and a slab to eight items.
     """
 
-    def __init__(self, name: str, context: cl.Context) -> None:
+    def __init__(self, name: str, context: cl.Context, memory: int | None = None) -> None:
         (device,) = context.devices
         super().__init__(name, f"{device.name.strip()} ({device.platform.name})")
-        self.is_gpu = bool(device.type & cl.device_type.GPU)
+        self.is_gpu: bool = bool(device.type & cl.device_type.GPU)
         self.context = context
-        self.queue = cl.CommandQueue(context)
+        self.memory = memory
+        """Bytes that fields take of memory before further ones are kept in files; None for any number."""
+        self.queue: cl.CommandQueue = cl.CommandQueue(context)
         self._device = device
+        self._is_nvidia = device.platform.name.startswith("NVIDIA")
         self._small_groups = "Portable Computing Language" in device.platform.name
         svm = getattr(device, "svm_capabilities", 0)
         self._shares_memory = bool(svm & cl.device_svm_capabilities.FINE_GRAIN_SYSTEM)
@@ -62,17 +75,35 @@ class OpenclDevice(Device):
                 "use a coarser grid or fewer angles"
             )
         try:
+            if lanes and self.memory is not None and self.ledger.allocated + nbytes > self.memory:
+                return self._in_file(nbytes)
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(nbytes, 4))
         except cl.Error as error:
             raise OutOfMemory(f"{self.name} has no {nbytes} bytes left for {shape} of {dtype}: {error}") from error
 
+    def _in_file(self, nbytes: int) -> cl.Buffer:
+        """Memory that is a nameless file, whose pages the system brings and takes; it goes with the buffer."""
+        folder = os.environ.get("TMPDIR") or ("/var/tmp" if os.path.isdir("/var/tmp") else None)  # /tmp may be memory
+        try:
+            with tempfile.TemporaryFile(dir=folder) as file:
+                file.truncate(-(-nbytes // mmap.PAGESIZE) * mmap.PAGESIZE)
+                mapped = mmap.mmap(file.fileno(), 0)
+        except OSError as error:
+            raise OutOfMemory(f"no file of {nbytes} bytes in {folder}: {error}; set TMPDIR to a larger disk") from error
+        pages = np.frombuffer(mapped, np.uint8)
+        weakref.finalize(pages, _release, self.queue, mapped).atexit = False
+        return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=pages)
+
     def borrow(self, values: np.ndarray) -> DeviceArray:
         if self.is_gpu or not values.flags.c_contiguous or not values.nbytes:
             return super().borrow(values)
+        return self._over(values, cl.mem_flags.READ_ONLY)
+
+    def _over(self, values: np.ndarray, access: int) -> DeviceArray:
+        """A table in a processor's memory that is the NumPy array, or a copy the driver makes."""
         handle: Any = cl.SVM(values) if self._shares_memory else None
         if handle is None:  # some drivers copy what does not begin a page
-            flags = cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR
-            handle = cl.Buffer(self.context, flags, hostbuf=values)
+            handle = cl.Buffer(self.context, access | cl.mem_flags.USE_HOST_PTR, hostbuf=values)
         return DeviceArray(self, handle, values.shape, values.dtype, 0)
 
     def lend(self, values: np.ndarray) -> DeviceArray | None:
@@ -96,6 +127,8 @@ class OpenclDevice(Device):
         options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info"]
         options += [f"-DCOMPILE_{kernel.name}", "-DGPU" if self.is_gpu else "-DCPU"]
         options += [f"-D{key}={value}" for key, value in self._constants(kernel, lanes).items()]
+        if self._is_nvidia and kernel.gpu.registers:
+            options.append(f"-cl-nv-maxrregcount={kernel.gpu.registers}")
         try:
             with warnings.catch_warnings():  # a compiler that merely talks is no news
                 warnings.simplefilter("ignore", cl.CompilerWarning)
@@ -157,6 +190,9 @@ class OpenclDevice(Device):
         except cl.Error as error:
             raise KernelError(f"{kernel.name} failed on {self.name}: {error}") from error
 
+    def flush(self) -> None:
+        self.queue.flush()
+
     def synchronize(self) -> None:
         self.queue.finish()
 
@@ -164,12 +200,48 @@ class OpenclDevice(Device):
         return run
 
     def adopt(self, foreign: Any) -> DeviceArray:
-        data, context = getattr(foreign, "base_data", None), getattr(foreign, "context", None)
-        if data is None or context != self.context:
+        if isinstance(foreign, cla.Array):
+            return self._adopt_buffer(foreign)
+        if self.is_gpu:
             raise DeviceError(
                 f"{self.name} adopts pyopencl arrays of its own context (device.context); "
                 f"got {type(foreign).__name__}; upload a NumPy copy instead"
             )
-        if foreign.offset or not foreign.flags.c_contiguous:
-            raise DeviceError("a pyopencl array must be C contiguous and start its buffer to be adopted; copy it first")
-        return DeviceArray(self, data, tuple(foreign.shape), np.dtype(foreign.dtype), 0)
+        values = from_host(self, foreign)
+        if not values.nbytes:
+            return self.upload(values, table=True)
+        table = self._over(values, cl.mem_flags.READ_WRITE)
+        weakref.finalize(table, _release, self.queue, values).atexit = False
+        return table
+
+    def _adopt_buffer(self, foreign: cla.Array) -> DeviceArray:
+        if foreign.context != self.context:
+            raise DeviceError(
+                f"{self.name} adopts pyopencl arrays of its own context (device.context); this one has "
+                f"{foreign.context}; upload a NumPy copy instead"
+            )
+        if not foreign.flags.c_contiguous:
+            raise DeviceError("a pyopencl array must be C contiguous to be adopted; copy it first")
+        foreign.finish()  # it may be computed on another queue
+        whole = foreign.copy() if foreign.offset else foreign
+        return DeviceArray(self, whole.base_data, tuple(whole.shape), np.dtype(whole.dtype), 0)
+
+    def _native(self, table: DeviceArray) -> Any:
+        if isinstance(table.handle, cl.SVM):
+            return cla.to_device(self.queue, table.handle.mem)
+        return cla.Array(self.queue, table.shape, table.dtype, data=table.handle)
+
+    def _exported(self, table: DeviceArray, copy: bool) -> np.ndarray:
+        if copy or not table.nbytes:
+            return table.numpy()
+        if isinstance(table.handle, cl.SVM):
+            self.synchronize()
+            return table.handle.mem
+        access: Any = cl.map_flags.READ | cl.map_flags.WRITE
+        mapped, _ = cl.enqueue_map_buffer(self.queue, table.handle, access, 0, table.shape, table.dtype)
+        return mapped
+
+    def _relaid(self, array: DeviceArray, lanes: int) -> Any:
+        """Vectors must lie where a driver puts buffers; memory of others need not."""
+        own = isinstance(array.handle, cl.Buffer) and not array.handle.flags & cl.mem_flags.USE_HOST_PTR
+        return array.handle if own else None

@@ -100,5 +100,5 @@ def complaint(name: str) -> str | None:
         cl.enqueue_copy(queue, got, buffer)
     except (cl.Error, RuntimeError) as error:  # a driver too old for the processor raises a plain RuntimeError
         return f"{type(error).__name__}: {str(error).strip().splitlines()[0][:160]}"
-    wanted = 2.0 * np.arange(16, dtype=np.float32)
-    return None if (got == wanted).all() else f"a trivial kernel returned {got[:4]}…, wanted {wanted[:4]}…"
+    expected = 2.0 * np.arange(16, dtype=np.float32)
+    return None if (got == expected).all() else f"a trivial kernel returned {got[:4]}…, expected {expected[:4]}…"

@@ -13,15 +13,19 @@ import numpy as np
 import warp as wp
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
+from vamgpu.backend.device import Device, from_host
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel
 
 LANES = 32
 STRIDE_LIMIT = 2**31
 """Warp keeps strides and extents in 32 bits."""
+CUDA = 2
+"""GPU memory, as DLPack names it."""
+VECTOR = 16
+"""Bytes that vectors begin at multiples of."""
 
-TYPES = {"float32": wp.float32, "int32": wp.int32, "uint8": wp.uint8, "uint32": wp.uint32}
+TYPES: dict[str, type] = {"float32": wp.float32, "int32": wp.int32, "uint8": wp.uint8, "uint32": wp.uint32}
 
 
 def start() -> None:
@@ -54,7 +58,9 @@ class WarpDevice(Device):
         except (RuntimeError, ValueError) as error:
             raise DeviceError(f"Warp has no device {device!r} here: {error}") from error
         super().__init__(name, f"{self._device.name} (Warp {wp.config.version})")
-        self.is_gpu = bool(self._device.is_cuda)
+        self.is_gpu: bool = bool(self._device.is_cuda)
+        if self.is_gpu:
+            self.dlpack_device: tuple[int, int] = (CUDA, self._device.ordinal)
 
     @property
     def real(self) -> np.dtype:
@@ -148,6 +154,8 @@ class WarpDevice(Device):
         try:
             if isinstance(foreign, wp.array):
                 array: Any = foreign
+            elif isinstance(foreign, np.ndarray):
+                array = wp.from_dlpack(from_host(self, foreign))
             elif hasattr(foreign, "__dlpack__"):
                 array = wp.from_dlpack(foreign)
             elif hasattr(foreign, "__cuda_array_interface__"):
@@ -156,9 +164,30 @@ class WarpDevice(Device):
                 raise TypeError("no __dlpack__ and no __cuda_array_interface__")
         except (TypeError, RuntimeError, ValueError, BufferError) as error:
             raise DeviceError(f"{self.name} cannot adopt a {type(foreign).__name__}: {error}") from error
-        if array.device != self._device or not array.is_contiguous:
-            raise DeviceError(f"{self.name} adopts contiguous arrays of its own device; got one on {array.device}")
+        if array.device != self._device:
+            raise DeviceError(f"{self.name} adopts arrays of its own device; got one on {array.device}")
+        if array.dtype not in TYPES.values():
+            raise DeviceError(
+                f"{self.name} adopts arrays of {', '.join(TYPES)}; got {array.dtype.__name__}: cast it first"
+            )
+        array = array if array.is_contiguous else array.contiguous()
         return DeviceArray(self, array, tuple(array.shape), np.dtype(wp.dtype_to_numpy(array.dtype)), 0)
+
+    def _native(self, table: DeviceArray) -> wp.array:
+        return table.handle
+
+    def _exported(self, table: DeviceArray, copy: bool) -> wp.array:
+        return wp.clone(table.handle) if copy else table.handle
+
+    def _relaid(self, array: DeviceArray, lanes: int) -> wp.array | None:
+        handle, (major, minor, nz) = array.handle, array.shape
+        if handle.ptr is None or handle.ptr % VECTOR:
+            return None
+        kind: Any = wp.vec4 if lanes else wp.float32
+        shape = (1, major, minor, lanes // 4) if lanes else (major, minor, nz)
+        view: Any = wp.array(ptr=handle.ptr, dtype=kind, shape=shape, device=self._device)
+        view._ref = handle  # the memory lives as long as what shows it
+        return view
 
 
 def _seen(value: Any, declared: Any) -> Any:

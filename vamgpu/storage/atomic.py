@@ -12,6 +12,10 @@ from pathlib import Path
 
 from vamgpu.errors import StorageError
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
 REMEDIES = {
     errno.ENOSPC: "the disk is full: free some space or choose another place",
     errno.EDQUOT: "the disk quota is used up: free some space or choose another place",
@@ -24,21 +28,50 @@ REMEDIES = {
 PAGES = (".html", ".htm")
 
 
-def explained(action: str, path: Path, error: OSError) -> StorageError:
-    """A `StorageError` that says what failed and what to do about it."""
-    remedy = REMEDIES.get(error.errno or 0, "check the path and the disk")
-    return StorageError(f"cannot {action} {str(path)!r}: {error.strerror or error}; {remedy}")
+def explained(action: str, path: Path, error: OSError | ValueError) -> StorageError:
+    """Explain what the system refused, and what to do about it.
+
+    Args:
+        action: What failed, a verb.
+        path: On which file or folder.
+        error: The system's error.
+
+    Returns:
+        The error to raise.
+    """
+    remedy = REMEDIES.get(getattr(error, "errno", None) or 0, "check the path and the disk")
+    return StorageError(f"cannot {action} {str(path)!r}: {getattr(error, 'strerror', None) or error}; {remedy}")
 
 
 def page_path(path: str | Path) -> Path:
-    """The path of a report, which replaces what stands there: only an .html. Raises `StorageError` for another."""
+    """Take the path of a report; a report replaces what stands there.
+
+    Args:
+        path: The path as given.
+
+    Returns:
+        The path.
+
+    Raises:
+        StorageError: It does not end in .html.
+    """
     if Path(path).suffix.lower() not in PAGES:
-        raise StorageError(f"the report {str(path)!r} would be a page; wanted a path ending in .html: choose another")
+        raise StorageError(f"the report {str(path)!r} would be a page; expected a path ending in .html: choose another")
     return Path(path)
 
 
 def named(path: Path) -> Path:
-    """The whole path, so that it has a name even where it was given as ``.``. Raises `StorageError` for one without."""
+    """Make a path whole, so that it has a name even where it was given as ``.``.
+
+    Args:
+        path: The path as given.
+
+    Returns:
+        The whole path.
+
+    Raises:
+        StorageError: It has no name, as the root has none.
+    """
     whole = path.resolve()
     if not whole.name or not str(path).strip():
         raise StorageError(f"{str(path)!r} has no name; expected a file or a folder: check the path")
@@ -49,17 +82,27 @@ def named(path: Path) -> Path:
 def replacing(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Hand out a path in a fresh folder beside ``path``; what is written there is moved to ``path`` at the end.
 
-    After any exception, a keyboard interrupt included, nothing is left and what stood at ``path`` still stands.
-    Raises `StorageError` for a path that is taken (unless ``overwrite``), for a full disk, and whatever else the
-    system refuses.
+    After any exception, a keyboard interrupt included, nothing is left and what stood at ``path`` still stands. What a
+    run that was killed left there goes first, see `clear`.
+
+    Args:
+        path: Where the result goes.
+        overwrite: Replace what stands there.
+
+    Returns:
+        A context that gives the path to write to.
+
+    Raises:
+        StorageError: The path is taken, the disk is full, or the system refuses.
     """
     place = Path(path)
+    clear(place)
     if os.path.lexists(place) and not overwrite:
         raise StorageError(f"{str(path)!r} exists; choose another path, or allow overwriting it")
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        workshop = Path(tempfile.mkdtemp(prefix=f".{place.name}.partial-", dir=place.parent))
-    except OSError as error:
+        workshop, lock = _workshop(place)
+    except (OSError, ValueError) as error:  # a name that no file can have
         raise explained("write beside", place, error) from error
     try:
         draft = workshop / place.name
@@ -71,6 +114,81 @@ def replacing(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
         raise explained("write", place, error) from error
     finally:
         shutil.rmtree(workshop, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def clear(path: str | Path) -> None:
+    """Remove what killed runs left beside ``path``, and bring to an end what one of them had only to move there.
+
+    Folders that a run still writes to are locked and stay; where there are no locks, on Windows, all stay.
+
+    Args:
+        path: Where results go.
+    """
+    place = Path(path)
+    try:
+        left = [Path(entry.path) for entry in os.scandir(place.parent) if entry.name.startswith(_prefix(place))]
+    except (OSError, ValueError):
+        return  # the system's own word comes when the place is written to
+    for workshop in left:
+        try:
+            lock = _locked(workshop)
+        except OSError:
+            continue
+        if lock is None:
+            continue
+        try:
+            draft, aside = workshop / place.name, _aside(workshop, place)
+            if os.path.lexists(aside) and not os.path.lexists(place):
+                os.replace(draft if os.path.lexists(draft) else aside, place)
+            shutil.rmtree(workshop, ignore_errors=True)
+        except OSError:
+            continue
+        finally:
+            os.close(lock)
+
+
+def _prefix(place: Path) -> str:
+    return f".{place.name}.partial-"
+
+
+def _aside(workshop: Path, place: Path) -> Path:
+    """Where what stands at a place waits while its successor takes the place."""
+    return workshop / f"{place.name}.replaced"
+
+
+def _workshop(place: Path) -> tuple[Path, int | None]:
+    """A fresh folder, and the lock that says it is in use."""
+    while True:
+        workshop = Path(tempfile.mkdtemp(prefix=_prefix(place), dir=place.parent))
+        try:
+            lock = _locked(workshop)
+        except (FileNotFoundError, BlockingIOError):  # another run clears it
+            continue
+        if workshop.exists():
+            return workshop, lock
+        if lock is not None:
+            os.close(lock)
+
+
+def _locked(folder: Path) -> int | None:
+    """A lock on a folder, which ends with this process; None where the disk knows no locks.
+
+    Raises `BlockingIOError` where another holds it, `OSError` where the folder is gone.
+    """
+    if fcntl is None:
+        return None
+    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return lock
+    except BlockingIOError:
+        os.close(lock)
+        raise
+    except OSError:
+        os.close(lock)
+        return None
 
 
 def _move(draft: Path, place: Path, workshop: Path) -> None:
@@ -78,7 +196,7 @@ def _move(draft: Path, place: Path, workshop: Path) -> None:
     if not (place.is_dir() and not place.is_symlink()):
         os.replace(draft, place)
         return
-    aside = workshop / "replaced"
+    aside = _aside(workshop, place)
     os.replace(place, aside)
     try:
         os.replace(draft, place)

@@ -16,33 +16,58 @@ from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage.arrays import read, read_one, write
 from vamgpu.storage.atomic import explained, replacing
 from vamgpu.storage.manifest import ArrayRecord, Manifest
+from vamgpu.storage.ngff import Image, describe
+from vamgpu.storage.reading import is_file, read_text
 
 MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """An array to store: NumPy or on a device, with the names of its axes and its unit ("1" for a plain number)."""
+    """An array to store.
+
+    Args:
+        values: NumPy or on a device, of any shape [one length for each of ``axes``].
+        axes: Names of its axes.
+        unit: Its unit; "1" for a plain number.
+        spacing: Distance of neighbors in space [mm], for viewers; None where it is no picture.
+    """
 
     values: np.ndarray | DeviceArray
     axes: tuple[str, ...]
     unit: str = "1"
+    spacing: float | None = None
 
 
 @dataclass(frozen=True)
 class Folder:
-    """A job folder that was opened: its manifest, and its arrays on demand."""
+    """A job folder that was opened: its manifest, and its arrays on demand.
+
+    Args:
+        path: The folder.
+        manifest: What its manifest says.
+    """
 
     path: Path
     manifest: Manifest
 
     @classmethod
     def open(cls, path: str | Path) -> Folder:
-        """Read the manifest of a job folder. Raises `StorageError` where there is none or it is damaged."""
+        """Read the manifest of a job folder.
+
+        Args:
+            path: The folder.
+
+        Returns:
+            The folder, its arrays unread.
+
+        Raises:
+            StorageError: There is no manifest, or it is damaged.
+        """
         file = Path(path) / MANIFEST
         try:
-            text = file.read_text(encoding="utf-8")
-        except FileNotFoundError as error:
+            text = read_text(file)
+        except (FileNotFoundError, NotADirectoryError) as error:
             raise StorageError(f"{str(path)!r} is no finished job: it has no {MANIFEST}; check the path") from error
         except UnicodeDecodeError as error:
             raise StorageError(f"{str(file)!r} is damaged: {error}; write the job again") from error
@@ -51,14 +76,34 @@ class Folder:
         return cls(Path(path), Manifest.from_json(text, file))
 
     def record(self, name: str) -> ArrayRecord:
-        """What the manifest says of an array; raises `StorageError` for a name it does not know."""
+        """What the manifest says of an array.
+
+        Args:
+            name: The array.
+
+        Returns:
+            Its shape, type, axes, unit and hash.
+
+        Raises:
+            StorageError: The manifest does not know the name.
+        """
         if name not in self.manifest.arrays:
             known = ", ".join(self.manifest.arrays) or "none"
             raise StorageError(f"{str(self.path)!r} has no array {name!r}; it has {known}")
         return self.manifest.arrays[name]
 
     def array(self, name: str) -> np.ndarray:
-        """A whole array, proven by its hash. Raises `StorageError` where it is missing, damaged or changed."""
+        """Read a whole array, proven by its hash.
+
+        Args:
+            name: The array.
+
+        Returns:
+            Its values, shaped as [its axes].
+
+        Raises:
+            StorageError: It is missing, damaged or changed.
+        """
         record = self.record(name)
         values = read(self.path, name, record.shape, record.dtype)
         found = digest(values)
@@ -70,17 +115,30 @@ class Folder:
         return values
 
     def one(self, name: str, index: int) -> np.ndarray:
-        """One entry along the first axis, such as one frame, without reading the others.
+        """Read one entry along the first axis, such as one frame, proven by the checksum of its chunk.
 
-        Proven by the checksum of its chunk. Raises `StorageError`, and `BadInput` for an index out of range.
+        Args:
+            name: The array.
+            index: The entry.
+
+        Returns:
+            Its values, shaped as [the other axes].
+
+        Raises:
+            StorageError: It is missing or damaged.
+            BadInput: The index is out of range.
         """
         record = self.record(name)
         if not 0 <= index < record.shape[0]:
-            raise BadInput(f"index {index} of {name!r}; wanted 0 to {record.shape[0] - 1}")
+            raise BadInput(f"index {index} of {name!r}; expected 0 to {record.shape[0] - 1}")
         return read_one(self.path, name, record.shape, record.dtype, index)
 
     def verify(self) -> None:
-        """Read every array and compare it with its hash; raises `StorageError` at the first that differs."""
+        """Read every array and compare it with its hash.
+
+        Raises:
+            StorageError: An array differs; the message names the first.
+        """
         for name in self.manifest.arrays:
             self.array(name)
 
@@ -94,18 +152,34 @@ def write_folder(
     device: str,
     overwrite: bool = False,
 ) -> Folder:
-    """Write a job folder, whole or not at all, and return it opened.
+    """Write a job folder, whole or not at all.
 
-    Arrays are downloaded and written one after the other, one chunk an entry along the first axis. Only a job folder is
-    ever overwritten. Raises `StorageError`, and `BadInput` for inputs that a manifest cannot hold.
+    Arrays are downloaded and written one after the other, one chunk an entry along the first axis.
+
+    Args:
+        path: The folder.
+        arrays: Name → array.
+        inputs: What the job was made from.
+        details: What is to be known of the result.
+        device: Name of the device that made it.
+        overwrite: Replace a job folder that stands there; nothing else is ever overwritten.
+
+    Returns:
+        The folder, opened.
+
+    Raises:
+        StorageError: The path is taken, or cannot be written.
+        BadInput: A manifest cannot hold the inputs or details.
     """
     place = Path(path)
-    if overwrite and os.path.lexists(place) and not (place / MANIFEST).is_file():
+    if overwrite and os.path.lexists(place) and not is_file(place / MANIFEST):
         raise StorageError(f"{str(path)!r} exists and is no job folder; choose another path")
     Manifest(dict(inputs), dict(details), device, {}).to_json()  # refuse bad inputs before the long work
     with replacing(place, overwrite=overwrite) as draft:
         draft.mkdir()
         records = {name: _store(draft, name, entry) for name, entry in arrays.items()}
+        describe(draft, (Image(name, entry.axes, records[name].shape, entry.spacing)
+                         for name, entry in arrays.items() if entry.spacing is not None))  # fmt: skip
         manifest = Manifest(dict(inputs), dict(details), device, records)
         with open(draft / MANIFEST, "w", encoding="utf-8") as file:
             file.write(manifest.to_json())
@@ -119,7 +193,7 @@ def _store(draft: Path, name: str, entry: Entry) -> ArrayRecord:
     if not (name.isidentifier() and values.size and values.ndim == len(entry.axes) and values.dtype.kind in "biuf"):
         raise BadInput(
             f"array {name!r} is {values.dtype} {values.shape} with axes {entry.axes}; "
-            "wanted a plain name, some numbers, and one name an axis"
+            "expected a plain name, some numbers, and one name an axis"
         )
     values = values.astype(values.dtype.newbyteorder("<"), copy=False)
     write(draft, name, values, entry.axes)
@@ -127,5 +201,12 @@ def _store(draft: Path, name: str, entry: Entry) -> ArrayRecord:
 
 
 def digest(values: np.ndarray) -> str:
-    """SHA-256 of an array's bytes in C order."""
+    """Hash an array.
+
+    Args:
+        values: Of any shape [any axes].
+
+    Returns:
+        SHA-256 of its bytes in C order.
+    """
     return hashlib.sha256(np.ascontiguousarray(values).view(np.uint8).data).hexdigest()

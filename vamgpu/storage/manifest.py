@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import re
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import UTC, datetime
@@ -16,9 +17,12 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
+from vamgpu.storage.reading import parse_json
 
 FORMAT = "vamgpu job"
-VERSION = 1
+VERSION = 2
+READ = (1, 2)
+"""Versions that are read. Frames of version 1 are a projector's bytes; those of version 2 may be plain light."""
 UNITS = {
     "length": "mm",
     "time": "s",
@@ -29,7 +33,7 @@ UNITS = {
     "absorption": "1/mm",
     "angle": "rad",
 }
-ROW = re.compile(r'\[\n([^\[\]{}]*?)\n\s*\]')
+ROW = re.compile(r"\[\n([^\[\]{}]*?)\n\s*\]")
 """A list of plain values over several lines; text never holds a line break in JSON."""
 PACKAGES = ("numpy", "zarr", "pyopencl", "warp-lang")
 
@@ -72,28 +76,34 @@ class Manifest:
     def from_json(cls, text: str, path: Path) -> Manifest:
         """Read a manifest; raises `StorageError` for what this version cannot understand."""
         try:
-            data = json.loads(text)
-        except json.JSONDecodeError as error:
+            data = parse_json(text)
+        except ValueError as error:
             raise StorageError(f"{str(path)!r} is no valid JSON: {error}; write the job again") from error
         if not isinstance(data, dict) or data.get("format") != FORMAT:
             raise StorageError(f"{str(path)!r} is no manifest of a {FORMAT}; check the path")
-        if data.get("version") != VERSION:
+        if data.get("version") not in READ:
             raise StorageError(
-                f"{str(path)!r} has version {data.get('version')!r}, this library reads {VERSION}; "
+                f"{str(path)!r} has version {data.get('version')!r}, this library reads {READ[0]} to {READ[-1]}; "
                 "read it with the library that wrote it"
             )
         try:
-            arrays = {name: _record(record) for name, record in data["arrays"].items()}
-            known = (data[name] for name in ("versions", "units", "written"))
-            return cls(data["inputs"], data["details"], data["device"], arrays, *known)
-        except (KeyError, TypeError, AttributeError) as error:
+            arrays = {name: _record(name, record) for name, record in data["arrays"].items()}
+            known = {name: data[name] for name in ("inputs", "details", "device", "versions", "units", "written")}
+            for name, value in known.items():
+                if not isinstance(value, str if name in ("device", "written") else dict):
+                    raise TypeError(f"{name}, which is {reprlib.repr(value)}")
+            return cls(arrays=arrays, **known)
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise StorageError(f"{str(path)!r} lacks or garbles {error}; the job is damaged, write it again") from error
 
 
-def _record(record: dict[str, Any]) -> ArrayRecord:
-    return ArrayRecord(
-        tuple(int(n) for n in record["shape"]), record["dtype"], tuple(record["axes"]), record["unit"], record["sha256"]
-    )
+def _record(name: str, record: dict[str, Any]) -> ArrayRecord:
+    shape, axes, plain = record["shape"], record["axes"], (record["dtype"], record["unit"], record["sha256"])
+    counts = isinstance(shape, list) and all(type(n) is int and n > 0 for n in shape)
+    texts = isinstance(axes, list) and all(isinstance(text, str) for text in (*axes, *plain))
+    if not (name.isidentifier() and shape and counts and texts):
+        raise ValueError(f"array {reprlib.repr(name)}, which is {reprlib.repr(record)}")
+    return ArrayRecord(tuple(shape), plain[0], tuple(axes), *plain[1:])
 
 
 def versions() -> dict[str, str]:
@@ -110,7 +120,18 @@ def versions() -> dict[str, str]:
 
 
 def plain(value: Any, name: str = "manifest") -> Any:
-    """``value`` in JSON's own types; dataclasses become objects, paths text. Raises `BadInput` naming what cannot."""
+    """Turn a value into JSON's own types; dataclasses become objects, paths text.
+
+    Args:
+        value: Numbers, text, lists, mappings or dataclasses of them.
+        name: What messages call it.
+
+    Returns:
+        The plain value.
+
+    Raises:
+        BadInput: It holds something else, or a number that is not finite.
+    """
     if value is None or isinstance(value, (str, bool)):
         return value
     if isinstance(value, (int, np.integer)):
@@ -129,4 +150,6 @@ def plain(value: Any, name: str = "manifest") -> Any:
         return {str(key): plain(item, f"{name}.{key}") for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(item, f"{name}[{index}]") for index, item in enumerate(value)]
-    raise BadInput(f"{name} is a {type(value).__name__}; wanted numbers, text, lists, mappings or dataclasses of them")
+    raise BadInput(
+        f"{name} is a {type(value).__name__}; expected numbers, text, lists, mappings or dataclasses of them"
+    )

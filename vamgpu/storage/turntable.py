@@ -10,7 +10,14 @@ from vamgpu.geometry import Turntable
 
 
 def described(motion: Turntable) -> dict[str, Any]:
-    """Plain values: ``angles``, how many; ``theta``, where they were measured [rad]; ``dwell``, unequal times."""
+    """Describe a turntable for a manifest.
+
+    Args:
+        motion: The turntable.
+
+    Returns:
+        ``angles``, how many; ``theta``, where they were measured [rad]; ``dwell``, unequal times.
+    """
     found: dict[str, Any] = {"angles": motion.angles}
     if motion.theta is not None:
         found["theta"] = list(motion.theta)
@@ -20,7 +27,17 @@ def described(motion: Turntable) -> dict[str, Any]:
 
 
 def turntable_from(description: Mapping[str, Any]) -> Turntable:
-    """The turntable that `described` described. Raises `StorageError` for a description that is not one."""
+    """Make the turntable that `described` described.
+
+    Args:
+        description: Its plain values.
+
+    Returns:
+        The turntable.
+
+    Raises:
+        StorageError: The description is not one of a turntable.
+    """
     try:
         count, theta, dwell = description["angles"], description.get("theta"), description.get("dwell")
         motion = Turntable(count if theta is None else theta, dwell)

@@ -1,0 +1,73 @@
+"""Films, frame by frame in gray levels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import StorageError
+from vamgpu.storage.memory import afford
+from vamgpu.storage.reading import open_file
+
+FORMATS = {".mp4": "mov", ".mov": "mov", ".m4v": "mov", ".mkv": "matroska", ".webm": "matroska", ".avi": "avi"}
+"""Ending → how it is read. Formats that name other files, as playlists do, are not among them."""
+MOST_PIXELS = 1 << 26
+FULL_RANGE = 2
+"""FFmpeg's number for levels from 0 to 255; others go from 16 to 235."""
+LOW, HIGH = 16, 235
+
+
+def read_film(path: str | Path) -> tuple[np.ndarray, str]:
+    """The frames of a film.
+
+    Args:
+        path: MP4, MOV, MKV, WebM or AVI.
+
+    Returns:
+        Gray levels uint8 [frame, row, column], and the remark that the file has, "" where it has none.
+
+    Raises:
+        StorageError: It cannot be read, is no film, or takes more memory than the budget.
+    """
+    import av
+    from av.error import FFmpegError
+
+    kind = FORMATS.get(Path(path).suffix.lower())
+    if kind is None:
+        raise StorageError(f"cannot read {str(path)!r} as a film: expected one ending in {', '.join(FORMATS)}")
+    try:
+        with open_file(path) as file, av.open(file, "r", format=kind) as film:
+            if not film.streams.video:
+                raise ValueError("it has no pictures")
+            stream = film.streams.video[0]
+            size = stream.codec_context.width * stream.codec_context.height
+            if not 0 < size <= MOST_PIXELS:
+                raise ValueError(f"{size:,} pixels a frame, expected {MOST_PIXELS:,} at most")
+            frames: list[np.ndarray] = []
+            for frame in film.decode(stream):
+                afford((len(frames) + 1) * size, f"the film {str(path)!r}")
+                frames.append(_gray(frame))
+                if frames[-1].shape != frames[0].shape:
+                    raise ValueError("its frames have several sizes")
+            if not frames:
+                raise ValueError("it has no frames")
+            return np.stack(frames), str(film.metadata.get("comment", ""))
+    except StorageError:
+        raise
+    except (OSError, ValueError, FFmpegError, EOFError, MemoryError) as error:
+        said = getattr(error, "strerror", None) or error
+        raise StorageError(f"cannot read {str(path)!r}: {said}; expected a film: export it again") from error
+
+
+def _gray(frame: Any) -> np.ndarray:
+    """Levels of a frame, 0 to 255, whatever range its brightness is written in."""
+    name = frame.format.name
+    if not name.startswith(("gray", "yuv", "nv")) or name not in ("gray",) and frame.format.components[0].bits != 8:
+        return np.asarray(frame.to_ndarray(format="rgb24"))[..., 1]
+    plane = frame.planes[0]
+    rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
+    if name.startswith("yuvj") or frame.color_range == FULL_RANGE or (name == "gray" and frame.color_range == 0):
+        return rows.copy()
+    return np.clip(np.rint((rows - float(LOW)) * (255.0 / (HIGH - LOW))), 0, 255).astype(np.uint8)

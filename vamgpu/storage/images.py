@@ -1,0 +1,100 @@
+"""Images of cameras and patterns, whose size is compared before they are decoded."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+
+from vamgpu.errors import StorageError
+from vamgpu.storage.reading import read_bytes
+
+MOST_BYTES = 1 << 30
+MOST_PIXELS = 1 << 28
+"""A camera of 268 million pixels is yet to be mounted at a printer."""
+
+
+def read_image(path: str | Path) -> np.ndarray:
+    """The gray levels of an image file.
+
+    Args:
+        path: PNG, TIFF, JPEG or BMP.
+
+    Returns:
+        Levels [row, column], as many bits as the file has.
+
+    Raises:
+        OSError: It cannot be read, is no image, or has more than `MOST_PIXELS`.
+    """
+    from PIL import Image
+
+    data = read_bytes(path, MOST_BYTES)
+    try:
+        with Image.open(BytesIO(data), formats=("PNG", "TIFF", "JPEG", "BMP")) as image:
+            if image.width * image.height > MOST_PIXELS:
+                raise OSError(f"{image.width} × {image.height} pixels, expected {MOST_PIXELS:,} in all at most")
+            return np.asarray(image if image.mode in ("L", "I;16", "I", "F") else image.convert("L"))
+    except OSError:
+        raise
+    except Exception as error:  # damaged files raise whatever their reader stumbles over
+        raise OSError(f"{type(error).__name__}: {error}") from error
+
+
+def read_exr(path: str | Path) -> np.ndarray:
+    """The light of an OpenEXR image: its channel Y, its only one, or the mean of red, green and blue.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Light, float32 [row, column].
+
+    Raises:
+        OSError: It cannot be read, is no such image, or has more than `MOST_PIXELS`.
+        StorageError: The package OpenEXR is not installed.
+    """
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise StorageError(f'{str(path)!r} is read by the package OpenEXR: pip install "vamgpu[exr]"') from error
+    data = read_bytes(path, MOST_BYTES)
+    try:
+        head = OpenEXR.File(BytesIO(data), separate_channels=True, header_only=True).header()
+        (left, top), (right, bottom) = head["dataWindow"]
+        count = (int(right) - int(left) + 1) * (int(bottom) - int(top) + 1)
+        if not 0 < count * len(head["channels"]) <= MOST_PIXELS:
+            raise OSError(f"{count:,} pixels, expected {MOST_PIXELS:,} in all channels at most")
+        found = OpenEXR.File(BytesIO(data), separate_channels=True, num_threads=0).channels()
+        planes = {name: np.asarray(channel.pixels, np.float32) for name, channel in found.items()}
+    except OSError:
+        raise
+    except Exception as error:  # its reader raises whatever it stumbles over
+        raise OSError(f"{type(error).__name__}: {error}") from error
+    if "Y" in planes or len(planes) == 1:
+        return planes.get("Y", next(iter(planes.values())))
+    if not {"R", "G", "B"} <= set(planes):
+        raise OSError(f"it has the channels {', '.join(planes)}; expected Y, or R, G and B")
+    return (planes["R"] + planes["G"] + planes["B"]) / np.float32(3.0)
+
+
+def write_exr(path: str | Path, light: np.ndarray) -> None:
+    """Write light as an OpenEXR image of one channel, Y.
+
+    Args:
+        path: The file.
+        light: Light [row, column].
+
+    Raises:
+        OSError: It cannot be written.
+        StorageError: The package OpenEXR is not installed.
+    """
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise StorageError('EXR images are written by the package OpenEXR: pip install "vamgpu[exr]"') from error
+    head = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    try:
+        OpenEXR.File(head, {"Y": OpenEXR.Channel(np.ascontiguousarray(light, np.float32))}).write(str(path))
+    except Exception as error:  # its writer raises errors of its own
+        raise OSError(f"{type(error).__name__}: {error}") from error

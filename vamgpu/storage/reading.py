@@ -1,0 +1,219 @@
+"""The one way in: every file that the library reads is opened here.
+
+Only regular files are opened, so that a pipe, a device or a folder in place of a file is an error and no wait. Sizes
+are compared before anything is decoded, depth and numbers of what was decoded before anybody walks through it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat
+import tomllib
+from errno import EINVAL
+from math import isfinite
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from vamgpu.errors import BadInput, StorageError, VamError
+from vamgpu.storage.memory import size
+
+MOST_TEXT = 64_000_000
+"""Bytes of the greatest text that is read whole: a record of a web of 100 m has 20 million."""
+MOST_RECORD = 4_000_000_000
+"""Bytes of the greatest record of a run, which has 56 a frame."""
+MOST_TOML = 2_000_000
+"""Bytes of the greatest TOML file: its parser is slow, and people write such files."""
+MOST_PARTS = 64
+"""Parts of the longest dotted key, for the parser takes their square in time and memory."""
+MOST_LEVELS = 64
+"""Tables and lists in one another."""
+MOST_INTEGER = 1 << 63
+"""TOML's integers, and those of whoever reads JSON elsewhere, end here."""
+KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe (FIFO)"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+LONG_KEY = re.compile(
+    rf"""(?<![^\s,=\[\]{{}}#])(?:(?:"[^"\n]*"|'[^'\n]*'|[^\s.,=\[\]{{}}#"']+)[ \t]*\.[ \t]*){{{MOST_PARTS}}}"""
+)
+PROSE = re.compile(r'''"""(?:\\.|[^\\])*?"""|"(?:\\.|[^"\\\n])*"|#[^\n]*''' + r"|'''.*?'''|'[^'\n]*'", re.DOTALL)
+"""Text and remarks, in which points end sentences."""
+
+
+def is_file(path: str | Path) -> bool:
+    """Whether a regular file is there; no path, however odd, raises an error.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The answer.
+    """
+    return os.path.isfile(path)
+
+
+def open_file(path: str | Path) -> BinaryIO:
+    """Open a regular file for reading its bytes.
+
+    Args:
+        path: The file; links are followed.
+
+    Returns:
+        The open file.
+
+    Raises:
+        OSError: There is none, the system refuses, or it is a pipe, a socket, a device or a folder.
+    """
+    try:
+        _regular(os.stat(path).st_mode, path)
+        flags = ("O_RDONLY", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY")  # a pipe that came meanwhile is no wait either
+        file = os.open(path, sum(getattr(os, name, 0) for name in flags))
+    except ValueError as error:  # a name that no file can have
+        raise OSError(EINVAL, str(error), str(path)) from error
+    try:
+        _regular(os.fstat(file).st_mode, path)
+        return os.fdopen(file, "rb")
+    except BaseException:
+        os.close(file)
+        raise
+
+
+def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
+    """The bytes of a regular file.
+
+    Args:
+        path: The file.
+        most: Bytes that it may have.
+
+    Returns:
+        The bytes.
+
+    Raises:
+        OSError: The file cannot be opened, see `open_file`, or has more bytes.
+    """
+    with open_file(path) as file:
+        found = os.fstat(file.fileno()).st_size
+        if found > most:
+            raise OSError(EINVAL, f"it has {size(found)}, expected {size(most)} at most", str(path))
+        return file.read(found)
+
+
+def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
+    """The text of a regular file in UTF-8.
+
+    Args:
+        path: The file.
+        most: Bytes that it may have.
+
+    Returns:
+        The text, with plain line feeds.
+
+    Raises:
+        OSError: The file cannot be opened, see `open_file`, or has more bytes.
+        UnicodeDecodeError: It is no text.
+    """
+    return read_bytes(path, most).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def load_toml(
+    path: str | Path, what: str, *, missing: type[VamError] = StorageError, wrong: type[VamError] = BadInput
+) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Args:
+        path: The file.
+        what: What the file is, for the message.
+        missing: Raised for a file that cannot be read.
+        wrong: Raised for one that is no TOML.
+
+    Returns:
+        The tables.
+
+    Raises:
+        StorageError: The file cannot be read.
+        BadInput: The file is no TOML.
+    """
+    try:
+        return parse_toml(read_text(path))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise missing(f"cannot read {what} {str(path)!r}: {reason}; expected a TOML file: check the path") from error
+    except tomllib.TOMLDecodeError as error:
+        raise wrong(f"{path}: not valid TOML: {error}; correct that line") from error
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Args:
+        text: At most `MOST_TOML` characters.
+
+    Returns:
+        Tables in plain types, at most `MOST_LEVELS` deep.
+
+    Raises:
+        tomllib.TOMLDecodeError: The text is no TOML, too long, too deep, or has a number that is none.
+    """
+    if len(text) > MOST_TOML:
+        raise tomllib.TOMLDecodeError(f"{len(text):,} characters, expected {MOST_TOML:,} at most")
+    if LONG_KEY.search(text) and LONG_KEY.search(PROSE.sub('""', text)):
+        raise tomllib.TOMLDecodeError(f"a key of more than {MOST_PARTS} parts")
+    try:
+        data = tomllib.loads(text)
+        _check(data)
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError as error:
+        raise tomllib.TOMLDecodeError(f"more than {MOST_LEVELS} tables or lists in one another") from error
+    except ValueError as error:
+        raise tomllib.TOMLDecodeError(str(error)) from error
+    return data
+
+
+def parse_json(text: str | bytes) -> Any:
+    """What a JSON text holds.
+
+    Args:
+        text: The text.
+
+    Returns:
+        Plain types, at most `MOST_LEVELS` deep; all numbers are finite.
+
+    Raises:
+        ValueError: The text is no JSON, too deep, or has a number that is none.
+    """
+    try:
+        data = json.loads(text)
+    except RecursionError as error:
+        raise ValueError(f"more than {MOST_LEVELS} objects or lists in one another") from error
+    _check(data, finite=True)
+    return data
+
+
+def _regular(mode: int, path: str | Path) -> None:
+    if not stat.S_ISREG(mode):
+        kind = next((name for test, name in KINDS if test(mode)), "something else")
+        raise OSError(EINVAL, f"it is {kind}, expected a file", str(path))
+
+
+def _check(data: Any, finite: bool = False) -> None:
+    """Raise `ValueError` for what is too deep to walk through, and for numbers that nobody can count with."""
+    level: list[Any] = [data]
+    for _ in range(MOST_LEVELS + 1):
+        deeper: list[Any] = []
+        for value in level:
+            if isinstance(value, (dict, list)):
+                deeper.extend(value.values() if isinstance(value, dict) else value)
+            elif isinstance(value, int) and not -MOST_INTEGER <= value < MOST_INTEGER:
+                raise ValueError(f"an integer of {value.bit_length()} bits, expected 64 at most")
+            elif finite and isinstance(value, float) and not isfinite(value):
+                raise ValueError(f"the number {value}, expected a finite one")
+        if not deeper:
+            return
+        level = deeper
+    raise ValueError(f"more than {MOST_LEVELS} tables or lists in one another")

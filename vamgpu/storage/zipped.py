@@ -1,0 +1,66 @@
+"""Zips whose members are unpacked no further than they say, and that hold no more of them than anybody packs."""
+
+from __future__ import annotations
+
+import re
+from os import SEEK_END
+from typing import BinaryIO
+from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
+
+from vamgpu.storage.memory import size
+
+MOST_DIRECTORY = 20_000_000
+"""Bytes of a zip's list of members, of which each takes about a hundred, and ten times as much in memory."""
+TAIL = 22 + 20 + 56 + (1 << 16)
+"""Bytes at the end of a zip among which its list is described."""
+DESCRIPTIONS = (re.compile(rb"(?s)PK\x05\x06.{8}(.{4})"), re.compile(rb"(?s)PK\x06\x06.{36}(.{8})"))
+"""The description of the list, and that of a zip of more than 4 GB, with the bytes that the list takes."""
+
+
+def open_zip(file: BinaryIO) -> ZipFile:
+    """Open a zip for reading.
+
+    Args:
+        file: The open file, which stays the caller's.
+
+    Returns:
+        The zip; `unpacked` reads its members.
+
+    Raises:
+        BadZipFile: It is none, or is packed as nobody packs.
+        OSError: It cannot be read.
+    """
+    file.seek(max(0, file.seek(0, SEEK_END) - TAIL))
+    tail = file.read(TAIL)
+    claims = [int.from_bytes(found, "little") for kind in DESCRIPTIONS for found in kind.findall(tail)]
+    if any(MOST_DIRECTORY < claim != 2**32 - 1 for claim in claims):
+        raise BadZipFile(f"its list of members takes {size(max(claims))}, expected {size(MOST_DIRECTORY)} at most")
+    archive = ZipFile(file)
+    try:
+        for member in archive.infolist():
+            if member.compress_type not in (ZIP_STORED, ZIP_DEFLATED) or member.flag_bits & 1:
+                how = "is encrypted" if member.flag_bits & 1 else f"is packed in way {member.compress_type}"
+                raise BadZipFile(f"{member.filename!r} {how}, expected stored or deflated members")
+    except BaseException:
+        archive.close()
+        raise
+    return archive
+
+
+def unpacked(archive: ZipFile, member: str | ZipInfo, most: int | None = None) -> bytes:
+    """A member of a zip, or its first bytes.
+
+    Args:
+        archive: The zip.
+        member: The member, or its name.
+        most: How many bytes; all that the zip's list says it has by default.
+
+    Returns:
+        The bytes; never more than the list says, whatever is packed.
+
+    Raises:
+        Exception: What zipfile and its codecs stumble over.
+    """
+    info = archive.getinfo(member) if isinstance(member, str) else member
+    with archive.open(info) as file:
+        return file.read(info.file_size if most is None else min(most, info.file_size))
