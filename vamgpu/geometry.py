@@ -28,14 +28,20 @@ SAME_ANGLE = 1e-9
 
 def counts(name: str, values: object, length: int) -> tuple[int, ...]:
     """``values`` as a tuple of ``length`` positive integers, else `BadInput`."""
+    expected = f"{length} positive integers" if length > 1 else "a positive integer"
     try:
         numbers = tuple(int(v) for v in values)  # type: ignore[attr-defined]
         exact = all(int(v) == v for v in values)  # type: ignore[attr-defined]
     except (TypeError, ValueError, OverflowError) as error:
-        raise BadInput(f"{name} is {values!r}; wanted {length} positive integers") from error
+        raise BadInput(f"{name} is {_told(values)}; expected {expected}") from error
     if len(numbers) != length or not exact or min(numbers) < 1:
-        raise BadInput(f"{name} is {values!r}; wanted {length} positive integers")
+        raise BadInput(f"{name} is {_told(values)}; expected {expected}")
     return numbers
+
+
+def _told(values: object) -> str:
+    """Values as a user gave them: one number is no tuple."""
+    return repr(values[0] if isinstance(values, tuple) and len(values) == 1 else values)
 
 
 def centers(n: int, pitch: float) -> np.ndarray:
@@ -47,7 +53,12 @@ def centers(n: int, pitch: float) -> np.ndarray:
 class Grid:
     """A box of cubic voxels centered on the axis of rotation.
 
-    shape: voxels along x, y, z.  pitch: voxel edge [mm].  Raises `BadInput`.
+    Args:
+        shape: Voxels along x, y, z.
+        pitch: Voxel edge [mm].
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
     shape: tuple[int, int, int]
@@ -68,12 +79,20 @@ class Grid:
         return 0.5 * (min(self.shape[:2]) - 1) * self.pitch
 
     def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Voxel centers [mm] along x, y and z."""
+        """Voxel centers.
+
+        Returns:
+            Places along x (nx,), y (ny,) and z (nz,) [mm].
+        """
         nx, ny, nz = (centers(n, self.pitch) for n in self.shape)
         return nx, ny, nz
 
     def cylinder(self) -> np.ndarray:
-        """Boolean (nx, ny): voxel centers inside the inscribed cylinder."""
+        """Which columns of voxels have their center inside the inscribed cylinder.
+
+        Returns:
+            Booleans (nx, ny).
+        """
         x, y, _ = self.axes()
         return x[:, None] ** 2 + y[None, :] ** 2 <= self.inscribed_radius**2 * (1 + 1e-12)
 
@@ -85,17 +104,17 @@ class Beam:
     A pixel lights a square box, blurred by a Gaussian point spread. Both keep its power.
 
     Args:
-        pixels: columns along r, rows along z.
-        pitch: pixel edge [mm], measured in air.
-        fill: share of a pixel's area that is lit (the fill factor of the mirrors), above 0, at most 1.
-        spread: standard deviation of the point spread [mm], measured where the pitch is, in place of the vial;
-            refraction narrows columns and their blur alike. A number, or what `vam calibrate mtf` measured, read by
-            `vamgpu.calibration.pointspread.PointSpread`. None, the default, is a projector in focus: half a pixel. 0 is
-            a perfect lens, which no machine has. A beam of a single row stands for a print that is the same at every
-            height: its light does not spread along z.
+        pixels: Columns along r, rows along z. A single row stands for a print that is the same at every height: its
+            light does not spread along z.
+        pitch: Pixel edge [mm], measured in air.
+        fill: Share of a pixel's area that is lit (the fill factor of the mirrors), above 0, at most 1.
+        spread: Standard deviation of the point spread [mm], measured in air in place of the vial; refraction narrows
+            columns and their blur alike. A number, or what `vam calibrate mtf` measured, read by
+            `vamgpu.calibration.pointspread.PointSpread`. None is a projector in focus: half a pixel. 0 is a perfect
+            lens.
 
     Raises:
-        BadInput: a value is out of its range.
+        BadInput: A value is out of its range.
     """
 
     pixels: tuple[int, int]
@@ -117,7 +136,11 @@ class Beam:
         return self.pitch**2
 
     def columns(self) -> np.ndarray:
-        """Offsets r [mm] of the columns from the axis."""
+        """Offsets of the columns from the axis.
+
+        Returns:
+            Offsets r [mm], (columns,).
+        """
         return centers(self.pixels[0], self.pitch)
 
     @property
@@ -140,18 +163,19 @@ def one_ray_a_pixel(operator: str, beam: Beam) -> None:
 
 @dataclass(frozen=True, init=False, repr=False)
 class Turntable:
-    """A resin container turning about z. A turn shows every pose once, in order.
+    """A resin container that turns about z. A turn shows every angle once, in order.
 
-    ``Turntable(360)`` has 360 even poses over a full turn, from θ = 0; `arc` has them over a part of a turn, and
-    ``Turntable([0.0, 0.017, …])`` where they were measured.
+    ``Turntable(360)`` has 360 even angles over a full turn from θ = 0, `arc` spreads them over a part of a turn, and
+    ``Turntable([0.0, 0.017, …])`` has them where they were measured. The attributes ``theta`` [rad] and ``dwell`` are
+    None where angles are even over a full turn from 0, and lit equally long.
 
     Args:
-        angles: how many poses, or the angle θ [rad] of each, in the order they are shown, within one turn.
-        dwell: how long each pose is lit, over the mean of all; shape (angles,), above 0, scaled to a mean of 1. None:
-            all as long. Light stays an irradiance: operators weight each pose by its time.
+        angles: How many angles, or each angle θ [rad], in the order they are shown, within one turn.
+        dwell: How long each angle is lit, relative to the mean; (angles,), above 0, scaled to a mean of 1. None:
+            equally long. Light stays an irradiance: operators weight each angle by its time.
 
-    Attributes ``theta`` [rad] and ``dwell`` are None where poses are even over a full turn from 0, and lit as long.
-    Raises `BadInput` for numbers that are not finite, angles over more than a turn, not one time for each angle.
+    Raises:
+        BadInput: A number is not finite, angles exceed a turn, or times and angles differ in number.
     """
 
     angles: int
@@ -179,11 +203,19 @@ class Turntable:
     def arc(
         cls, angles: int, span: float, start: float = 0.0, dwell: Sequence[float] | np.ndarray | None = None
     ) -> Turntable:
-        """Even poses over a part of a turn: θ = start + span·k / angles, so that a half turn has no direction twice.
+        """Even angles over a part of a turn: θ = start + span·k / angles, so that a half turn has no direction twice.
 
         Args:
-            angles: how many poses.  span: the part of a turn [rad], at most 2π.  start: angle of the first [rad].
-            dwell: as for `Turntable`.
+            angles: How many angles.
+            span: The part of a turn [rad], at most 2π.
+            start: First angle [rad].
+            dwell: Times relative to their mean, (angles,), as for `Turntable`.
+
+        Returns:
+            The turntable.
+
+        Raises:
+            BadInput: The span exceeds a turn.
         """
         count = counts("Turntable angles", (angles,), 1)[0]
         part = positive("Turntable span [rad]", span)
@@ -192,14 +224,26 @@ class Turntable:
         return cls(start + part / FULL_TURN * _even(count), dwell)
 
     def part(self, first: int, stop: int) -> Turntable:
-        """Poses ``first`` to ``stop`` − 1 of the turn, each lit as long as in the whole turn."""
+        """A stretch of the turn, each angle lit as long as in the whole turn.
+
+        Args:
+            first: Number of its first angle.
+            stop: Number after its last one.
+
+        Returns:
+            The stretch.
+        """
         piece = Turntable(self.poses[first:stop])
         if self.dwell is not None:
             object.__setattr__(piece, "dwell", self.dwell[first:stop])
         return piece
 
     def described(self) -> dict[str, Any]:
-        """What its constructor was given."""
+        """What the constructor was given.
+
+        Returns:
+            Its arguments by name.
+        """
         return {"angles": self.angles if self.theta is None else self.theta, "dwell": self.dwell}
 
     @property
@@ -266,9 +310,14 @@ def _shortened(values: tuple[float, ...]) -> str:
 class Chords:
     """The straight piece of every ray inside the resin, for light entering at offset u [mm] from the axis.
 
-    p: signed distance [mm] of the chord from the axis.  angle: its turn d [rad] against the light's direction.
-    spread: d′(u) [rad/mm].  transmittance: power that reached the resin.  length: path [mm] in the resin.
     All arrays have the shape of u; a ray that misses the resin has transmittance 0.
+
+    Attributes:
+        p: Signed distance [mm] of the chord from the axis.
+        angle: Its turn d [rad] against the light's direction.
+        spread: d′(u) [rad/mm].
+        transmittance: Share of the power that reaches the resin.
+        length: Path in the resin [mm].
     """
 
     p: np.ndarray
@@ -296,12 +345,31 @@ class Vessel(Protocol):
         ...
 
     def chords(self, u: np.ndarray) -> Chords:
-        """Chords in the resin of rays entering at offsets u [mm]."""
+        """Chords in the resin of rays that enter at some offsets.
+
+        Args:
+            u: Offsets [mm] of the columns from the axis, (...,).
+
+        Returns:
+            The chords, arrays (...,); a column that misses the resin has transmittance 0 and length 0.
+
+        Raises:
+            BadInput: An offset is not finite.
+        """
         ...
 
     def illuminate(self, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The ray through each point: its entry offset u [mm] and its weight there.
+        """The ray through each point.
 
-        The weight is transmittance × ray density × (absorption·exp(−absorption·path) if the vessel absorbs, else 1).
+        Args:
+            across: Laboratory X [mm], (...,).
+            along: Laboratory Y [mm], (...,), broadcast with ``across``.
+
+        Returns:
+            Offset u [mm] of the ray that lights each point, (...,), and its weight there, (...,): transmittance × ray
+            density × (absorption·exp(−absorption·path) [1/mm] if the vessel absorbs, else 1); 0 where no ray comes.
+
+        Raises:
+            BadInput: A coordinate is not finite.
         """
         ...

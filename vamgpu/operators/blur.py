@@ -12,7 +12,7 @@ from vamgpu.backend.device import Device
 from vamgpu.kernels.blur import blur_slices
 from vamgpu.kernels.filter import filter_rows
 from vamgpu.operators.compose import NO_FLOOR
-from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.space import Space
 
 FINE = 32
@@ -23,15 +23,12 @@ FINE = 32
 class Blur(LinearOperator):
     """Images [angle, r, z] blurred along r and along z by one side of symmetric taps each; its own transpose."""
 
+    range: Space
+
     def __init__(self, space: Space, device: Device, columns: np.ndarray, rows: np.ndarray) -> None:
         self.domain = self.range = space
         self.device = device
         self._columns, self._rows = device.table(columns), device.table(rows)
-        self._transpose = Transposed(self)
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         half = self.device.empty(x.shape)

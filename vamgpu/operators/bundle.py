@@ -12,12 +12,16 @@ from vamgpu.geometry import Beam, Grid, centers, positive
 
 @dataclass(frozen=True, eq=False)
 class RayBundle:
-    """Where the rays of every pixel start and where they head, the same at every pose.
+    """Where the rays of every pixel start and where they head, the same at every angle.
 
-    start: any point of each ray, all from outside the grid; (columns, rows or 1, rays, 3) [mm]: across the light
-    from the axis, along it, and above the middle of the pixel's row.  direction: of that shape, in the same three axes,
-    of any length and not upright.  weight: share of the pixel's
-    light in each ray, (rays,); None shares it equally.  Raises `BadInput`.
+    Args:
+        start: Any point of each ray, all from outside the grid, (columns, rows or 1, rays, 3) [mm]: across the light
+            from the axis, along it, and above the middle of the pixel's row.
+        direction: In the same three axes, (columns, rows or 1, rays, 3), of any length and not upright.
+        weight: Share of the pixel's light in each ray, (rays,) or (columns, rows or 1, rays); None shares it equally.
+
+    Raises:
+        BadInput: Shapes differ, a number is not finite, or a direction is zero or upright.
     """
 
     start: np.ndarray
@@ -29,7 +33,7 @@ class RayBundle:
         if start.shape != direction.shape or start.ndim != 4 or start.shape[3] != 3:
             raise BadInput(
                 f"rays start in an array {start.shape} and head in one {direction.shape}; "
-                "wanted (columns, rows or 1, rays, 3) of both"
+                "expected (columns, rows or 1, rays, 3) of both"
             )
         length = np.linalg.norm(direction, axis=3, keepdims=True)
         flat = np.linalg.norm(direction[..., :2], axis=3, keepdims=True)
@@ -37,14 +41,25 @@ class RayBundle:
             raise BadInput("starts and directions of rays must be finite, and no direction zero or upright")
         count = start.shape[2]
         weight = np.full(count, 1.0 / count) if self.weight is None else np.asarray(self.weight, np.float64)
-        if weight.shape != (count,) or not np.isfinite(weight).all() or (weight < 0).any():
-            raise BadInput(f"weights of rays have shape {weight.shape}; wanted {count} finite numbers ≥ 0")
+        if weight.shape not in ((count,), start.shape[:3]) or not np.isfinite(weight).all() or (weight < 0).any():
+            raise BadInput(
+                f"weights of rays have shape {weight.shape}; expected {count} finite numbers ≥ 0, or some a pixel"
+            )
+        length[np.abs(length - 1.0) < 1e-15] = 1.0  # so that a bundle read back is the same to the bit
         for name, value in (("start", start), ("direction", direction / length), ("weight", weight)):
             object.__setattr__(self, name, value)
 
     @classmethod
     def parallel(cls, beam: Beam, rise: float = 0.0) -> RayBundle:
-        """Parallel light that climbs by ``rise`` [rad]; above the axis it is at its row's height."""
+        """Parallel light that climbs; above the axis it is at its row's height.
+
+        Args:
+            beam: Its pixels.
+            rise: Elevation [rad].
+
+        Returns:
+            One ray a pixel.
+        """
         columns = beam.columns()
         start = np.zeros((columns.size, 1, 1, 3))
         start[:, 0, 0, 0] = columns
@@ -52,7 +67,15 @@ class RayBundle:
 
     @classmethod
     def fan(cls, beam: Beam, distance: float) -> RayBundle:
-        """Light from a level line of sources ``distance`` [mm] before the axis; columns as wide as the pitch there."""
+        """Light from a level line of sources; columns are as wide as the pitch at the axis.
+
+        Args:
+            beam: Its pixels.
+            distance: Of the sources from the axis [mm].
+
+        Returns:
+            One ray a pixel.
+        """
         distance = positive("distance of the source [mm]", distance)
         columns = beam.columns()
         start = np.zeros((columns.size, 1, 1, 3))
@@ -63,9 +86,17 @@ class RayBundle:
 
     @classmethod
     def cone(cls, beam: Beam, half_angle: float, rays: int = 7, focus: float = 0.0, level: bool = False) -> RayBundle:
-        """Each pixel's light a cone about the level, sharpest ``focus`` [mm] behind the axis; ``rays`` equal shares.
+        """A level cone of light from each pixel, in equal shares.
 
-        half_angle: [rad]; directions fill the disc of a sunflower, or with ``level`` a line across.
+        Args:
+            beam: Its pixels.
+            half_angle: Of the cone [rad]; directions fill its disc as a sunflower's seeds do.
+            rays: Rays of a pixel.
+            focus: Where it is sharpest, downstream of the axis [mm].
+            level: Spread the rays on a level line instead.
+
+        Returns:
+            ``rays`` rays a pixel.
         """
         half_angle = positive("half angle of the cone [rad]", half_angle, zero=True)
         k = np.arange(rays)
@@ -93,14 +124,24 @@ class RayBundle:
         return self.start.shape[1] == 1 and bool(flat)
 
     def table(self, grid: Grid, beam: Beam, *, level: bool, unit: float) -> np.ndarray:
-        """The rays as `trace` takes them, (columns · rows · rays, 8) in voxels, with weights × ``unit``.
+        """The rays as the kernels of `trace` take them; starts are moved to the grid's circle, where float32 suffices.
 
-        level: one row, in slice 0.  Starts are moved to the grid's circle, where single precision will do.
+        Args:
+            grid: Whose voxels are the unit of length.
+            beam: Its pixels.
+            level: One row, in slice 0.
+            unit: A factor of the weights.
+
+        Returns:
+            Start, direction and weight, (columns · rows · rays, 8).
+
+        Raises:
+            ShapeMismatch: The rays are those of other pixels.
         """
         columns, rows = beam.pixels[0], 1 if level else beam.pixels[1]
         if self.start.shape[0] != columns or self.start.shape[1] not in (1, rows):
             raise ShapeMismatch(
-                f"rays are given for {self.start.shape[:2]} pixels; wanted ({columns}, {rows}) or "
+                f"rays are given for {self.start.shape[:2]} pixels; expected ({columns}, {rows}) or "
                 f"({columns}, 1) for {beam}"
             )
         shape = (columns, rows, self.rays, 3)

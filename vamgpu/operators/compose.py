@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from typing import Any, final
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, DeviceError, ShapeMismatch
 from vamgpu.geometry import Beam
 from vamgpu.kernels.update import linear
-from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.space import Space
 
 GEOMETRY = ("grid", "beam", "motion", "vessel")
 """What else optimizers and reports ask of a projector."""
@@ -34,6 +36,12 @@ def combine(
     return out
 
 
+def capped(values: DeviceArray, most: float) -> DeviceArray:
+    """values = min(values, most), returned: −max(−most, −values)."""
+    combine(-1.0, values, 0.0, values, values, floor=-most)
+    return combine(-1.0, values, 0.0, values, values)
+
+
 def inherit(operator: LinearOperator, source: LinearOperator) -> None:
     """Give ``operator`` the geometry of ``source``, as far as that has one."""
     for name in GEOMETRY:
@@ -54,6 +62,12 @@ class Composed(Derived):
     inner: is applied first.  outer: to what it gives.  Raises `ShapeMismatch`, `DeviceError`.
     """
 
+    outer: LinearOperator
+    inner: LinearOperator
+    domain: Space
+    range: Space
+    device: Device
+
     def __init__(self, outer: LinearOperator, inner: LinearOperator) -> None:
         if outer.domain != inner.range:
             raise ShapeMismatch(
@@ -64,14 +78,9 @@ class Composed(Derived):
         self.domain, self.range, self.device = inner.domain, outer.range, inner.device
         inherit(self, outer)
         inherit(self, inner)
-        self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
         return f"Composed({self.outer!r}, {self.inner!r})"
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         between = self.device.empty(self.inner.range.shape)
@@ -92,27 +101,26 @@ class Sum(Derived):
     Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
     """
 
+    domain: Space
+    range: Space
+    device: Device
+
     def __init__(self, terms: Sequence[LinearOperator], weights: Sequence[float] | None = None) -> None:
         if not terms or (weights is not None and len(weights) != len(terms)):
-            raise BadInput(f"a sum got {len(terms)} operators and {len(weights or ())} weights; wanted at least one "
+            raise BadInput(f"a sum got {len(terms)} operators and {len(weights or ())} weights; expected at least one "
                            "operator, and a weight for each")  # fmt: skip
         for term in terms[1:]:
             same_device(terms[0], term)
             if (term.domain, term.range) != (terms[0].domain, terms[0].range):
                 raise ShapeMismatch(f"{term!r} maps {term.domain!r} to {term.range!r}, but {terms[0]!r} maps "
                                     f"{terms[0].domain!r} to {terms[0].range!r}; make them equal")  # fmt: skip
-        self.terms = tuple(terms)
-        self.weights = (1.0,) * len(terms) if weights is None else tuple(float(w) for w in weights)
+        self.terms: tuple[LinearOperator, ...] = tuple(terms)
+        self.weights: tuple[float, ...] = (1.0,) * len(terms) if weights is None else tuple(float(w) for w in weights)
         self.domain, self.range, self.device = terms[0].domain, terms[0].range, terms[0].device
         inherit(self, terms[0])
-        self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
         return f"Sum({len(self.terms)} of {self.terms[0]!r}, …)"
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         self._add([term.forward for term in self.terms], x, out)

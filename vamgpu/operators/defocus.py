@@ -10,14 +10,16 @@ from typing import Any, final
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Chords, Vessel, positive
 from vamgpu.operators.blur import Blur, gaussian
 from vamgpu.operators.compose import Composed, Derived, Sum, inherit
-from vamgpu.operators.light import EQUAL, OpenAir
-from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.oblique import Oblique, Rising
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.ray_table import EQUAL, OpenAir
+from vamgpu.operators.space import Space
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length, Place, Positive
 
@@ -32,16 +34,16 @@ class Defocus:
     """How wide one pixel's light is at every depth: FWHM(depth) = fwhm · sqrt(1 + (2·depth / depth_of_focus)²).
 
     That is the waist of a beam of any quality: at the ends of the depth of focus light is √2 wider than in focus. A
-    projector's two numbers rarely agree with an ideal Gaussian; ``quality`` tells by how much.
+    projector's two numbers rarely agree with an ideal Gaussian; `quality` gives the difference.
 
     Args:
-        fwhm: full width at half maximum of one pixel's light in focus, in the plane of the beam's pixels [mm].
-        depth_of_focus: length of the light's way over which it stays below √2·fwhm, in the resin [mm].
-        focus: where the light is in focus, downstream of the axis [mm]: a number, or a function of the columns' offsets
+        fwhm: Full width at half maximum of one pixel's light in focus, in the plane of the beam's pixels [mm].
+        depth_of_focus: Length of the light's way over which it stays below √2·fwhm, in the resin [mm].
+        focus: Where the light is in focus, downstream of the axis [mm]: a number, or a function of the columns' offsets
             [mm] for a focus that a lens curves.
 
     Raises:
-        BadInput: a width or a depth that is not above 0.
+        BadInput: A width or a depth is not above 0.
     """
 
     fwhm: Length
@@ -52,22 +54,44 @@ class Defocus:
         check(self)
 
     def width(self, depth: Any) -> np.ndarray:
-        """FWHM [mm] at a depth [mm] before or behind the focus."""
+        """Full width at half maximum at some depths.
+
+        Args:
+            depth: Before or behind the focus [mm].
+
+        Returns:
+            FWHM [mm], (...,) as ``depth``.
+        """
         return self.fwhm * np.sqrt(1.0 + (2.0 * np.asarray(depth) / self.depth_of_focus) ** 2)
 
     def variance(self, u: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """σ² [mm²] at depths [mm] downstream of the axis in the light of the columns at u."""
+        """Variance of the light of some columns at some depths.
+
+        Args:
+            u: Offsets of the columns [mm], (...,).
+            depth: Downstream of the axis [mm], (...,).
+
+        Returns:
+            σ² [mm²], (...,).
+        """
         focus = self.focus(u) if callable(self.focus) else self.focus
         return (TO_SIGMA * self.width(depth - np.asarray(focus))) ** 2
 
     def quality(self, wavelength: float) -> float:
-        """Beam quality M² at a wavelength [mm]: 1 for an ideal Gaussian beam of this width."""
+        """Beam quality M²: 1 for an ideal Gaussian beam of this width.
+
+        Args:
+            wavelength: Of the light [mm].
+
+        Returns:
+            M², dimensionless.
+        """
         waist = self.fwhm / sqrt(2.0 * log(2.0))
         return pi * waist**2 / (positive("wavelength [mm]", wavelength) * 0.5 * self.depth_of_focus)
 
 
 @dataclass(frozen=True, eq=False)
-class Graded:
+class WeightedVessel(Vessel):
     """A vessel of whose light a share counts, which depends on the place: share(u, across, along)."""
 
     vessel: Vessel
@@ -100,44 +124,53 @@ def _depth(plane: Vessel, u: np.ndarray, across: np.ndarray, along: np.ndarray) 
 
 
 @dataclass(frozen=True, eq=False)
-class _GradedRows:
+class _WeightedRows:
     """The same for light that climbs."""
 
-    plane: Graded
+    plane: WeightedVessel
     rows: Callable[..., Any]
 
 
 @final
 class Defocused(Derived):
-    """A projector whose light has a width that grows away from the focus, across columns and across rows.
+    """A projector whose light widens away from the focus, across columns and across rows.
 
-    A = Σ Bₖ·Pₖ: the projector Pₖ counts the light whose variance is near that of node k, straight lines between nodes,
-    and Bₖ blurs by that variance, so a pixel's light is as wide as ``defocus`` says at every depth, its interpolation
-    between pixels included (where that alone is wider, light stays that wide). Depths are counted
-    along the rays from where they pass the axis. Every pair costs as many as there are nodes.
+    A = Σ Bₖ·Pₖ: the projector Pₖ counts the light whose variance is near that of node k, with straight lines between
+    nodes, and Bₖ blurs by that variance. So a pixel's light is as wide as ``defocus`` says at every depth, its
+    interpolation between pixels included (where that alone is wider, light stays that wide). Depths are counted along
+    the rays from where they pass the axis. A projection costs as many as there are nodes.
 
-    operator: a `Projection` or an `Oblique`.  defocus: width of its light at every depth.  tolerance: largest share by
-    which the FWHM may miss the formula between nodes.  Raises `BadInput`.
+    Args:
+        operator: A `Projection` or an `Oblique`.
+        defocus: Width of its light at every depth.
+        tolerance: Largest share by which the FWHM may miss the formula between nodes.
+
+    Raises:
+        BadInput: An argument is of another kind or out of its range.
     """
+
+    domain: Space
+    range: Space
+    device: Device
+    operator: Projection | Oblique
+    defocus: Defocus
+    tolerance: float
 
     def __init__(self, operator: Projection | Oblique, defocus: Defocus, tolerance: Positive = 0.02) -> None:
         if not isinstance(operator, (Projection, Oblique)):
-            raise BadInput(f"Defocused got {operator!r}; wanted a Projection or an Oblique; wrap the result afterwards")
+            raise BadInput(
+                f"Defocused got {operator!r}; expected a Projection or an Oblique; wrap the result afterwards"
+            )
         if not isinstance(defocus, Defocus):
-            raise BadInput(f"Defocused got {defocus!r}; wanted Defocus(fwhm=…, depth_of_focus=…)")
+            raise BadInput(f"Defocused got {defocus!r}; expected Defocus(fwhm=…, depth_of_focus=…)")
         self.operator, self.defocus, self.tolerance = operator, defocus, positive("tolerance", tolerance)
         self.domain, self.range, self.device = operator.domain, operator.range, operator.device
         inherit(self, operator)
-        self.nodes = self._chosen(self.tolerance)
+        self.nodes: np.ndarray = self._chosen(self.tolerance)
         self._sum = Sum([self._part(k) for k in range(len(self.nodes))])
-        self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
         return f"Defocused({self.operator!r}, {self.defocus!r})"
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         self._sum.forward(x, out)
@@ -160,7 +193,7 @@ class Defocused(Derived):
         u, _ = self._plane.illuminate(across[lit], along[lit])
         variance = self.defocus.variance(u, _depth(self._plane, u, across[lit], along[lit]))
         if not np.isfinite(variance).all():
-            raise BadInput("the focus is not finite everywhere in the volume; wanted a depth [mm] for every column")
+            raise BadInput("the focus is not finite everywhere in the volume; expected a depth [mm] for every column")
         low, high = float(variance.min()), float(variance.max())
         largest, step = MIXED
         count = int(np.ceil(0.5 * log(high / low) / (step * sqrt(tolerance / largest)))) if high > low else 0
@@ -175,13 +208,13 @@ class Defocused(Derived):
             hat[k] = 1.0
             return np.interp(defocus.variance(u, _depth(A.vessel or OpenAir(), u, across, along)), nodes, hat)
 
-        plane = Graded(self._plane, share)
+        plane = WeightedVessel(self._plane, share)
         if isinstance(A, Projection):
             beam = replace(A.beam, spread=self._spread(nodes[k]))
             part = Projection(A.grid, beam, A.motion, plane, A.device)
             part.range = A.range  # the same images, whatever lens each part of their light goes through
             return part
-        light = _GradedRows(plane, A.light.rows) if isinstance(A.light, Rising) else plane
+        light = _WeightedRows(plane, A.light.rows) if isinstance(A.light, Rising) else plane
         return Composed(self._blur(nodes[k]), Oblique(A.grid, A.beam, A.motion, light, A.wobble, A.device))
 
     def _spread(self, variance: float) -> float:

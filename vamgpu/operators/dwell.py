@@ -6,7 +6,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.geometry import Turntable
 from vamgpu.kernels.dwell import weigh_poses
-from vamgpu.operators.feed import Feed
+from vamgpu.operators.web_motion import WebMotion
 
 
 class Dwell:
@@ -18,11 +18,11 @@ class Dwell:
 
     Args:
         motion: the poses. An image for each, or as many for each as there are tiles, tile after tile. What is no
-            turntable, such as a web's `Feed`, lights all poses as long.
+            turntable, such as a web's `WebMotion`, lights all poses as long.
         device: of the images.
     """
 
-    def __init__(self, motion: Turntable | Feed, device: Device) -> None:
+    def __init__(self, motion: Turntable | WebMotion, device: Device) -> None:
         self._device = device
         times = motion.times if isinstance(motion, Turntable) and motion.dwell is not None else None
         self._times = None if times is None else device.table(times)

@@ -3,49 +3,182 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, final
+from math import prod
+from numbers import Real
+from typing import Any, ClassVar, final
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.card import card, drawable
+from vamgpu.deprecated import Renamed
+from vamgpu.errors import BadInput
 from vamgpu.operators.space import Space, require
 
 
 class LinearOperator(ABC):
-    """Maps ``domain`` to ``range`` on a device. NumPy in → NumPy out; device array in → device array out."""
+    """Maps ``domain`` to ``range`` on a device. NumPy in → NumPy out; device array in → device array out.
+
+    Attributes:
+        domain: Space of what it takes.
+        range: Space of what it gives.
+        device: Where it computes.
+    """
 
     domain: Space
     range: Space
     device: Device
+    _transpose: LinearOperator | None = None
 
     @abstractmethod
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        """out = A x, both on the device."""
+        """Compute out = A x, both on the device.
+
+        Args:
+            x: The operand, [domain.shape].
+            out: Takes the result, [range.shape].
+        """
 
     @abstractmethod
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        """out = Aᵀ y, both on the device."""
+        """Compute out = Aᵀ y, both on the device.
+
+        Args:
+            y: The operand, [range.shape].
+            out: Takes the result, [domain.shape].
+        """
 
     @property
-    @abstractmethod
     def T(self) -> LinearOperator:  # noqa: N802 - the mathematician's name
         """The plain ℓ² transpose; ``A.T.T is A``."""
+        if self._transpose is None:
+            self._transpose = Transposed(self)
+        return self._transpose
 
     @final
     def __call__(self, x: Any, out: DeviceArray | None = None) -> Any:
-        """A x for an array of ``domain.shape``; into ``out`` if given. Raises `ShapeMismatch`, `DeviceError`."""
+        """Apply the operator.
+
+        Args:
+            x: The operand, [domain.shape]: NumPy, on the device, or any array that its `Device.field` takes.
+            out: Takes the result on the device, [range.shape]; None for a new array.
+
+        Returns:
+            A x, [range.shape]: NumPy for a NumPy operand without ``out`` (float16 for float16), else on the device.
+
+        Raises:
+            ShapeMismatch: An array has another shape.
+            BadInput: Values are not finite, of another type than the device's, or too great for float16.
+            DeviceError: An array lives on another device.
+        """
         require(self.domain, x, "the operand")
-        source = x if isinstance(x, DeviceArray) else self.device.upload(x)
-        self.device.check_mine(source)
+        source = self.device.field(x)
         target = out if out is not None else self.device.empty(self.range.shape)
         require(self.range, target, "out")
         self.forward(source, target)
-        return target if isinstance(x, DeviceArray) or out is not None else target.numpy()
+        if not isinstance(x, np.ndarray) or out is not None:
+            return target
+        return _halved(target.numpy()) if x.dtype == np.float16 else target.numpy()
+
+    # ---- as a matrix -------------------------------------------------------------------------------------------
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the matrix: elements of the range, and of the domain."""
+        return prod(self.range.shape), prod(self.domain.shape)
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of its numbers."""
+        return self.device.real
+
+    def matvec(self, x: np.ndarray) -> np.ndarray:
+        """Apply the matrix to a flat vector, as SciPy's linear operators do.
+
+        Args:
+            x: (columns,) or (columns, 1).
+
+        Returns:
+            A x, (rows,) or (rows, 1).
+        """
+        return np.asarray(self(np.reshape(x, self.domain.shape))).reshape(-1, *np.shape(x)[1:])
+
+    def rmatvec(self, y: np.ndarray) -> np.ndarray:
+        """Apply the transpose to a flat vector.
+
+        Args:
+            y: (rows,) or (rows, 1).
+
+        Returns:
+            Aᵀ y, (columns,) or (columns, 1).
+        """
+        return self.T.matvec(y)
+
+    def vjp(self, x: Any) -> tuple[Any, LinearOperator]:
+        """Compute the value and the vector-Jacobian product, for whoever differentiates by hand.
+
+        Args:
+            x: The operand, as for a call.
+
+        Returns:
+            A x, and the transpose, which makes derivatives by x of those by A x.
+        """
+        return self(x), self.T
+
+    def __matmul__(self, other: Any) -> Any:
+        from vamgpu.operators.compose import Composed
+
+        if isinstance(other, LinearOperator):
+            return Composed(self, other)
+        is_flat = isinstance(other, np.ndarray) and other.shape in ((self.shape[1],), (self.shape[1], 1))
+        return self.matvec(other) if is_flat else self(other)
+
+    def __add__(self, other: LinearOperator) -> LinearOperator:
+        from vamgpu.operators.compose import Sum
+
+        return Sum((self, other)) if isinstance(other, LinearOperator) else NotImplemented
+
+    def __sub__(self, other: LinearOperator) -> LinearOperator:
+        from vamgpu.operators.compose import Sum
+
+        return Sum((self, other), (1.0, -1.0)) if isinstance(other, LinearOperator) else NotImplemented
+
+    def __mul__(self, factor: float) -> LinearOperator:
+        from vamgpu.operators.compose import Sum
+
+        return Sum((self,), (float(factor),)) if isinstance(factor, Real) else NotImplemented
+
+    __rmul__ = __mul__
+    __array_ufunc__ = None
+    """NumPy's numbers let the operator multiply."""
+
+    def __truediv__(self, factor: float) -> LinearOperator:
+        return self * (1.0 / factor) if isinstance(factor, Real) else NotImplemented
+
+    def __neg__(self) -> LinearOperator:
+        return self * -1.0
+
+    def _repr_html_(self) -> str:
+        numbers = {
+            **{f"{verb} [{', '.join(space.axes)}]": " × ".join(f"{n:,}" for n in space.shape)
+               for verb, space in (("takes", self.domain), ("gives", self.range))},
+            "on": self.device.name,
+            "made by": repr(self),
+        }  # fmt: skip
+        lit = None
+        if drawable(self.domain.shape) and drawable(self.range.shape):
+            light = np.zeros(self.range.shape, np.float32)
+            light[(0, *(n // 2 for n in light.shape[1:]))] = 1.0
+            lit = np.asarray(self.T(light)).max(axis=-1)
+        return card(type(self).__name__, numbers, {"what one pixel of the first pose lights": lit})
 
     @final
     def dense(self) -> np.ndarray:
-        """The matrix itself, (range size, domain size): for tiny geometries and proofs."""
+        """The matrix itself, for tiny geometries.
+
+        Returns:
+            The matrix (range size, domain size).
+        """
         columns = np.prod(self.domain.shape)
         unit = np.zeros(self.domain.shape)
         matrix = np.empty((int(np.prod(self.range.shape)), int(columns)))
@@ -56,22 +189,35 @@ class LinearOperator(ABC):
         return matrix
 
     @final
-    def prove(self, seed: int = 0) -> float:
-        """|⟨Ax, y⟩ − ⟨x, Aᵀy⟩| / (‖Ax‖‖y‖) for seeded signed normals, sums in float64: 0 for an exact transpose."""
+    def dot_test(self, seed: int = 0) -> float:
+        """Test the transpose: |⟨Ax, y⟩ − ⟨x, Aᵀy⟩| / (‖Ax‖‖y‖) for signed normals x and y, sums in float64.
+
+        Args:
+            seed: Of the random numbers.
+
+        Returns:
+            The relative gap, 0 for an exact transpose.
+        """
         rng = np.random.default_rng(seed)
         x = rng.standard_normal(self.domain.shape).astype(np.float32)
         y = rng.standard_normal(self.range.shape).astype(np.float32)
-        image, shadow = np.asarray(self(x), np.float64), np.asarray(self.T(y), np.float64)
-        gap = abs(np.vdot(image, y.astype(np.float64)) - np.vdot(x.astype(np.float64), shadow))
+        image, back = np.asarray(self(x), np.float64), np.asarray(self.T(y), np.float64)
+        gap = abs(np.vdot(image, y.astype(np.float64)) - np.vdot(x.astype(np.float64), back))
         return float(gap / (np.linalg.norm(image) * np.linalg.norm(y.astype(np.float64))))
+
+    prove: ClassVar[Renamed] = Renamed("dot_test")
 
 
 @final
 class Transposed(LinearOperator):
     """The transpose of an operator; shares its tables."""
 
+    domain: Space
+    range: Space
+    device: Device
+
     def __init__(self, operator: LinearOperator) -> None:
-        self._operator = operator
+        self._operator = self._transpose = operator
         self.domain, self.range, self.device = operator.range, operator.domain, operator.device
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
@@ -80,6 +226,10 @@ class Transposed(LinearOperator):
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         self._operator.forward(y, out)
 
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._operator
+
+def _halved(values: np.ndarray) -> np.ndarray:
+    """In float16. Raises `BadInput` for what it cannot hold."""
+    most = float(np.abs(values).max(initial=0.0))
+    if most > float(np.finfo(np.float16).max):
+        raise BadInput(f"the result reaches {most:.4g}; float16 holds 65504 at most: scale the operand, or use float32")
+    return values.astype(np.float16)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, floor
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam
 from vamgpu.kernels.shift import shift_images
 from vamgpu.operators.compose import Derived, inherit
-from vamgpu.operators.linear import LinearOperator, Transposed
-from vamgpu.operators.space import require
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.space import Space, require
 from vamgpu.operators.wobble import Wobble
 from vamgpu.schema.quantities import Count, Place
 
@@ -44,7 +44,7 @@ class Shift:
 
     def _launch(self, source: Any, moves: DeviceArray, tapers: DeviceArray, after: int, out: DeviceArray) -> None:
         given = {"source": source, "moves": moves, "tapers": tapers, "after": after, "moved": out}
-        self.device.launch(shift_images, **given, lanes=source.lanes)
+        self.device.launch(shift_images, **given, lanes=source)
 
 
 def _whole_and_part(start: np.ndarray) -> np.ndarray:
@@ -54,19 +54,29 @@ def _whole_and_part(start: np.ndarray) -> np.ndarray:
 
 def _check_projector(operator: Any, name: str) -> None:
     if not isinstance(operator, LinearOperator) or not hasattr(operator.range, "beam"):
-        raise BadInput(f"{name} got {operator!r}; wanted a projector from a volume to the pixels of a beam")
+        raise BadInput(f"{name} got {operator!r}; expected a projector from a volume to the pixels of a beam")
 
 
 @final
 class Wobbled(Derived):
-    """A projector whose axis, vessel and all, stands elsewhere at every pose: its images move along r.
+    """A projector whose axis, with its vessel, stands elsewhere at every angle: its images move along r.
 
     Only `Wobble.across` moves them, by parts of a pixel: parallel light is the same all along its way. For light that
     is not, give the wobble to `Oblique`, which also has no need to interpolate.
 
-    operator: any projector to [angle, r, z].  wobble: places of the axis.
-    Raises `BadInput` for a wobble beyond the beam.
+    Args:
+        operator: Any projector to [angle, r, z].
+        wobble: Places of the axis.
+
+    Raises:
+        BadInput: The axis leaves the beam.
     """
+
+    domain: Space
+    range: Space
+    device: Device
+    operator: LinearOperator
+    wobble: Wobble
 
     def __init__(self, operator: LinearOperator, wobble: Wobble) -> None:
         _check_projector(operator, "Wobbled")
@@ -78,18 +88,13 @@ class Wobbled(Derived):
         across, half = wobble.places(poses)[:, 0], 0.5 * beam.pixels[0] * beam.pitch
         if np.abs(across).max() >= half:
             raise BadInput(f"the axis wanders {np.abs(across).max():.4g} mm off, beyond the beam of {half:.4g} mm "
-                           "either side; wanted less: check the wobble's unit, mm")  # fmt: skip
+                           "either side; expected less: check the wobble's unit, mm")  # fmt: skip
         moves = np.stack([-across / beam.pitch, np.zeros(poses)], axis=1)
         self._shift = Shift(self.device, moves, beam.pixels, beam.pixels)
         self._tapers = self.device.table(np.ones((1, beam.pixels[1])))
-        self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
         return f"Wobbled({self.operator!r}, {self.wobble!r})"
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         still = self.device.empty(self.range.shape)
@@ -109,7 +114,7 @@ class TiledSpace:
     beam: Beam
     poses: int
     tiles: int
-    axes = ("tile · pose", "r", "z")
+    axes: ClassVar[tuple[str, str, str]] = ("tile · pose", "r", "z")
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -121,14 +126,24 @@ class TiledSpace:
 class Tiles(Derived):
     """A volume taller than the beam, exposed in turns with the beam at several heights; range [tile·angle, r, row].
 
-    Optimize with the tall projector, then ``split`` its light: tiles overlap with complementary weights, so that their
+    Optimize with the tall projector, then `split` its light: tiles overlap with complementary weights, so that their
     dose is that of the tall light and a beam set down a little off leaves no seam. Or optimize the tiles themselves.
 
-    operator: a projector whose tall beam covers the volume.  rows: of the machine's beam.  overlap: least rows that
-    neighbors share.  centers: middles of the tiles [mm along z] in their order, if not evenly spaced whole rows.
+    Args:
+        operator: A projector whose tall beam covers the volume.
+        rows: Of the machine's beam.
+        overlap: Rows that neighbors share at least.
+        centers: Middles of the tiles along z [mm], in their order, (tiles,); None for even ones at whole rows.
 
-    Raises `BadInput` for overlaps as high as the beam and for tiles that leave a gap.
+    Raises:
+        BadInput: The overlap is as high as the beam, or tiles leave a gap.
     """
+
+    device: Device
+    domain: Space
+    operator: LinearOperator
+    centers: np.ndarray
+    tapers: np.ndarray
 
     def __init__(
         self, operator: LinearOperator, rows: Count, overlap: int = 0,
@@ -136,7 +151,7 @@ class Tiles(Derived):
     ) -> None:  # fmt: skip
         _check_projector(operator, "Tiles")
         if not 0 <= overlap < rows:
-            raise BadInput(f"tiles of {rows} rows overlap by {overlap}; wanted 0 or more, and fewer than the rows")
+            raise BadInput(f"tiles of {rows} rows overlap by {overlap}; expected 0 or more, and fewer than the rows")
         self.operator, self.device, self.domain = operator, operator.device, operator.domain
         inherit(self, operator)
         images: Any = operator.range
@@ -149,18 +164,17 @@ class Tiles(Derived):
         both = np.stack([np.zeros(len(moves)), moves], axis=1)
         self._shift = Shift(self.device, both, tall.pixels, tile.pixels)
         self._even, self._tapered = (self.device.table(t) for t in (np.ones_like(self.tapers), self.tapers))
-        self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
         return f"Tiles({self.operator!r}, rows={self.range.beam.pixels[1]}, centers={self.centers.tolist()})"
 
     def described(self) -> dict[str, Any]:
-        """What its constructor would be given."""
-        return {"operator": self.operator, "rows": self.range.beam.pixels[1], "centers": self.centers}
+        """What the constructor would be given.
 
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
+        Returns:
+            Its arguments by name.
+        """
+        return {"operator": self.operator, "rows": self.range.beam.pixels[1], "centers": self.centers}
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         tall = self.device.empty(self.operator.range.shape)
@@ -173,7 +187,14 @@ class Tiles(Derived):
         self.operator.transposed(tall, out)
 
     def split(self, light: Any) -> Any:
-        """Light of the tall beam as tiles whose overlaps share it: ``T(split(light))`` is the tall light's dose."""
+        """Share the light of the tall beam between tiles: ``T(split(light))`` is the tall light's dose.
+
+        Args:
+            light: Of the tall beam, [angle, r, z].
+
+        Returns:
+            Light of the tiles, [tile·angle, r, row]; NumPy for NumPy.
+        """
         require(self.operator.range, light, "the light")
         source = light if isinstance(light, DeviceArray) else self.device.upload(light)
         tiles = self.device.empty(self.range.shape)
@@ -192,13 +213,13 @@ def _spread(tall: Beam, rows: int, overlap: int) -> np.ndarray:
 def _tapers(tall: Beam, rows: int, centers: np.ndarray) -> np.ndarray:
     """(tile, row): weights that fall in a straight line over every overlap and add up to one."""
     if centers.ndim != 1 or not centers.size or not np.isfinite(centers).all() or (np.diff(centers) <= 0).any():
-        raise BadInput(f"centers of tiles are {centers}; wanted finite heights [mm] that rise from tile to tile")
+        raise BadInput(f"centers of tiles are {centers}; expected finite heights [mm] that rise from tile to tile")
     low, high = (centers + side * 0.5 * rows * tall.pitch for side in (-1, 1))
     edge = 0.5 * tall.pixels[1] * tall.pitch
     bounds = np.concatenate([[-edge], high]), np.concatenate([low, [edge]])
     for above, below in zip(*bounds, strict=True):
         if below - above > 1e-6 * tall.pitch:
-            raise BadInput(f"tiles leave a gap from z = {above:.4g} to {below:.4g} mm; wanted neighbors that touch: "
+            raise BadInput(f"tiles leave a gap from z = {above:.4g} to {below:.4g} mm; expected neighbors that touch: "
                            "more tiles, or more rows a tile")  # fmt: skip
     z = centers[:, None] + (np.arange(rows) - 0.5 * (rows - 1)) * tall.pitch
 

@@ -14,8 +14,8 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel, one_ray_a_pixel
 from vamgpu.kernels.oblique import back_oblique, forward_oblique
 from vamgpu.operators.dwell import Dwell
-from vamgpu.operators.light import EQUAL, OpenAir, column_in_resin, tabulate
-from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.ray_table import EQUAL, OpenAir, column_in_resin, tabulate
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
 from vamgpu.operators.wobble import Wobble
 
@@ -39,16 +39,30 @@ class Rising(Protocol):
 class Oblique(LinearOperator):
     """Rays that have a column and a row: ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose.
 
-    Entries are those of `Projection`, lengths [mm] of rays in voxels times what a vessel passes and absorbs, and times
-    the pose's time over the mean. One kernel follows every ray through the slices, so a cone's rows spread with depth
-    exactly as its columns do.
+    Entries are those of `Projection`: lengths [mm] of rays in voxels, times what a vessel passes and absorbs, times the
+    dwell of the angle over the mean. One kernel follows every ray through the slices, so a cone's rows spread with
+    depth exactly as its columns do. A pixel is one ray, without point spread.
 
-    A pixel is one ray, without point spread: a beam must leave ``fill`` and ``spread`` out.
+    Args:
+        grid: Voxels of the volume.
+        beam: Pixels; ``fill`` and ``spread`` must be left out.
+        motion: Angles of the turntable.
+        light: A `Cone`, an `Inclined`, or any vessel (None for air), whose rows are level.
+        wobble: Where the axis stands at each angle; the light and all vessels stay where they are.
+        device: A name or a device; the best one here by default.
 
-    grid, beam, motion: the geometry.  light: a `Cone`, an `Inclined`, or any vessel (None for air), whose rows are
-    level.  wobble: where the axis stands at each pose; the light and all vessels stay where they are.  device: a name
-    or a device.  Raises `BadInput`, `DeviceError`.
+    Raises:
+        BadInput: An argument is of another kind or out of its range.
+        DeviceError: There is no such device.
     """
+
+    domain: VolumeSpace
+    range: SinogramSpace
+    grid: Grid
+    beam: Beam
+    motion: Turntable
+    light: Rising | Vessel | None
+    wobble: Wobble | None
 
     def __init__(
         self,
@@ -61,35 +75,33 @@ class Oblique(LinearOperator):
     ) -> None:
         for value, kind in ((grid, Grid), (beam, Beam), (motion, Turntable)):
             if not isinstance(value, kind):
-                raise BadInput(f"got {value!r} where a {kind.__name__} is wanted; Oblique(grid, beam, motion, …)")
+                raise BadInput(f"got {value!r} where a {kind.__name__} is expected; Oblique(grid, beam, motion, …)")
         one_ray_a_pixel("Oblique", beam)
         if light is not None and not isinstance(light, (Rising, Vessel)):
-            raise BadInput(f"got {light!r} as light; wanted a Cone, an Inclined, a vessel, or None for straight light")
+            raise BadInput(
+                f"got {light!r} as light; expected a Cone, an Inclined, a vessel, or None for straight light"
+            )
         self.grid, self.beam, self.motion, self.light, self.wobble = grid, beam, motion, light, wobble
         plane = light.plane if isinstance(light, Rising) else light
         self.vessel: Any = None if isinstance(plane, OpenAir) else plane
-        self.domain, self.range = VolumeSpace(grid), SinogramSpace(beam, motion)
-        self.device = open_device(device)
+        self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.device: Device = open_device(device)
         self._places = np.zeros((motion.angles, 2)) if wobble is None else wobble.places(motion.angles) / grid.pitch
         self._check_places()
         self._tables = self._tabulated(plane or OpenAir())
         self._dwell = Dwell(motion, self.device)
-        self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
         return (f"Oblique({self.grid!r}, {self.beam!r}, {self.motion!r}, {self.light!r}, {self.wobble!r}, "
                 f"device={self.device.name!r})")  # fmt: skip
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
 
     def _check_places(self) -> None:
         far = float(np.abs(self._places).max(initial=0.0)) * self.grid.pitch
         half = 0.5 * self.beam.pixels[0] * self.beam.pitch
         if far >= half:
             raise BadInput(f"the axis wanders {far:.4g} mm off, beyond the beam of {half:.4g} mm either side; "
-                           "wanted less: check the wobble's unit, mm")  # fmt: skip
+                           "expected less: check the wobble's unit, mm")  # fmt: skip
 
     def _tabulated(self, plane: Vessel) -> dict[str, Any]:
         """The projector's tables, with the rows beside them, over every place that a voxel may be carried to."""
@@ -103,7 +115,7 @@ class Oblique(LinearOperator):
         position = (np.arange(n) - 0.5 * (n - 1)) * grid.pitch
         lift, stretch, gain = self._rows(*np.meshgrid(position, position, indexing="ij"))
         if not stretch.min() > 0.0:
-            raise BadInput(f"rows are stretched by {stretch.min():.3g}; wanted more than 0: light must not run along "
+            raise BadInput(f"rows are stretched by {stretch.min():.3g}; expected more than 0: light must not run along "
                            "the axis or start inside the volume")  # fmt: skip
         ratio = grid.pitch / beam.pitch
         rows = [lift / beam.pitch, stretch * ratio]
@@ -121,10 +133,10 @@ class Oblique(LinearOperator):
         return np.zeros_like(across), np.ones_like(across), np.ones_like(across)
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        self.device.launch(forward_oblique, volume=x, **self._tables, **self._size, lanes=x.lanes, sinogram=out)
+        self.device.launch(forward_oblique, volume=x, **self._tables, **self._size, lanes=x, sinogram=out)
         self._dwell.weigh(out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         tables = {name: self._tables[name] for name in ("poses", "light")}
         shone = self._dwell.weighted(y)
-        self.device.launch(back_oblique, sinogram=shone, **tables, **self._size, lanes=y.lanes, volume=out)
+        self.device.launch(back_oblique, sinogram=shone, **tables, **self._size, lanes=y, volume=out)

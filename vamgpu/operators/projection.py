@@ -16,9 +16,9 @@ from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.kernels.footprint import back_footprint, forward_footprint
 from vamgpu.kernels.project import back_joseph, forward_joseph
 from vamgpu.operators.dwell import Dwell
-from vamgpu.operators.light import OpenAir, tabulate
-from vamgpu.operators.linear import LinearOperator, Transposed
-from vamgpu.operators.rows import Rows
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.ray_table import OpenAir, tabulate
+from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
 
 FOOTPRINTS = ("exact", "joseph")
@@ -34,21 +34,25 @@ class Projection(LinearOperator):
     the light has one ray through each point within the printable radius; voxels outside it count as unlit.
 
     Args:
-        grid: voxels of the volume.
-        beam: pixels, with their fill factor and point spread.
-        motion: poses of the turntable.
-        vessel: e.g. `Vial`; None for straight light.
-        device: a name or a device; the best one here by default.
+        grid: Voxels of the volume.
+        beam: Pixels, with their fill factor and point spread.
+        motion: Angles of the turntable.
+        vessel: For example a `Vial`; None for straight light.
+        device: A name or a device; the best one here by default.
         footprint: "exact", or "joseph" for straight rays interpolated between voxels as tomography packages do: no
             fill factor, no point spread, columns as wide as voxels (P. M. Joseph, IEEE Trans. Med. Imaging 1 (1982)).
 
     Raises:
-        BadInput: an argument is of another kind, or Joseph's rays do not fit the geometry.
-        DeviceError: there is no such device.
+        BadInput: An argument is of another kind, or Joseph's rays do not fit the geometry.
+        DeviceError: There is no such device.
     """
 
     domain: VolumeSpace
     range: SinogramSpace
+    grid: Grid
+    beam: Beam
+    motion: Turntable
+    vessel: Vessel | None
 
     def __init__(
         self,
@@ -68,26 +72,22 @@ class Projection(LinearOperator):
         self.grid, self.beam, self.motion, self.vessel = grid, beam, motion, vessel
         self.footprint: Literal["exact", "joseph"] = footprint
         self._check_footprint()
-        self.domain, self.range = VolumeSpace(grid), SinogramSpace(beam, motion)
-        self.device = open_device(device)
+        self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.device: Device = open_device(device)
         self._dwell, poses = Dwell(motion, self.device), motion.poses
         self._directions = self.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
         if footprint == "joseph":
-            self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device)
+            self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device)
         else:
             pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
-            self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device, **pixel)
+            self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device, **pixel)
             self._light, self._gather = self._tables()
-        self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
         vessel = f", {self.vessel!r}" if self.vessel else ""
         how = f", footprint={self.footprint!r}" if self.footprint != "exact" else ""
         return f"Projection({self.grid!r}, {self.beam!r}, {self.motion!r}{vessel}, device={self.device.name!r}{how})"
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
 
     def _check_footprint(self) -> None:
         if self.footprint not in FOOTPRINTS:
@@ -141,8 +141,29 @@ class Projection(LinearOperator):
         if not self._rows.same:
             rows = self.device.empty(self._slices)
             self._rows.to_slices(weighted, rows)
+        self._back(rows, out)
+
+    def _back(self, rows: DeviceArray, out: DeviceArray) -> None:
         fields = {"sinogram": rows, "directions": self._directions, "volume": out}
         if self.footprint == "joseph":
             self.device.launch(back_joseph, **fields, pitch=self.grid.pitch)
         else:
             self.device.launch(back_footprint, **fields, **self._light)
+
+    @property
+    def row_weights(self) -> np.ndarray:
+        """What each slice gets of the light of each row of pixels, (slices, rows)."""
+        return self._rows.weights
+
+    def dose_of_slices(self, light: np.ndarray) -> np.ndarray:
+        """Dose of some slices, of which each has its own light: none lights another.
+
+        Args:
+            light: With `row_weights` applied, [angle, r, slice], of any number of slices.
+
+        Returns:
+            The dose, [x, y, slice], NumPy.
+        """
+        out = self.device.empty((*self.grid.shape[:2], light.shape[2]))
+        self._back(self._dwell.weighted(self.device.field(light)), out)
+        return out.numpy()

@@ -1,15 +1,16 @@
-"""The spaces operators map between: a volume's and a sinogram's, a web's and that of the light on it."""
+"""The spaces operators map between: those of volumes and sinograms, of rings, of webs and the light on them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from vamgpu.errors import ShapeMismatch
 from vamgpu.geometry import Beam, Grid, Turntable
-from vamgpu.operators.feed import Feed
+from vamgpu.operators.polar import PolarGrid
+from vamgpu.operators.web_motion import WebMotion
 from vamgpu.web import WebGrid
 
 
@@ -18,7 +19,7 @@ class VolumeSpace:
     """Values on the voxels of a grid, axes ``[x, y, z]``."""
 
     grid: Grid
-    axes = ("x", "y", "z")
+    axes: ClassVar[tuple[str, str, str]] = ("x", "y", "z")
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -32,7 +33,7 @@ class SinogramSpace:
 
     beam: Beam
     motion: Turntable
-    axes = ("angle", "r", "z")
+    axes: ClassVar[tuple[str, str, str]] = ("angle", "r", "z")
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -50,7 +51,7 @@ class WebSpace:
     """Values on the voxels of a web, axes ``[l, rho, z]``."""
 
     grid: WebGrid
-    axes = ("l", "rho", "z")
+    axes: ClassVar[tuple[str, str, str]] = ("l", "rho", "z")
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -59,12 +60,12 @@ class WebSpace:
 
 
 @dataclass(frozen=True)
-class FeedSpace:
+class WebSinogramSpace:
     """Values on the pixels of a beam at every pose of a web, axes ``[pose, r, z]``."""
 
     beam: Beam
-    motion: Feed
-    axes = ("pose", "r", "z")
+    motion: WebMotion
+    axes: ClassVar[tuple[str, str, str]] = ("pose", "r", "z")
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -72,7 +73,20 @@ class FeedSpace:
         return (self.motion.poses, *self.beam.pixels)
 
 
-Space = VolumeSpace | SinogramSpace | WebSpace | FeedSpace
+@dataclass(frozen=True)
+class PolarSpace:
+    """Values on the cells of rings, axes ``[angle, cell, z]``."""
+
+    grid: PolarGrid
+    axes: ClassVar[tuple[str, str, str]] = ("angle", "cell", "z")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Angles, cells between two of them, slices."""
+        return self.grid.shape
+
+
+Space = VolumeSpace | SinogramSpace | PolarSpace | WebSpace | WebSinogramSpace
 
 
 def require(space: Space, value: Any, name: str) -> None:
@@ -80,4 +94,6 @@ def require(space: Space, value: Any, name: str) -> None:
     shape = tuple(getattr(value, "shape", ()))
     if shape != space.shape:
         axes = ", ".join(space.axes)
-        raise ShapeMismatch(f"{name} has shape {shape}; wanted {space.shape} = [{axes}]: build it on the same geometry")
+        raise ShapeMismatch(
+            f"{name} has shape {shape}; expected {space.shape} = [{axes}]: build it on the same geometry"
+        )

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import ceil
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.deprecated import Renamed, renamed_arguments
 from vamgpu.errors import BadInput, OutOfMemory
 from vamgpu.geometry import Beam, Grid, Turntable, counts, one_ray_a_pixel, positive
 from vamgpu.kernels.gather import gather_rows
-from vamgpu.kernels.trace import ABSORBS, back_traced, clear_volume, forward_traced, survey_rays, trace_entries
+from vamgpu.kernels.medium import ABSORBS
+from vamgpu.kernels.trace import survey_rays, trace_entries
+from vamgpu.kernels.traced import back_traced, clear_volume, forward_traced
 from vamgpu.operators.bundle import RayBundle
-from vamgpu.operators.carried import Carried
 from vamgpu.operators.dwell import Dwell
-from vamgpu.operators.linear import LinearOperator, Transposed
-from vamgpu.operators.rows import Rows
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.medium import CoRotatingMedium
+from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
-from vamgpu.operators.sparse import SparseEntries
 
 SCRATCH = 64 << 20
 """Bytes of the table that poses are traced into at once."""
@@ -34,60 +37,79 @@ PATIENCE = 8
 
 @final
 class TracedProjection(LinearOperator):
-    """Rays of a beam through a volume that turns together with what it carries.
+    """Rays of a beam through a volume that turns together with a medium.
 
     ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose [x, y, z]; ``A[i, j]`` is the length [mm] of
-    ray i in voxel j, times transmittance and the absorbed fraction per mm where an extinction is carried, and times the
-    pose's time over the mean. No dose is counted in opaque voxels. Where nothing depends on z and light is level, all
-    slices share the rays of one: they are traced once into a sparse matrix and its transpose, both on the device.
-    Otherwise rays are marched in every product.
+    ray i in voxel j, times transmittance and the absorbed fraction per mm where the medium absorbs, and times the dwell
+    of its angle over the mean. Opaque voxels get no dose. Where nothing depends on z and light is level, all slices
+    share the rays of one: they are traced once into a sparse matrix and its transpose, both on the device. Otherwise
+    rays are marched in every product. A pixel is one ray, or those of ``rays``, without point spread.
 
-    A pixel is one ray, or those of ``rays``, without point spread: a beam must leave ``fill`` and ``spread`` out.
+    Args:
+        grid: Voxels of the volume.
+        beam: Pixels; ``fill`` and ``spread`` must be left out.
+        motion: Angles of the turntable.
+        medium: What turns with the resin; None for a clear one.
+        rays: Rays of every pixel; None for parallel light.
+        device: A name or a device; the best one here by default.
+        step: Of a ray [voxels], at most 0.5 past thin inserts.
+        most_steps: After which a ray counts as caught; by default those of 8 ways through the grid.
 
-    grid, beam, motion: the geometry.  carried: what turns with the resin.  rays: `RayBundle`, None for parallel light.
-    device: a name or a device.  step: of a ray [voxels], at most 0.5 past thin inserts.  most_steps: after which a ray
-    counts as caught.
-    Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
+    Raises:
+        BadInput: An argument is of another kind or out of its range, or a ray never leaves.
+        ShapeMismatch: The medium or the rays were made for another geometry.
+        DeviceError: There is no such device, or it has too little memory.
     """
 
+    domain: VolumeSpace
+    range: SinogramSpace
+    grid: Grid
+    beam: Beam
+    motion: Turntable
+    medium: CoRotatingMedium
+    rays: RayBundle
+    vessel: None
+    step: float
+    most_steps: int
+
+    @renamed_arguments(carried="medium")
     def __init__(
         self,
         grid: Grid,
         beam: Beam,
         motion: Turntable,
-        carried: Carried | None = None,
+        medium: CoRotatingMedium | None = None,
         rays: RayBundle | None = None,
         device: str | Device | None = None,
         step: float = 0.5,
         most_steps: int | None = None,
     ) -> None:
-        carried = Carried() if carried is None else carried
+        medium = CoRotatingMedium() if medium is None else medium
         rays = RayBundle.parallel(beam) if rays is None and isinstance(beam, Beam) else rays
-        wanted = ((grid, Grid), (beam, Beam), (motion, Turntable), (carried, Carried), (rays, RayBundle))
-        for value, kind in wanted:
+        expected = ((grid, Grid), (beam, Beam), (motion, Turntable), (medium, CoRotatingMedium), (rays, RayBundle))
+        for value, kind in expected:
             if not isinstance(value, kind):
-                raise BadInput(f"got {value!r} where a {kind.__name__} is wanted; TracedProjection(grid, beam, …)")
+                raise BadInput(f"got {value!r} where a {kind.__name__} is expected; TracedProjection(grid, beam, …)")
         one_ray_a_pixel("TracedProjection", beam)
-        self.grid, self.beam, self.motion, self.carried, self.rays = grid, beam, motion, carried, rays
+        assert rays is not None  # only a beam of another kind leaves it out
+        self.grid, self.beam, self.motion, self.medium, self.rays = grid, beam, motion, medium, rays
         self.vessel = None
-        self.domain, self.range = VolumeSpace(grid), SinogramSpace(beam, motion)
-        self.device = open_device(device)
+        self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.device: Device = open_device(device)
         self.step = positive("step [voxels]", step)
         patience = ceil(PATIENCE * sum(grid.shape) / self.step)
         self.most_steps = patience if most_steps is None else counts("most_steps", (most_steps,), 1)[0]
-        carried.check(grid)
-        level = carried.is_level and rays.is_level  # type: ignore[union-attr]
+        medium.check(grid)
+        level = medium.is_level and rays.is_level
         self._way: _Matrix | _March = _Matrix(self) if level else _March(self)
         self._dwell = Dwell(motion, self.device)
-        self._transpose = Transposed(self)
+
+    carried: ClassVar[Renamed] = Renamed("medium")
 
     def __repr__(self) -> str:
-        fields = ", ".join(self.carried.fields()) or "nothing"
+        fields = ", ".join(self.medium.fields()) or "nothing"
         return f"TracedProjection({self.grid!r}, {self.beam!r}, {self.motion!r}, {fields}, device={self.device.name!r})"
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
 
     @property
     def entries(self) -> int:
@@ -101,18 +123,18 @@ class TracedProjection(LinearOperator):
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         self._way.transposed(self._dwell.weighted(y), out)
 
-    def inputs(self, *, level: bool) -> dict[str, Any]:
+    def _inputs(self, *, level: bool) -> dict[str, Any]:
         """Medium, rays, step and kind as the kernels of `trace` take them."""
-        unit = 1.0 if self.carried.kind & ABSORBS else self.grid.pitch
+        unit = 1.0 if self.medium.kind & ABSORBS else self.grid.pitch
         starts = self.rays.table(self.grid, self.beam, level=level, unit=unit)  # type: ignore[union-attr]
         return {
-            "medium": self.device.table(self.carried.medium(self.grid)),
+            "medium": self.device.table(self.medium.samples(self.grid)),
             "starts": self.device.table(starts),
             "step": self.step,
-            "kind": self.carried.kind,
+            "kind": self.medium.kind,
         }
 
-    def check_left(self, caught: np.ndarray, rows: int, bundle: int) -> None:
+    def _check_left(self, caught: np.ndarray, rows: int, bundle: int) -> None:
         """Raise `BadInput` if any ray is marked in ``caught`` (angle, ray)."""
         if not caught.any():
             return
@@ -131,7 +153,7 @@ class _Matrix:
 
     def __init__(self, owner: TracedProjection) -> None:
         self.device, grid, beam = owner.device, owner.grid, owner.beam
-        self.resampled = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, owner.device)
+        self.resampled = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, owner.device)
         self.slices = (owner.motion.angles, beam.pixels[0], grid.shape[2])
         cells, rays = grid.shape[0] * grid.shape[1], owner.motion.angles * beam.pixels[0]
         if max(cells, rays) > WHOLE:
@@ -158,7 +180,7 @@ class _Matrix:
 def _traced(owner: TracedProjection) -> SparseEntries:
     """The matrix of one slice, rows being [angle, r]; traced some poses at a time."""
     device, bundle = owner.device, owner.rays.rays  # type: ignore[union-attr]
-    inputs = owner.inputs(level=True) | {"most": owner.most_steps}
+    inputs = owner._inputs(level=True) | {"most": owner.most_steps}
     rays = owner.beam.pixels[0] * bundle
     capacity = 3 * sum(owner.grid.shape[:2]) + 16
     poses, solid = owner.motion.poses, _solid(owner)
@@ -173,7 +195,7 @@ def _traced(owner: TracedProjection) -> SparseEntries:
         if found.max() > capacity:
             capacity = int(found.max())
             continue
-        owner.check_left(found < 0, 1, bundle)
+        owner._check_left(found < 0, 1, bundle)
         valid = np.arange(capacity) < found[..., None]
         part = scratch.numpy()[valid]
         if solid is not None:
@@ -185,13 +207,13 @@ def _traced(owner: TracedProjection) -> SparseEntries:
         at += some.size
     found, whole = np.concatenate(entries), np.concatenate(pairs)
     if len(whole) >= 2**31:
-        raise OutOfMemory(f"the matrix has {len(whole)} entries; below {2**31} can be told apart: use a coarser grid")
+        raise OutOfMemory(f"the matrix has {len(whole)} entries; below {2**31} can be numbered: use a coarser grid")
     row = np.repeat(np.arange(found.size, dtype=np.int32), found)
     return SparseEntries(row, whole[:, 0].astype(np.int32), np.ascontiguousarray(whole[:, 1]))
 
 
 def _solid(owner: TracedProjection) -> np.ndarray | None:
-    return None if owner.carried.opaque is None else owner.carried.opaque.ravel()
+    return None if owner.medium.opaque is None else owner.medium.opaque.ravel()
 
 
 class _March:
@@ -202,18 +224,49 @@ class _March:
     def __init__(self, owner: TracedProjection) -> None:
         self.device, poses = owner.device, owner.motion.poses
         angles, (columns, rows) = owner.motion.angles, owner.beam.pixels
-        self.inputs = owner.inputs(level=False)
+        self.inputs = owner._inputs(level=False)
         self.inputs["directions"] = self.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
         steps = self.device.empty((angles, columns * rows), np.int32, table=True)
         self.device.launch(
             survey_rays, **self.inputs, top=owner.grid.shape[2] + 1.0, most=owner.most_steps, steps=steps
         )
-        owner.check_left(steps.numpy() < 0, rows, 1)
+        owner._check_left(steps.numpy() < 0, rows, 1)
         self.inputs["steps"] = steps
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        self.device.launch(forward_traced, volume=x, **self.inputs, lanes=out.lanes, sinogram=out)
+        self.device.launch(forward_traced, volume=x, **self.inputs, lanes=out, sinogram=out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         self.device.launch(clear_volume, volume=out)
-        self.device.launch(back_traced, sinogram=y, **self.inputs, lanes=y.lanes, volume=out)
+        self.device.launch(back_traced, sinogram=y, **self.inputs, lanes=y, volume=out)
+
+
+@dataclass(frozen=True, eq=False)
+class SparseEntries:
+    """Entries of a matrix in any order: rows and columns, int32, and weights; those of one place add up."""
+
+    row: np.ndarray
+    column: np.ndarray
+    weight: np.ndarray
+
+    def transposed(self) -> SparseEntries:
+        """The same entries, rows and columns exchanged."""
+        return SparseEntries(self.column, self.row, self.weight)
+
+    def table(self, device: Device, shape: tuple[int, int], block: int) -> dict[str, DeviceArray]:
+        """What `gather_rows` needs of a matrix whose rows are ``shape``, in blocks of ``block`` columns."""
+        major, minor = np.divmod(self.row, shape[1])
+        blocks = -(-(int(self.column.max(initial=0)) + 1) // block)
+        place = (major * blocks + self.column // block) * shape[1] + minor
+        first, order = _sorted(place, shape[0] * blocks * shape[1])
+        pairs = np.stack([self.column[order].astype(self.weight.dtype), self.weight[order]], axis=1)
+        return {"first": device.table(first, "int32"), "entries": device.table(pairs)}
+
+
+def _sorted(place: np.ndarray, places: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where each place's entries begin, and all entries by their places; those of one place keep their order."""
+    from scipy.sparse import csr_array
+
+    row = csr_array((np.arange(place.size, dtype=np.int32), place, np.array([0, place.size])), shape=(1, places))
+    columns = row.tocsc()
+    return columns.indptr, columns.data

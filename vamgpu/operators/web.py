@@ -13,10 +13,10 @@ from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Beam, one_ray_a_pixel
 from vamgpu.kernels.unfold import mix_poses
 from vamgpu.operators.bands import Bands
-from vamgpu.operators.feed import Feed
-from vamgpu.operators.linear import LinearOperator, Transposed
-from vamgpu.operators.rows import Rows
-from vamgpu.operators.space import FeedSpace, WebSpace
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.row_resampler import RowResampler
+from vamgpu.operators.space import WebSinogramSpace, WebSpace
+from vamgpu.operators.web_motion import WebMotion
 from vamgpu.web import Propagation, WebGrid, Wrap
 
 
@@ -26,18 +26,37 @@ class WebProjection(LinearOperator):
 
     ``A(web)`` is the light [pose, r, z] of a web [l, rho, z]: g[pose, r, z] = Σ over the window of
     P[r, rho, l]·f[l + start + pose·step, rho, z]; ``A.T(light)`` is the dose of the web. Columns outside the web count
-    as nothing; a window that begins between two columns interpolates linearly. The unfolded matrix of
-    "Roll-to-roll tomographic volumetric additive manufacturing", section S2, is never made: memory is that of f and g,
-    and with steps between columns that of one more g (a pose for every column).
+    as nothing; a window that begins between two columns interpolates linearly. The unfolded matrix of "Roll-to-roll
+    tomographic volumetric additive manufacturing", section S2, is never made: memory is that of f and g, and with steps
+    between columns that of one more g. A pixel is as the `Propagation` says, without point spread.
 
-    A pixel is as the `Propagation` says, without point spread: a beam must leave ``fill`` and ``spread`` out.
+    Args:
+        grid: The web.
+        beam: The light; it must leave ``fill`` and ``spread`` out.
+        wrap: The machine that moves the web.
+        device: A name or a device; the best one here by default.
+        poses: How many poses; by default all that see any of the web.
+        start: Where the first window begins [columns]; by default the first that sees any of the web.
 
-    grid, beam, wrap: the web, the light and the machine that moves the web.  device: a name or a device.  poses, start:
-    how many poses, from which column; by default all that see any of the web.
+    Attributes:
+        light: The `Propagation` of one pose.
+        motion: The `WebMotion`: poses, and step and start in columns.
 
-    Attributes: grid, beam, wrap (None for bare light), light (the `Propagation`), motion (the `Feed`: poses, step and
-    start in columns), first (its start).  Raises `BadInput`, `ShapeMismatch`, `SkippedColumns`, `DeviceError`.
+    Raises:
+        BadInput: An argument is of another kind or out of its range.
+        ShapeMismatch: The light was made for another geometry.
+        SkippedColumns: Some columns are never lit.
+        DeviceError: There is no such device.
     """
+
+    domain: WebSpace
+    range: WebSinogramSpace
+    grid: WebGrid
+    beam: Beam
+    light: Propagation
+    vessel: None
+    motion: WebMotion
+    first: float
 
     def __init__(
         self,
@@ -50,7 +69,7 @@ class WebProjection(LinearOperator):
     ) -> None:
         for value, kind in ((grid, WebGrid), (beam, Beam), (wrap, Wrap)):
             if not isinstance(value, kind):
-                raise BadInput(f"got {value!r} where a {kind.__name__} is wanted; WebProjection(grid, beam, wrap, …)")
+                raise BadInput(f"got {value!r} where a {kind.__name__} is expected; WebProjection(grid, beam, wrap, …)")
         self.wrap: Wrap | None = wrap
         self._build(grid, beam, wrap.propagation(grid, beam), wrap.advance / grid.edges[0], device, poses, start)
 
@@ -65,7 +84,20 @@ class WebProjection(LinearOperator):
         poses: int | None = None,
         start: float | None = None,
     ) -> WebProjection:
-        """From the light of one pose and a step in columns; without a beam each row of light is a slice."""
+        """Build from the light of one pose.
+
+        Args:
+            grid: The web.
+            light: Of one pose.
+            step: From pose to pose [columns].
+            beam: The light's pixels; by default each row of light is a slice.
+            device: A name or a device; the best one here by default.
+            poses: As for `WebProjection`.
+            start: As for `WebProjection` [columns].
+
+        Returns:
+            The operator, whose ``wrap`` is None.
+        """
         operator = cls.__new__(cls)
         operator.wrap = None
         beam = beam or Beam((light.shape[0], grid.shape[2]), grid.edges[2])
@@ -85,29 +117,25 @@ class WebProjection(LinearOperator):
         one_ray_a_pixel("WebProjection", beam)
         if light.shape[:2] != (beam.pixels[0], grid.shape[1]):
             raise ShapeMismatch(
-                f"the light has {light.shape[0]} columns and {light.shape[1]} layers; wanted {beam.pixels[0]} as "
+                f"the light has {light.shape[0]} columns and {light.shape[1]} layers; expected {beam.pixels[0]} as "
                 f"{beam} and {grid.shape[1]} as {grid}: build it on the same geometry"
             )
         self.grid, self.beam, self.light = grid, beam, light
         self.vessel = None
-        self.motion = Feed.past(grid.shape[0], light.shape[2], step, poses, start)
+        self.motion = WebMotion.past(grid.shape[0], light.shape[2], step, poses, start)
         self.motion.check_lit(light, grid.shape[0], whole_web=poses is None and start is None)
         self.first = self.motion.start
-        self.domain, self.range = WebSpace(grid), FeedSpace(beam, self.motion)
-        self.device = open_device(device)
-        self._rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2], self.device)
+        self.domain = WebSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.range = WebSinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.device: Device = open_device(device)
+        self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2], self.device)
         self._between = None if self.motion.whole else _Between(self.motion, self.device)
         begin, stride = (int(self.first), int(self.motion.step)) if not self._between else (self._between.first, 1)
         self._forward = Bands.forward(light, begin, stride).on(self.device)
         self._transposed = Bands.transposed(light, begin, stride).on(self.device)
-        self._transpose = Transposed(self)
 
     def __repr__(self) -> str:
         return f"WebProjection({self.grid!r}, {self.beam!r}, {self.motion!r}, device={self.device.name!r})"
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
 
     @property
     def nbytes(self) -> int:
@@ -144,7 +172,7 @@ class WebProjection(LinearOperator):
 class _Between:
     """Poses between two columns as mixtures of ``count`` poses at whole columns from column ``first``."""
 
-    def __init__(self, motion: Feed, device: Device) -> None:
+    def __init__(self, motion: WebMotion, device: Device) -> None:
         below, share = motion.neighbors
         pose = np.concatenate([np.arange(below.size), np.flatnonzero(share)])
         column = np.concatenate([below, below[share > 0] + 1])

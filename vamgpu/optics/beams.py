@@ -1,12 +1,12 @@
 """Beams that are not the collimated, centered ideal: each wraps a round vessel, or plain air, with another ray map.
 
-Everything here stands still in the laboratory, so one map of one pose describes it. `Aimed` and `Fan` turn rays in the
-plane across the axis only and are vessels themselves: ``Projection(grid, beam, motion, Fan(vial, throw=300))``.
+Everything here stands still in the laboratory, so one map of one pose describes it. `Misaligned` and `Fan` turn rays
+in the plane across the axis only and are vessels themselves: ``Projection(grid, beam, motion, Fan(vial, throw=300))``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
 
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Chords, Vessel
-from vamgpu.operators.light import OpenAir
+from vamgpu.operators.ray_table import OpenAir
 from vamgpu.optics.inputs import Floats, as_offsets
 from vamgpu.optics.vat import Vat
 from vamgpu.schema import check
@@ -26,17 +26,46 @@ STEP_DONE = 1e-9
 """Share of the farthest point's distance that a column may still move by when the search for it ends."""
 
 
+class Wrapper(Vessel):
+    """A vessel that changes the light of another one, or of plain air."""
+
+    vessel: Vessel | None
+
+    @property
+    def inner(self) -> Vessel:
+        """The other vessel, air included."""
+        return OpenAir() if self.vessel is None else self.vessel
+
+    @property
+    def absorption(self) -> float:
+        return self.inner.absorption
+
+    @property
+    def lit_radius(self) -> float:
+        return self.inner.lit_radius
+
+    def check_fits(self, radius: float) -> None:
+        """Check a target against the other vessel, where that has limits.
+
+        Args:
+            radius: Of the target [mm].
+        """
+        check = getattr(self.vessel, "check_fits", None)
+        if check is not None:
+            check(radius)
+
+
 @dataclass(frozen=True)
-class Aimed:
-    """Parallel light that is not aimed at the axis of rotation.
+class Misaligned(Wrapper):
+    """Parallel light that misses the axis of rotation.
 
     Args:
-        vessel: a round vessel about the axis, or None for air.
-        offset: of the axis of rotation from the middle of the columns, towards +r [mm].
-        tilt: turn of the light about the axis, in the plane [rad]: light travels towards -(cos, sin) of pose + tilt.
+        vessel: A round vessel about the axis, or None for air.
+        offset: Of the axis of rotation from the middle of the columns, towards +r [mm].
+        tilt: Turn of the light about the axis, in the plane [rad]: light travels towards -(cos, sin) of angle + tilt.
 
     Raises:
-        BadInput: a value is not finite, or the vessel is not round.
+        BadInput: A value is not finite, or the vessel is not round.
     """
 
     vessel: Vessel | None = None
@@ -52,28 +81,18 @@ class Aimed:
         """Of the projector's pupil from the axis [mm]; infinite for parallel light."""
         return inf
 
-    @property
-    def inner(self) -> Vessel:
-        """The vessel, air included."""
-        return OpenAir() if self.vessel is None else self.vessel
-
-    @property
-    def absorption(self) -> float:
-        """Of the resin, natural logarithm [1/mm]."""
-        return self.inner.absorption
-
-    @property
-    def lit_radius(self) -> float:
-        """Radius that light reaches at every pose, for a beam that is wide enough [mm]."""
-        return self.inner.lit_radius
-
     def check_fits(self, radius: float) -> None:
-        """What the vessel says about a target of this radius [mm]; in air everything fits before the pupil."""
+        """Check a target against the vessel; in air everything fits before the pupil.
+
+        Args:
+            radius: Of the target [mm].
+
+        Raises:
+            BadInput: The target reaches the pupil.
+        """
         if radius >= self.distance:
             raise _too_short(self.distance, radius)
-        check = getattr(self.vessel, "check_fits", None)
-        if check is not None:
-            check(radius)
+        super().check_fits(radius)
 
     def _entry(self, u: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Lines that columns u send: distance from the axis q, turn d0, and both by u."""
@@ -84,19 +103,29 @@ class Aimed:
         return q, turn, q_by_u, -1.0 / (self.distance * root**2)
 
     def chords(self, u: ArrayLike) -> Chords:
-        """Chords in the resin of the columns at the offsets u [mm], any shape; raises `BadInput` for u not finite."""
         q, turn, q_by_u, turn_by_u = self._entry(as_offsets("u", u))
         straight = self.inner.chords(q)
-        return Chords(straight.p, straight.angle + turn, straight.spread * q_by_u + turn_by_u,
-                      straight.transmittance, straight.length)
+        return Chords(
+            straight.p,
+            straight.angle + turn,
+            straight.spread * q_by_u + turn_by_u,
+            straight.transmittance,
+            straight.length,
+        )
 
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
-        """Column u [mm] that lights each laboratory point, and its weight there; see `Vessel.illuminate`.
+        """The ray through each point; its density counts columns in the plane: 1 / (magnification · cos of the ray's
+        slope).
 
-        The weight's density is that of columns in the plane: 1 / (magnification * cos of the ray's slope).
+        Args:
+            across: Laboratory X [mm], (...,).
+            along: Laboratory Y [mm], (...,), broadcast with ``across``.
+
+        Returns:
+            Columns u [mm], (...,), and weights, (...,), as for `Vessel`.
 
         Raises:
-            BadInput: the projector is nearer than a point.
+            BadInput: The projector is nearer than a point.
         """
         x, y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
         farthest = float(np.hypot(x, y).max(initial=0.0))
@@ -113,8 +142,10 @@ class Aimed:
             if not moving.any():
                 break
         if (moving & (np.hypot(x, y) < (1.0 - 1e-9) * self.lit_radius)).any():
-            raise BadInput(f"the pupil is {self.distance:g} mm from the axis, too near to follow its rays to every "
-                           f"point within {farthest:g} mm; wanted a throw of several times that")
+            raise BadInput(
+                f"the pupil is {self.distance:g} mm from the axis, too near to follow its rays to every "
+                f"point within {farthest:g} mm; expected a throw of several times that"
+            )
         # where rays cross or none comes, beyond the lit radius, the search may go on for ever
         return u, np.where(moving, 0.0, weight * self._denser(u, x, y))
 
@@ -134,18 +165,20 @@ class Aimed:
 
 
 @dataclass(frozen=True)
-class Fan(Aimed):
+class Fan(Misaligned):
     """Light that spreads in the plane from a pupil, as behind a lens that is not telecentric; rows stay level.
 
     Column u is counted on the axis' plane: in air it lights X = u (1 + Y / throw) and its irradiance falls as
     1 / distance. For rows that spread as well see `Cone`.
 
     Args:
-        vessel, offset, tilt: as for `Aimed`.
-        throw: distance of the pupil from the axis, seen from the resin's surroundings [mm].
+        vessel: as for `Misaligned`.
+        offset: as for `Misaligned` [mm].
+        tilt: as for `Misaligned` [rad].
+        throw: Distance of the pupil from the axis, seen from the resin's surroundings [mm].
 
     Raises:
-        BadInput: a throw that is not above 0, or as short as the vessel's radius.
+        BadInput: The throw is not above 0, or as short as the vessel's radius.
     """
 
     throw: Far = inf
@@ -170,16 +203,43 @@ def turned(x: Floats, y: Floats, angle: Floats) -> tuple[Floats, Floats]:
 
 
 def _too_short(throw: float, reach: float) -> BadInput:
-    return BadInput(f"the throw is {throw:g} mm, but the vessel or the volume reaches {reach:.4g} mm from the axis: "
-                    "the projector would stand inside it; wanted a longer throw")
+    return BadInput(
+        f"the throw is {throw:g} mm, but the vessel or the volume reaches {reach:.4g} mm from the axis: "
+        "the projector would stand inside it; expected a longer throw"
+    )
 
 
 def _check_round(vessel: Any, name: str) -> None:
     """Refuse a vessel that rays from another direction would find changed."""
     if vessel is not None and not isinstance(vessel, Vessel):
-        raise BadInput(f"{name} got {vessel!r} as vessel; wanted a vessel, or None for air")
-    if isinstance(vessel, Aimed) or not getattr(vessel, "is_round", True) or (
-        isinstance(vessel, Vat) and vessel.radius is None
+        raise BadInput(f"{name} got {vessel!r} as vessel; expected a vessel, or None for air")
+    if (
+        isinstance(vessel, Misaligned)
+        or not getattr(vessel, "is_round", True)
+        or (isinstance(vessel, Vat) and vessel.radius is None)
     ):
-        raise BadInput(f"{name} got {vessel!r}; wanted a vessel that is round about the axis (a Vial, a Vat with a "
-                       "radius) or None: give offset and tilt to one wrapper, and wrap occluders last")
+        raise BadInput(
+            f"{name} got {vessel!r}; expected a vessel that is round about the axis (a Vial, a Vat with a "
+            "radius) or None: give offset and tilt to one wrapper, and wrap occluders last"
+        )
+
+
+def with_absorption(vessel: Any, absorption: float) -> Any:
+    """Change the absorption of a vessel, or of the one within its wrappers.
+
+    Args:
+        vessel: Of whose resin.
+        absorption: Natural logarithm [1/mm].
+
+    Returns:
+        The other vessel.
+
+    Raises:
+        BadInput: Its absorption is not one number.
+    """
+    names = getattr(vessel, "__dataclass_fields__", {})
+    if "absorption" in names:
+        return replace(vessel, absorption=absorption)
+    if "vessel" in names:
+        return replace(vessel, vessel=with_absorption(vessel.vessel, absorption))
+    raise BadInput(f"got {vessel!r}, whose absorption is not one number; expected a vessel that holds resin")

@@ -10,8 +10,15 @@ from vamgpu.geometry import Chords, Vessel, counts, positive
 from vamgpu.optics.inputs import Floats, as_offsets
 
 
-def deposit(vessel: Vessel, u: ArrayLike, power: ArrayLike, angles: ArrayLike, shape: tuple[int, int], pitch: float,
-            step: float = 0.25) -> Floats:
+def deposit(
+    vessel: Vessel,
+    u: ArrayLike,
+    power: ArrayLike,
+    angles: ArrayLike,
+    shape: tuple[int, int],
+    pitch: float,
+    step: float = 0.25,
+) -> Floats:
     """Power absorbed per volume on a slice of voxels one pitch high, over the whole disc of resin.
 
     Every chord is cut into equal segments; Beer-Lambert's law is integrated exactly over each, and what the segment
@@ -38,8 +45,10 @@ def deposit(vessel: Vessel, u: ArrayLike, power: ArrayLike, angles: ArrayLike, s
     columns, powers, poses = as_offsets("u", u), as_offsets("power", power), as_offsets("angles", angles)
     pitch, step = positive("pitch [mm]", pitch), positive("step [pitches]", step)
     if columns.ndim != 1 or poses.ndim != 1 or powers.shape != (poses.size, columns.size):
-        raise BadInput(f"u, angles and power have the shapes {columns.shape}, {poses.shape} and {powers.shape}; "
-                       "wanted (columns,), (poses,) and (poses, columns)")
+        raise BadInput(
+            f"u, angles and power have the shapes {columns.shape}, {poses.shape} and {powers.shape}; "
+            "expected (columns,), (poses,) and (poses, columns)"
+        )
     nx, ny = counts("shape", shape, 2)
     lab_x, lab_y, absorbed = _segments(vessel.chords(columns), vessel.absorption, step * pitch)
     energy = np.zeros((nx, ny))

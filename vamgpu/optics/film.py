@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import asin, inf, log, pi
+from math import asin, inf, log, pi, sin
+
+import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
-from vamgpu.optics.faces import Face
+from vamgpu.optics.faces import Face, transmit
 from vamgpu.optics.inputs import index
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Absorption, Index, Length
@@ -20,13 +22,18 @@ NEGLIGIBLE = 0.05
 class Film:
     """A film that absorbs, in a bath, with or without a clear substrate on the side of the light.
 
-    thickness: of the resin [mm].  resin_index, bath_index: refractive indices.  absorption: of the resin, natural
-    logarithm [1/mm]; 0 for resin that only passes light on.  substrate: (thickness [mm], index) of a clear sheet
-    between bath and resin.  The substrate a film is carried on, between resin and roller, sees no light: add its
-    thickness to the roller's radius.
+    A substrate between resin and roller sees no light: add its thickness to the roller's radius.
 
-    Raises `BadInput`: a value is not finite or out of range, an index is below 1, or the film is thicker than light
-    penetrates (`penetration`), so that its far side cannot be printed.
+    Args:
+        thickness: Of the resin [mm].
+        resin_index: Refractive index of the resin.
+        bath_index: Refractive index of the bath.
+        absorption: Of the resin, natural logarithm [1/mm]; 0 for resin that only passes light on.
+        substrate: Thickness [mm] and index of a clear sheet between bath and resin.
+
+    Raises:
+        BadInput: A value is out of its range, or the film is thicker than light penetrates, so that its far side cannot
+            be printed.
     """
 
     thickness: Length
@@ -40,9 +47,11 @@ class Film:
         if self.substrate is not None:
             object.__setattr__(self, "substrate", _sheet(self.substrate))
         if self.thickness > self.penetration:
-            raise BadInput(f"the film is {self.thickness:g} mm thick, but with an absorption of {self.absorption:g} "
-                           f"/mm light falls to {NEGLIGIBLE:.0%} within {self.penetration:.4g} mm; wanted a thinner "
-                           f"film; at this thickness the absorption may be {-log(NEGLIGIBLE) / self.thickness:.4g} /mm")
+            raise BadInput(
+                f"the film is {self.thickness:g} mm thick, but with an absorption of {self.absorption:g} "
+                f"/mm light falls to {NEGLIGIBLE:.0%} within {self.penetration:.4g} mm; expected a thinner "
+                f"film; at this thickness the absorption may be {-log(NEGLIGIBLE) / self.thickness:.4g} /mm"
+            )
 
     @property
     def penetration(self) -> float:
@@ -60,18 +69,66 @@ class Film:
         return 2.0 * asin(min(1.0, self.ratio)) if self.ratio < 1 else pi
 
     def faces(self, radius: float) -> tuple[Face, ...]:
-        """The faces light crosses where the film is wrapped about a roller of this radius [mm], from the outside in."""
+        """The faces that light crosses where the film is wrapped about a roller.
+
+        Args:
+            radius: Of the roller [mm].
+
+        Returns:
+            The faces from the outside in.
+        """
         outer = radius + self.thickness
         if self.substrate is None:
             return (Face(outer, self.bath_index, self.resin_index, self.bath_index),)
         thick, sheet = self.substrate
-        return (Face(outer + thick, self.bath_index, sheet, self.bath_index),
-                Face(outer, sheet, self.resin_index, self.bath_index))
+        return (
+            Face(outer + thick, self.bath_index, sheet, self.bath_index),
+            Face(outer, sheet, self.resin_index, self.bath_index),
+        )
 
 
 def _sheet(value: object) -> tuple[float, float]:
     try:
         thick, refraction = value  # type: ignore[misc]
     except (TypeError, ValueError) as error:
-        raise BadInput(f"Film substrate is {value!r}; wanted (thickness [mm], index) or None") from error
+        raise BadInput(f"Film substrate is {value!r}; expected (thickness [mm], index) or None") from error
     return positive("Film substrate thickness [mm]", thick), index("Film substrate index", refraction)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Angles to the normal of the film, both sides together [rad].
+
+    outer: of light that has just crossed the outer face, 2·asin(m) (Toombs et al., S11).  inner: of light that comes to
+    the roller; the normal turns as a ray goes inwards, so that this is more.  limit: largest gain.  clipped: angle of
+    incidence in the bath from which on 1/T is above the limit.  lost: part of ``outer`` that is so clipped.
+    lost_incidence: the same as a range of angles of incidence.
+    """
+
+    outer: float
+    inner: float
+    limit: float
+    clipped: float
+    lost: float
+    lost_incidence: float
+
+
+def coverage(film: Film, radius: float, limit: float, polarization: str = "none") -> Coverage:
+    """Coverage of a film on a roller of this radius [mm] by light of a polarization.
+
+    Raises `BadInput` for a limit below 1.
+    """
+    if not limit >= 1.0:
+        raise BadInput(f"the largest gain is {limit!r}; expected at least 1")
+    outer, faces = radius + film.thickness, film.faces(radius)
+    reach = min(outer, *(face.aperture for face in faces))
+    low, high = 0.0, reach
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        through = float(transmit(faces, np.array(middle), polarization))
+        low, high = (middle, high) if through >= 1.0 / limit else (low, middle)
+    enters = asin(min(1.0, film.ratio * reach / outer))
+    clipped = asin(low / outer)
+    kept = asin(min(1.0, film.ratio * sin(clipped)))
+    inner = asin(min(1.0, film.ratio * reach / radius))
+    return Coverage(2.0 * enters, 2.0 * inner, limit, clipped, 2.0 * (enters - kept), pi - 2.0 * clipped)

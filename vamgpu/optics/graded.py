@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, RayError
-from vamgpu.geometry import Chords
+from vamgpu.geometry import Chords, Vessel
 from vamgpu.optics.index_field import FormulaField, FunctionField, GridField, Region
 from vamgpu.optics.inputs import Floats, absorbed_share, as_offsets
 from vamgpu.optics.interface import Crossing, Polarization, impact_after, polarized, transmittance
@@ -20,31 +20,33 @@ from vamgpu.optics.vial import LARGEST_DENSITY
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Absorption, Index, Length, Quantity, Thickness
 
-SETTLED = 1e-9      # of the radius: how well the ends of rays are known
-TANGENT = 1e-4      # cosine of refraction below which the end of a ray is too sensitive for that
+SETTLED = 1e-9  # of the radius: how well the ends of rays are known
+TANGENT = 1e-4  # cosine of refraction below which the end of a ray is too sensitive for that
 
 
 @dataclass(frozen=True)
-class GradedVial:
+class GradedVial(Vessel):
     """A round vial of resin of index n(X, Y), in a frame that stands still while the resin turns, or round about z.
 
-    Frame and columns as for `Vial`: X counts the beam's columns, light comes along +Y. Fresnel loss and Snell's law at
-    both faces take the index where a ray meets them; between the faces d²R/dt² = ½∇n² is marched. Parts that turn with
-    the resin must not carry an index of their own, unless it is the same all around.
+    Frame and columns are those of `Vial`: X counts the beam's columns, light comes along +Y. Fresnel loss and Snell's
+    law at both faces take the index where a ray meets them; between the faces d²R/dt² = ½∇n² is marched. Parts that
+    turn with the resin must not carry an index of their own, unless it is the same all around. Chords are the straight
+    ones nearest the bent rays, with the bent rays' length; weights count columns per mm across the bent ray.
 
     Args:
-        radius: outer radius [mm].
-        wall: thickness of the wall [mm]; 0 for no wall, then wall_index has no effect.
+        radius: Outer radius [mm].
+        wall: Thickness of the wall [mm]; 0 for no wall, then wall_index has no effect.
         resin: n² over the whole resin; its own region does not matter.
-        wall_index, bath_index: refractive indices of the wall and around the vial.
-        absorption: of the resin, natural logarithm [1/mm].
-        rays: that are traced; everything between them is by cubic splines.
-        rows: places kept of each ray.
-        polarization: of the light, as for `Vial`.
+        wall_index: Refractive index of the wall.
+        bath_index: Refractive index around the vial.
+        absorption: Of the resin, natural logarithm [1/mm].
+        rays: Rays that are traced; everything between them is by cubic splines.
+        rows: Places kept of each ray.
+        polarization: Of the light, as for `Vial`.
 
     Raises:
-        BadInput: a value that cannot be used.
-        RayError: when the light is first asked for: a ray never leaves the resin or turns back.
+        BadInput: A value is out of its range.
+        RayError: When the light is first asked for: a ray never leaves the resin or turns back.
     """
 
     radius: Length
@@ -52,7 +54,7 @@ class GradedVial:
     resin: FormulaField | GridField | FunctionField
     wall_index: Index
     bath_index: Index = 1.0
-    absorption: Absorption = 0.0
+    absorption: Absorption = 0.0  # pyright: ignore[reportIncompatibleMethodOverride] - a field
     rays: Annotated[int, Quantity(least=33, whole=True)] = 513
     rows: Annotated[int, Quantity(least=17, whole=True)] = 257
     polarization: Polarization = "none"
@@ -61,13 +63,13 @@ class GradedVial:
         check(self)
         polarized("GradedVial polarization", self.polarization)
         if self.wall >= self.radius:
-            raise BadInput(f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; wanted less")
+            raise BadInput(f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; expected less")
         if not isinstance(self.resin, (FormulaField, GridField, FunctionField)):
-            raise BadInput(f"resin is {self.resin!r}; wanted a FormulaField, a GridField or a FunctionField")
+            raise BadInput(f"resin is {self.resin!r}; expected a FormulaField, a GridField or a FunctionField")
         reach = 0.5 * (min(self.resin.coefficients.shape[:2]) - 3) * self.resin.pitch \
             if isinstance(self.resin, GridField) else self.inner_radius  # fmt: skip
         if reach < self.inner_radius * (1.0 - 1e-9):
-            raise BadInput(f"the grid of the index reaches {reach:g} mm from its middle; wanted at least the inner "
+            raise BadInput(f"the grid of the index reaches {reach:g} mm from its middle; expected at least the inner "
                            f"radius of the vial, {self.inner_radius:g} mm")  # fmt: skip
 
     @property
@@ -87,9 +89,9 @@ class GradedVial:
         back = -np.sqrt(np.maximum((self.inner_radius - before) * (self.inner_radius + before), 0.0))
         c, s = np.cos(turn), np.sin(turn)
         place = np.stack([before * c - back * s, before * s + back * c], axis=-1)
-        _, square = self.resin.look(np.pad(place.reshape(-1, 2), ((0, 0), (0, 1))))
+        _, square = self.resin.evaluate(np.pad(place.reshape(-1, 2), ((0, 0), (0, 1))))
         if (square <= 0).any():
-            raise RayError(f"n² is {square.min():g} at the inner face; wanted a resin of an index above 0")
+            raise RayError(f"n² is {square.min():g} at the inner face; expected a resin of an index above 0")
         return place, turn, np.sqrt(square).reshape(u.shape), sine
 
     @property
@@ -157,7 +159,7 @@ class GradedVial:
             times[~clear & (times < 2.0 * step)] = 0.0
         zero = np.zeros((self.rays, 1))
         starts = np.concatenate([place, zero, along * behind[:, None], zero], axis=1)
-        return RaySheet.traced(field.look, starts, times, self.rows)
+        return RaySheet.traced(field.evaluate, starts, times, self.rows)
 
     @cached_property
     def _chords(self) -> tuple[Floats, Floats, Floats]:
@@ -185,10 +187,6 @@ class GradedVial:
         return float(min(self.inner_radius, *outermost, crossed.min(initial=np.inf)))
 
     def chords(self, u: ArrayLike) -> Chords:
-        """The straight chords nearest the rays of the columns at the offsets u [mm], any shape; see `Vial.chords`.
-
-        length is that of the bent ray. Raises BadInput for u not finite.
-        """
         offsets = as_offsets("u", u)
         low, high = self._span
         kept, reaches = np.clip(offsets, low, high), (offsets > low) & (offsets < high)
@@ -200,10 +198,6 @@ class GradedVial:
                       length=np.where(reaches, np.maximum(length, 0.0), 0.0))  # fmt: skip
 
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
-        """Column that lights each laboratory point [mm], and its weight; see `Vial.illuminate`.
-
-        The weight is transmittance × columns per mm across the bent ray × absorption·exp(−absorption·path).
-        """
         points_x, points_y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
         inside = points_x**2 + points_y**2 < self.inner_radius**2
         low, high = self._span

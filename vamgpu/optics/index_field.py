@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
-from vamgpu.kernels.eikonal import formula_at, plane_at, volume_at
+from vamgpu.kernels.index_field import formula_at, plane_at, volume_at
 from vamgpu.optics.inputs import Floats
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length, Place
@@ -39,7 +39,9 @@ class Region:
     def __post_init__(self) -> None:
         check(self)
         if len(self.low) != 3 or len(self.high) != 3 or any(a >= b for a, b in zip(self.low, self.high, strict=True)):
-            raise BadInput(f"the box of a region runs from {self.low} to {self.high}; wanted low < high on three axes")
+            raise BadInput(
+                f"the box of a region runs from {self.low} to {self.high}; expected low < high on three axes"
+            )
 
     @classmethod
     def ball(cls, radius: float) -> Region:
@@ -86,7 +88,7 @@ class IndexField(Protocol):
         """Where rays are marched."""
         ...
 
-    def look(self, place: Floats) -> tuple[Floats, Floats]:
+    def evaluate(self, place: Floats) -> tuple[Floats, Floats]:
         """½∇n² [1/mm], (points, 3), and n², (points,), at places [mm], (points, 3); in float64."""
         ...
 
@@ -107,7 +109,7 @@ class FormulaField:
     def __post_init__(self) -> None:
         for name, values in (("above", self.above), ("below", self.below)):
             if not 1 <= len(values) <= 4 or not np.isfinite(values).all():
-                raise BadInput(f"FormulaField {name} is {values}; wanted 1 to 4 finite coefficients")
+                raise BadInput(f"FormulaField {name} is {values}; expected 1 to 4 finite coefficients")
 
     @cached_property
     def table(self) -> Floats:
@@ -116,7 +118,7 @@ class FormulaField:
         table[:3], table[3 : 3 + len(self.above)], table[7 : 7 + len(self.below)] = self.weights, self.above, self.below
         return table
 
-    def look(self, place: Floats) -> tuple[Floats, Floats]:
+    def evaluate(self, place: Floats) -> tuple[Floats, Floats]:
         return formula_at(self.table, place)
 
 
@@ -149,9 +151,15 @@ def _round(cylinder: bool) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class GridField:
-    """n² by cubic B-splines on a grid in x and y, or in x, y and z; ∇n² is exactly the slope of n².
+    """n² by cubic B-splines on a grid in x and y, or in x, y and z; Python makes it, job folders keep it.
 
-    coefficients: one more on every side than samples.  corner: place of the first sample [mm].  pitch: [mm].
+    ∇n² is exactly the slope of n².
+
+    Args:
+        coefficients: Of the splines, (nx + 2, ny + 2) or (nx + 2, ny + 2, nz + 2): one more on every side than samples.
+        corner: Place of the first sample [mm].
+        pitch: Of the samples [mm].
+        region: Where the field holds.
     """
 
     coefficients: Floats
@@ -168,9 +176,9 @@ class GridField:
         """
         square = np.asarray(index, np.float64) ** 2
         if square.ndim not in (2, 3) or min(square.shape) < 4 or not np.isfinite(square).all():
-            raise BadInput(f"an index field of shape {square.shape}; wanted finite samples, 4 or more on 2 or 3 axes")
+            raise BadInput(f"an index field of shape {square.shape}; expected finite samples, 4 or more on 2 or 3 axes")
         if square.min() < 1e-6:
-            raise BadInput(f"the index falls to {np.sqrt(square.min()):g}; wanted indices above 0")
+            raise BadInput(f"the index falls to {np.sqrt(square.min()):g}; expected indices above 0")
         for axis in range(square.ndim):
             square = np.moveaxis(_extended(np.moveaxis(square, axis, 0)), 0, axis)
         return cls._of(square, pitch, region)
@@ -184,7 +192,7 @@ class GridField:
         axes = [(np.arange(-2, n + 2) - 0.5 * (n - 1)) * positive("pitch [mm]", pitch) for n in shape]
         index = np.broadcast_to(function(*np.meshgrid(*axes, indexing="ij")), [n + 4 for n in shape])
         if len(shape) not in (2, 3) or min(shape) < 4 or not np.isfinite(index).all():
-            raise BadInput(f"an index field of shape {shape}; wanted finite samples, 4 or more on 2 or 3 axes")
+            raise BadInput(f"an index field of shape {shape}; expected finite samples, 4 or more on 2 or 3 axes")
         return cls._of(np.asarray(index, np.float64) ** 2, pitch, region)
 
     @classmethod
@@ -204,7 +212,7 @@ class GridField:
         """As `march_plane` takes it, (4,): first sample, and samples per mm."""
         return np.array([*self.corner, 1.0 / self.pitch])
 
-    def look(self, place: Floats) -> tuple[Floats, Floats]:
+    def evaluate(self, place: Floats) -> tuple[Floats, Floats]:
         at = plane_at if self.coefficients.ndim == 2 else volume_at
         return at(self.coefficients, self.place, place)
 
@@ -229,9 +237,9 @@ class FunctionField:
 
     def __post_init__(self) -> None:
         if self.axes not in (2, 3) or any(b - a >= FAR for a, b in self.region.extents[: self.axes]):
-            raise BadInput(f"a function of {self.axes} axes over {self.region}; wanted 2 or 3 axes, all with borders")
+            raise BadInput(f"a function of {self.axes} axes over {self.region}; expected 2 or 3 axes, all with borders")
 
-    def look(self, place: Floats) -> tuple[Floats, Floats]:
+    def evaluate(self, place: Floats) -> tuple[Floats, Floats]:
         """By central differences of fourth order over a thousandth of the region."""
         delta, pull = 1e-3 * self.region.size, np.zeros_like(place)
         for axis in range(self.axes):

@@ -19,10 +19,10 @@ def as_offsets(name: str, value: ArrayLike) -> Floats:
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise BadInput(f"{name} is {value!r}; wanted an array of numbers") from error
+        raise BadInput(f"{name} is {value!r}; expected an array of numbers") from error
     bad = array.size - np.count_nonzero(np.isfinite(array))
     if bad:
-        raise BadInput(f"{name} holds {bad} values that are not finite; wanted finite numbers throughout")
+        raise BadInput(f"{name} holds {bad} values that are not finite; expected finite numbers throughout")
     return array
 
 
@@ -30,7 +30,7 @@ def index(name: str, value: float) -> float:
     """Return a refractive index relative to vacuum; raises BadInput unless it is finite and at least 1."""
     number = positive(name, value)
     if number < 1.0:
-        raise BadInput(f"{name} is {number:g}; wanted a refractive index of at least 1; give it relative to vacuum")
+        raise BadInput(f"{name} is {number:g}; expected a refractive index of at least 1; give it relative to vacuum")
     return number
 
 

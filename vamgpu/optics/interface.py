@@ -47,9 +47,11 @@ def refract(direction: Floats, normal: Floats, index_before: float, index_after:
     square = 1.0 - ratio**2 * (1.0 - cos_before**2)
     if np.any(square < 0):
         steepest = np.degrees(np.arccos(np.min(cos_before)))
-        raise BadInput(f"a ray meets the face at {steepest:.2f} degrees from index {index_before:g} into "
-                       f"{index_after:g} and is totally reflected; wanted at most "
-                       f"{np.degrees(np.arcsin(1.0 / ratio)):.2f} degrees; bring the indices closer together")
+        raise BadInput(
+            f"a ray meets the face at {steepest:.2f} degrees from index {index_before:g} into "
+            f"{index_after:g} and is totally reflected; expected at most "
+            f"{np.degrees(np.arcsin(1.0 / ratio)):.2f} degrees; bring the indices closer together"
+        )
     return ratio * direction + (np.sqrt(square) - ratio * cos_before) * facing
 
 
@@ -101,6 +103,8 @@ def transmittance(crossings: Iterable[Crossing], polarization: str = "none") -> 
 def polarized(name: str, value: object) -> str:
     """``value`` if it is one of `POLARIZATIONS`, else `BadInput`."""
     if not isinstance(value, str) or value not in POLARIZATIONS:
-        raise BadInput(f"{name} is {value!r}; expected 'none' for unpolarized light, 's' for light whose field lies "
-                       "along the axis of rotation, or 'p' for light whose field lies across it")
+        raise BadInput(
+            f"{name} is {value!r}; expected 'none' for unpolarized light, 's' for light whose field lies "
+            "along the axis of rotation, or 'p' for light whose field lies across it"
+        )
     return value

@@ -26,13 +26,21 @@ DIOPTER = 1e-3
 class TunableLens:
     """Two relays with a tunable lens, and the number of focus planes it steps through at every pose.
 
-    focal: focal lengths [mm] of L1 to L4.  offset: that of the fixed lens at the tunable one [mm], < 0 where it
-    diverges.  powers: lowest and highest power of the tunable lens [dpt].  air: way [mm] from L4 to the last window.
-    index: refractive index beyond that window.  bins: depth bins, thus focus planes.  quantum: smallest step of the
-    power [dpt] that the driver can set; 0 for none.  settle: seconds from one power to the next.
-
     Defaults are the lenses of J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", table S1,
-    in air. Raises `BadInput`.
+    in air.
+
+    Args:
+        focal: Focal lengths of L1 to L4 [mm].
+        offset: Focal length of the fixed lens at the tunable one [mm], < 0 where it diverges.
+        powers: Lowest and highest power of the tunable lens [dpt].
+        index: Refractive index beyond the last window.
+        air: Way from L4 to the last window [mm].
+        bins: Depth bins, thus focus planes.
+        quantum: Smallest step of the power that the driver can set [dpt]; 0 for none.
+        settle: Time from one power to the next [s].
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
     focal: tuple[Length, Length, Length, Length] = (150.0, 150.0, 150.0, 200.0)
@@ -46,17 +54,17 @@ class TunableLens:
 
     def __post_init__(self) -> None:
         if len(self.focal) != 4:
-            raise BadInput(f"focal is {self.focal!r}; wanted the focal lengths of L1, L2, L3 and L4 [mm]")
+            raise BadInput(f"focal is {self.focal!r}; expected the focal lengths of L1, L2, L3 and L4 [mm]")
         check(self)
         if self.offset == 0:
-            raise BadInput(f"offset is {self.offset!r}; wanted the focal length of the fixed lens [mm], not 0")
+            raise BadInput(f"offset is {self.offset!r}; expected the focal length of the fixed lens [mm], not 0")
         low, high = _two(self.powers)
         if low >= high:
-            raise BadInput(f"powers go from {low:g} to {high:g} dpt; wanted the lowest first and a higher one next")
+            raise BadInput(f"powers go from {low:g} to {high:g} dpt; expected the lowest first and a higher one next")
 
     @property
     def magnification(self) -> float:
-        """Size of the picture over that of the mirrors' array; positive, as two relays invert twice."""
+        """Size of the image over that of the mirrors' array; positive, as two relays invert twice."""
         f1, f2, f3, f4 = self.focal
         return f2 * f4 / (f1 * f3)
 
@@ -67,42 +75,77 @@ class TunableLens:
         return -self.index * (f2 * f4 / f3) ** 2 * DIOPTER
 
     def matrix(self, power: float) -> np.ndarray:
-        """Ray transfer matrix from L1 to L4, both included, for a power [dpt]; (2, 2) on (height [mm], angle) (S1)."""
+        """Ray transfer matrix from L1 to L4, both included (S1).
+
+        Args:
+            power: Of the tunable lens [dpt].
+
+        Returns:
+            The matrix (2, 2) on (height [mm], angle [rad]).
+        """
         f1, f2, f3, f4 = self.focal
         stop = _lens(power * DIOPTER + 1.0 / self.offset)
         first = _lens(1 / f2) @ _way(f2) @ stop @ _way(f1) @ _lens(1 / f1)
         return _lens(1 / f4) @ _way(f3 + f4) @ _lens(1 / f3) @ _way(f2 + f3) @ first
 
     def focus(self, power: ArrayLike) -> Floats:
-        """Distance [mm] of the focus beyond the last window for powers [dpt] of the lens; same shape (S3).
+        """Distance of the focus beyond the last window (S3).
 
-        Raises `BadInput` for a power out of the lens's range.
+        Args:
+            power: Powers of the tunable lens [dpt], (...,).
+
+        Returns:
+            Distances [mm], (...,).
+
+        Raises:
+            BadInput: A power is out of the lens's range.
         """
-        wanted = self._reachable(as_offsets("power", power))
+        chosen = self._reachable(as_offsets("power", power))
         _, f2, f3, f4 = self.focal
-        bent = wanted * DIOPTER + 1.0 / self.offset
+        bent = chosen * DIOPTER + 1.0 / self.offset
         return self.index * (f4 - (f2 * f4 / f3) ** 2 * bent - self.air)
 
     def shift(self, power: ArrayLike) -> Floats:
-        """Focus [mm] beyond that of the lowest power, same shape: −|slope|·(power − lowest), thus never > 0 (S5)."""
+        """Focus beyond that of the lowest power: −|slope|·(power − lowest), thus never > 0 (S5).
+
+        Args:
+            power: Powers of the tunable lens [dpt], (...,).
+
+        Returns:
+            Shifts [mm], (...,).
+        """
         return self.slope * (self._reachable(as_offsets("power", power)) - self.powers[0])
 
     def shift_per_focal_length(self, focal: ArrayLike) -> Floats:
-        """Change of the focus with the tunable lens's focal length [mm/mm]: +n·f₂²·M²/f² (S6, its sign corrected)."""
+        """Change of the focus with the tunable lens's focal length: +n·f₂²·M²/f² (S6, its sign corrected).
+
+        Args:
+            focal: Focal lengths [mm], (...,).
+
+        Returns:
+            Change [mm/mm], (...,).
+        """
         length = as_offsets("focal length", focal)
         return -self.slope / DIOPTER / length**2
 
     def power(self, depth: ArrayLike, axis: float | None = None) -> Floats:
-        """Powers [dpt] that focus at depths [mm] along the light from the roller's axis, < 0 before it; same shape.
+        """Powers that focus at some depths, rounded to the driver's quantum.
 
-        axis: the power that focuses on the axis, as a calibration finds it; the lowest by default. Powers are rounded
-        to the driver's quantum. Raises `BadInput` for a depth out of reach.
+        Args:
+            depth: Along the light from the roller's axis [mm], < 0 before it, (...,).
+            axis: Power that focuses on the axis, as a calibration finds it [dpt]; the lowest by default.
+
+        Returns:
+            Powers [dpt], (...,).
+
+        Raises:
+            BadInput: A depth is out of reach.
         """
         start = self.powers[0] if axis is None else positive("axis [dpt]", axis, zero=True)
-        wanted = start + as_offsets("depth", depth) / self.slope
+        chosen = start + as_offsets("depth", depth) / self.slope
         if self.quantum > 0:
-            wanted = np.round(wanted / self.quantum) * self.quantum
-        return self._reachable(wanted)
+            chosen = np.round(chosen / self.quantum) * self.quantum
+        return self._reachable(chosen)
 
     def _reachable(self, power: Floats) -> Floats:
         low, high = self.powers
@@ -130,5 +173,5 @@ def _two(powers: object) -> tuple[float, float]:
     try:
         low, high = powers  # type: ignore[misc]
     except (TypeError, ValueError) as error:
-        raise BadInput(f"powers is {powers!r}; wanted (lowest, highest) [dpt]") from error
+        raise BadInput(f"powers is {powers!r}; expected (lowest, highest) [dpt]") from error
     return low, high

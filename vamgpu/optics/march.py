@@ -61,9 +61,12 @@ class Marcher:
     field: formula, grid or function; functions are sampled unless the device is ``numpy``. Raises `BadInput`.
     """
 
+    device: Device
+    field: IndexField
+
     def __init__(self, field: IndexField, device: str | Device | None = None) -> None:
         if not isinstance(field, IndexField):
-            raise BadInput(f"got {field!r} for a medium; wanted a FormulaField, a GridField or a FunctionField")
+            raise BadInput(f"got {field!r} for a medium; expected a FormulaField, a GridField or a FunctionField")
         self.device, self.field = open_device(device), field
         self.kernel: Kernel | None = None
         self._tables: dict[str, DeviceArray] = {}
@@ -82,13 +85,13 @@ class Marcher:
         """Places and headings, (rays, 6), of rays at places [mm] along directions of any length."""
         at, along = (_triples(name, value) for name, value in (("place", place), ("direction", direction)))
         if at.shape != along.shape:
-            raise BadInput(f"{len(at)} places and {len(along)} directions; wanted one direction a ray")
+            raise BadInput(f"{len(at)} places and {len(along)} directions; expected one direction a ray")
         size = np.linalg.norm(along, axis=1, keepdims=True)
         if not size.all():
-            raise BadInput(f"{np.count_nonzero(size == 0)} directions are zero; wanted vectors with a length")
-        square = self.field.look(at)[1][:, None]
+            raise BadInput(f"{np.count_nonzero(size == 0)} directions are zero; expected vectors with a length")
+        square = self.field.evaluate(at)[1][:, None]
         if (square <= 0).any():
-            raise RayError(f"n² is {square.min():g} where a ray starts; wanted a medium with n² > 0")
+            raise RayError(f"n² is {square.min():g} where a ray starts; expected a medium with n² > 0")
         return np.concatenate([at, along / size * np.sqrt(square)], axis=1)
 
     def run(self, starts: DeviceArray, step: float, steps: int, scheme: str = "sharma", rows: int = 1, every: int = 1
@@ -103,7 +106,7 @@ class Marcher:
         common: dict[str, Any] = {"starts": starts, "region": self._region, **written}
         numbers = {"step": step, "steps": steps, "scheme": list(ORDERS).index(scheme), "every": every}
         if self.kernel is None:
-            march_any(self.field.look, **{n: v.handle for n, v in common.items()}, **numbers)
+            march_any(self.field.evaluate, **{n: v.handle for n, v in common.items()}, **numbers)
         else:
             self.device.launch(self.kernel, **common, **numbers, **self._tables)
         return written["ends"], written["path"], written["times"]
@@ -176,7 +179,13 @@ def _traced(
 
 
 def _refined(
-    marcher: Marcher, starts: Floats, tolerance: float, span: float, until: float | None, scheme: str, rows: int,
+    marcher: Marcher,
+    starts: Floats,
+    tolerance: float,
+    span: float,
+    until: float | None,
+    scheme: str,
+    rows: int,
     halvings: int,
 ) -> Marched:
     field, order = marcher.field, ORDERS.get(scheme, 1)
@@ -218,12 +227,12 @@ def _checked(field: IndexField, until: float | None, rays: Marched) -> Marched:
     lost = ~np.isfinite(rays.place).all(axis=1) | ~np.isfinite(rays.optical)
     if lost.any():
         raise RayError(f"{np.count_nonzero(lost)} of {len(lost)} rays (the first is {np.argmax(lost)}) meet n² ≤ 0; "
-                       "wanted a medium with an index above 0 throughout")  # fmt: skip
+                       "expected a medium with an index above 0 throughout")  # fmt: skip
     return rays
 
 
 def _triples(name: str, value: ArrayLike) -> Floats:
     array = np.atleast_2d(as_offsets(name, value))
     if array.ndim != 2 or array.shape[1] not in (2, 3) or not len(array):
-        raise BadInput(f"{name} has the shape {array.shape}; wanted (rays, 2) or (rays, 3)")
+        raise BadInput(f"{name} has the shape {array.shape}; expected (rays, 2) or (rays, 3)")
     return np.pad(array, ((0, 0), (0, 3 - array.shape[1])))

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vamgpu.errors import RayError
-from vamgpu.kernels.eikonal import Look, State, bspline, cell_of
+from vamgpu.kernels.eikonal import State
+from vamgpu.kernels.index_field import Look, bspline, cell_of
 from vamgpu.optics.index_field import EXTRAPOLATE
 from vamgpu.optics.inputs import Floats
 
-COARSE = 4          # every so many rays are scanned for the first that passes beyond a point
-CHUNK = 8192        # points at once, so that the scan stays in the cache
+COARSE = 4  # every so many rays are scanned for the first that passes beyond a point
+CHUNK = 8192  # points at once, so that the scan stays in the cache
 NEWTON = 12
-CLOSE = 1e-9        # of the sheet's size: a point this near to its ray is met
+CLOSE = 1e-9  # of the sheet's size: a point this near to its ray is met
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +44,10 @@ class RaySheet:
         sheet = cls(*(np.stack(rows_of, axis=1) for rows_of in (across, along, path)))
         back = (np.diff(sheet.along, axis=1) <= 0).any(axis=1) & (times > 1e-6 * times.max())
         if back.any():
-            raise RayError(f"{np.count_nonzero(back)} of {len(back)} rays turn back against the light; wanted a medium "
-                           "that bends them by less than a right angle")  # fmt: skip
+            raise RayError(
+                f"{np.count_nonzero(back)} of {len(back)} rays turn back against the light; "
+                "expected a medium that bends them by less than a right angle"
+            )
         return sheet
 
     @property
@@ -107,7 +110,7 @@ class RaySheet:
         place = np.clip((y - levels[0]) / (levels[1] - levels[0]), 0.0, levels.size - 1.001)
         low = place.astype(int)
         f = place - low
-        across = table[:, low] * (1 - f) + table[:, low + 1] * f            # (rays, points)
+        across = table[:, low] * (1 - f) + table[:, low + 1] * f  # (rays, points)
         center = int(np.argmin(np.abs(rays - middle)))
         side = np.where(x >= across[center], 1, -1)
         beyond = (across - x) * side >= 0.0
@@ -119,7 +122,7 @@ class RaySheet:
         far, near = across[outer, points] - x, across[inner, points] - x
         t = np.where(far != near, near / np.where(far != near, near - far, 1.0), 0.0)
         t = np.clip(t, 0.0, 1.0)
-        share = (shares[inner, low] * (1 - t) + shares[outer, low] * t)
+        share = shares[inner, low] * (1 - t) + shares[outer, low] * t
         return np.asarray(rays[inner] * (1 - t) + rays[outer] * t, np.float64), share, found
 
     def _newton(self, x: Floats, y: Floats, ray: Floats, share: Floats, found: NDArray[np.bool_]

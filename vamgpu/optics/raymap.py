@@ -9,9 +9,9 @@ import numpy as np
 from vamgpu.optics.faces import Face, turn
 from vamgpu.optics.inputs import Floats
 
-NODES = 64          # of the scan that brackets the first root
-CHUNK = 8192        # points at once, so that the scan stays in the cache
-STEP_DONE = 1e-8    # Newton doubles the digits: a step of this size leaves an error near rounding
+NODES = 64  # of the scan that brackets the first root
+CHUNK = 8192  # points at once, so that the scan stays in the cache
+STEP_DONE = 1e-8  # Newton doubles the digits: a step of this size leaves an error near rounding
 MOST_STEPS = 100
 
 
@@ -61,8 +61,9 @@ def _chunk(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: F
     return u, spacing
 
 
-def _newton(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats,
-            low: Floats, high: Floats, psi: Floats) -> Floats:
+def _newton(
+    faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats, low: Floats, high: Floats, psi: Floats
+) -> Floats:
     """Root of f in psi between low (f >= 0) and high (f <= 0), by Newton's method with bisection as the safeguard."""
     root = psi.copy()
     live = np.arange(x.size)

@@ -14,8 +14,8 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Vessel
-from vamgpu.operators.light import OpenAir
-from vamgpu.optics.beams import Aimed, Fan, turned
+from vamgpu.operators.ray_table import OpenAir
+from vamgpu.optics.beams import Fan, Misaligned, turned
 from vamgpu.optics.inputs import Floats
 from vamgpu.optics.vat import Vat
 from vamgpu.schema.quantities import Length, Place, Turn, finite
@@ -29,14 +29,16 @@ class Cone:
     """A fan whose rows spread as its columns do: all light comes from one pupil, irradiance falls as 1 / distance².
 
     The pupil is level with the middle row. That a row at the height w runs (w / throw)² / 2 longer than the middle one
-    is not counted.
+    is not counted. ``plane`` is the `Fan`.
 
     Args:
-        vessel: a `Vat` with a radius, or None for air.
-        throw, offset, tilt: as for `Fan`, which is ``plane``.
+        vessel: A `Vat` with a radius, or None for air.
+        throw: Distance of the pupil from the axis [mm].
+        offset: Of the axis of rotation from the middle of the columns, towards +r [mm].
+        tilt: Turn of the light about the axis, in the plane [rad].
 
     Raises:
-        BadInput: as `Fan`, and for a vessel that bends light.
+        BadInput: As `Fan`, and for a vessel that bends light.
     """
 
     plane: Fan
@@ -46,11 +48,23 @@ class Cone:
         object.__setattr__(self, "plane", Fan(vessel, offset, tilt, throw))
 
     def described(self) -> dict[str, Any]:
-        """What its constructor was given."""
+        """What the constructor was given.
+
+        Returns:
+            Its arguments by name.
+        """
         return {name: getattr(self.plane, name) for name in ("vessel", "throw", "offset", "tilt")}
 
     def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
-        """The ray through (X, Y, z) stands at lift + stretch·z [mm] in the axis' plane; gain of the weight."""
+        """Where the rays through some places stand among the rows; see `vamgpu.operators.oblique.Rising`.
+
+        Args:
+            across: Laboratory X [mm], (...,).
+            along: Laboratory Y [mm], (...,).
+
+        Returns:
+            Lift [mm], stretch and gain, (...,) each: the ray through (X, Y, z) stands at lift + stretch·z.
+        """
         downstream = turned(across, along, np.asarray(self.plane.tilt))[1]
         stretch = 1.0 / (1.0 + downstream / self.plane.throw)
         return np.zeros_like(stretch), stretch, stretch
@@ -64,39 +78,52 @@ class Inclined:
     resin than in the plane, and absorbed accordingly.
 
     Args:
-        vessel: a `Vat`, or None for air.
+        vessel: A `Vat`, or None for air.
         elevation: ψ in the resin [rad].
-        offset, tilt: as for `Aimed`.
+        offset: Of the axis of rotation from the middle of the columns, towards +r [mm].
+        tilt: Turn of the light about the axis, in the plane [rad].
 
     Raises:
-        BadInput: an elevation beyond 80 degrees, a vessel that bends light, or one `Aimed` refuses.
+        BadInput: The elevation exceeds 80 degrees, the vessel bends light, or `Misaligned` refuses it.
     """
 
     plane: Vessel
     elevation: float
     tilt: float
 
-    def __init__(
-        self, vessel: Vessel | None = None, *, elevation: Turn, offset: Place = 0.0, tilt: Turn = 0.0
-    ) -> None:
+    def __init__(self, vessel: Vessel | None = None, *, elevation: Turn, offset: Place = 0.0, tilt: Turn = 0.0) -> None:
         _check_straight(vessel, "Inclined")
         if abs(finite("Inclined elevation [rad]", elevation)) > STEEPEST:
-            raise BadInput(f"elevation is {np.degrees(elevation):.4g} degrees; wanted at most "
-                           f"{np.degrees(STEEPEST):.0f} either way; give it in rad")
+            raise BadInput(
+                f"elevation is {np.degrees(elevation):.4g} degrees; expected at most "
+                f"{np.degrees(STEEPEST):.0f} either way; give it in rad"
+            )
         inner: Any = OpenAir() if vessel is None else vessel
         if isinstance(inner, Vat) and inner.absorption > 0:
             inner = replace(inner, absorption=inner.absorption / cos(elevation))
-        plane = Aimed(inner, offset, tilt) if offset or tilt else inner
+        plane = Misaligned(inner, offset, tilt) if offset or tilt else inner
         given = {"vessel": vessel, "elevation": float(elevation), "offset": float(offset), "tilt": float(tilt)}
         for name, value in (("plane", plane), ("elevation", elevation), ("tilt", tilt), ("_given", given)):
             object.__setattr__(self, name, value)
 
     def described(self) -> dict[str, Any]:
-        """What its constructor was given: ``plane`` has the absorption of the longer way."""
+        """What the constructor was given: ``plane`` has the absorption of the longer way.
+
+        Returns:
+            Its arguments by name.
+        """
         return self._given  # type: ignore[attr-defined]
 
     def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
-        """The ray through (X, Y, z) stands at lift + stretch·z [mm] among the rows; gain of the weight."""
+        """Where the rays through some places stand among the rows; see `vamgpu.operators.oblique.Rising`.
+
+        Args:
+            across: Laboratory X [mm], (...,).
+            along: Laboratory Y [mm], (...,).
+
+        Returns:
+            Lift [mm], stretch and gain, (...,) each: the ray through (X, Y, z) stands at lift + stretch·z.
+        """
         downstream = turned(across, along, np.asarray(self.tilt))[1]
         stretch = np.full_like(downstream, cos(self.elevation))
         return -sin(self.elevation) * downstream, stretch, stretch if self.plane.absorption else np.ones_like(stretch)
@@ -104,5 +131,7 @@ class Inclined:
 
 def _check_straight(vessel: Any, name: str) -> None:
     if vessel is not None and not isinstance(vessel, (Vat, OpenAir)):
-        raise BadInput(f"{name} got {vessel!r}; wanted a Vat, or None for air: what bends light in the plane bends "
-                       "rising light out of it too")
+        raise BadInput(
+            f"{name} got {vessel!r}; expected a Vat, or None for air: what bends light in the plane bends "
+            "rising light out of it too"
+        )

@@ -11,20 +11,19 @@ from numpy.typing import ArrayLike
 from vamgpu.errors import BadInput, RayError
 from vamgpu.geometry import Beam, centers, positive
 from vamgpu.optics.faces import Face, transmit
-from vamgpu.optics.film import Film
+from vamgpu.optics.film import Coverage, Film, coverage
 from vamgpu.optics.inputs import Floats, as_offsets
 from vamgpu.optics.interface import Polarization, polarized
-from vamgpu.optics.roller_cells import cells
-from vamgpu.optics.roller_coverage import Coverage, coverage
+from vamgpu.optics.roller_cells import cells, walks
 from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.optics.roller_rays import Layers, Traced, trace
 from vamgpu.optics.wrap_map import WrapMap
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Count, Gain, HalfAngle, Length, Share, Step, Thickness
-from vamgpu.web import Propagation, WebGrid
+from vamgpu.web import Propagation, WebGrid, WebRays
 
 LARGEST_GAIN = 2.0
-"""Gain at which the compensation of Fresnel's loss is clipped unless told otherwise; without a limit it diverges."""
+"""Gain at which the compensation of Fresnel's loss is clipped by default; without a limit it diverges."""
 SAME = 1e-6
 """Relative difference up to which the thickness of a grid is that of the film."""
 
@@ -37,18 +36,27 @@ class Roller:
     by Snell's law with Fresnel's loss, runs straight, is absorbed by Beer and Lambert's law, and ends at the roller, in
     the bath, or at the end of one of the two legs in which the web comes and goes.
 
-    radius: of the roller [mm].  film: what it carries.  step: turn [rad] from one pose to the next.  legs: length [mm]
-    of each leg in the window; None for the depth in which light falls to 5 %.  reflectivity: of the roller, specular.
-    compensation: largest gain of columns that make up for Fresnel's loss, as `gain` says; None for columns as they are.
-    The gain counts as light of the beam: a projector whose columns are equally bright must show pictures times `gain`.
-    divergence: half angle [rad] of the fan of light that each column is in the bath, even in its sine, about the point
-    where the column meets the middle of the film.  neutral: depth of the line that bending does not stretch, in
-    thicknesses from the roller.  rays, fan: rays across the width and across the fan of a column; where the walls of
-    voxels run along the light, a voxel's share of a column is known to one ray.  index: of the resin where it changes
-    from place to place: rays are then marched through the film; coverage, gain and aperture keep to the film's own.
-    polarization: of the light: "none", "s" (its field along the roller's axis) or "p" (across it).
+    Args:
+        radius: Of the roller [mm].
+        film: The film around it.
+        step: Turn from one pose to the next [rad].
+        legs: Length of each leg in the window [mm]; None for the depth in which light falls to 5 %.
+        reflectivity: Of the roller, a share of the light, specular.
+        compensation: Largest factor by which columns make up for Fresnel's loss, as `gain` says; None for none. It
+            counts as light of the beam: a projector whose columns are equally bright must show frames times `gain`.
+        divergence: Half angle of the fan of light that each column is in the bath [rad], even in its sine, about the
+            point where the column meets the middle of the film.
+        neutral: Depth of the line that bending does not stretch, as a share of the thickness from the roller.
+        rays: Rays across the width of a column; a voxel whose walls run along the light knows its share of a column to
+            one ray.
+        fan: Rays across the fan of a column.
+        index: Of the resin where it changes from place to place: rays are then marched through the film. Coverage, gain
+            and aperture keep to the film's own.
+        polarization: Of the light: "none", "s" (its field along the roller's axis) or "p" (across it).
 
-    Raises `BadInput`: a value out of range; `RayError`: legs left open for a film that absorbs nothing.
+    Raises:
+        BadInput: A value is out of its range.
+        RayError: Legs are left open for a film that absorbs nothing.
     """
 
     radius: Length
@@ -66,14 +74,16 @@ class Roller:
 
     def __post_init__(self) -> None:
         if not isinstance(self.film, Film):
-            raise BadInput(f"Roller film is {self.film!r}; wanted a Film")
+            raise BadInput(f"Roller film is {self.film!r}; expected a Film")
         if self.index is not None and not isinstance(self.index, FilmIndex):
-            raise BadInput(f"Roller index is {self.index!r}; wanted a FilmIndex, or None for the film's own")
+            raise BadInput(f"Roller index is {self.index!r}; expected a FilmIndex, or None for the film's own")
         check(self)
         polarized("Roller polarization", self.polarization)
         if self.legs is None and self.film.penetration == inf:
-            raise RayError("the film absorbs nothing, so that a ray along a leg never leaves the window; "
-                           "wanted the length of the legs [mm], or a film with an absorption above 0")
+            raise RayError(
+                "the film absorbs nothing, so that a ray along a leg never leaves the window; "
+                "expected the length of the legs [mm], or a film with an absorption above 0"
+            )
 
     @property
     def outer(self) -> float:
@@ -82,7 +92,7 @@ class Roller:
 
     @property
     def neutral_radius(self) -> float:
-        """Radius [mm] at which the film moves as fast as the flat web, r_i + τ/2 unless told otherwise."""
+        """Radius [mm] at which the film moves as fast as the flat web, by default r_i + τ/2."""
         return self.radius + self.neutral * self.film.thickness
 
     @property
@@ -106,7 +116,14 @@ class Roller:
         return min(face.aperture for face in self.faces)
 
     def map(self, grid: WebGrid | None = None) -> WrapMap:
-        """Wrapped ↔ flat over the window; with a grid its legs are drawn out to a whole number of voxels."""
+        """The map between the wrapped and the flat film over the window.
+
+        Args:
+            grid: Draws the legs out to a whole number of its voxels; None leaves them as they are.
+
+        Returns:
+            The map.
+        """
         plain = WrapMap(self.radius, self.outer, self.neutral_radius, self.leg)
         if grid is None:
             return plain
@@ -116,37 +133,86 @@ class Roller:
         return WrapMap(self.radius, self.outer, self.neutral_radius, max(0.0, 0.5 * (columns * edge - plain.arc)))
 
     def coverage(self, limit: float | None = None) -> Coverage:
-        """Angles from which light reaches the film, and what clipping the compensation at ``limit`` costs of them."""
+        """Angles from which light reaches the film, and what clipping the compensation costs of them.
+
+        Args:
+            limit: Largest factor of the compensation; by default the roller's own, or 2.
+
+        Returns:
+            The angles.
+        """
         return coverage(self.film, self.radius, limit or self.compensation or LARGEST_GAIN, self.polarization)
 
     def transmittance(self, u: ArrayLike) -> Floats:
-        """Power that enters the curved film from columns at offsets u [mm], parallel light; 0 where it misses."""
+        """Power that enters the curved film from some columns of parallel light.
+
+        Args:
+            u: Offsets of the columns [mm], (...,).
+
+        Returns:
+            Share of the power, (...,); 0 where a column misses.
+        """
         offsets = as_offsets("u", u)
         return np.where(np.abs(offsets) < self.aperture, transmit(self.faces, offsets, self.polarization), 0.0)
 
     def gain(self, u: ArrayLike, limit: float | None = None) -> Floats:
-        """What columns at offsets u [mm] are multiplied by against Fresnel's loss: 1/T, at most ``limit``."""
+        """What columns are multiplied by against Fresnel's loss: 1/transmittance, at most ``limit``.
+
+        Args:
+            u: Offsets of the columns [mm], (...,).
+            limit: Largest factor; by default the roller's own, or 2.
+
+        Returns:
+            Factors, (...,).
+        """
         most = limit or self.compensation or LARGEST_GAIN
         return 1.0 / np.maximum(self.transmittance(u), 1.0 / most)
 
     def beam(self, pitch: float, rows: int) -> Beam:
-        """The widest beam of this pixel pitch [mm] whose columns all meet the film."""
+        """The widest beam whose columns all meet the film.
+
+        Args:
+            pitch: Of its pixels [mm].
+            rows: How many rows it has.
+
+        Returns:
+            The beam.
+        """
         reach = 2.0 * min(self.aperture, self.outer) / positive("pitch [mm]", pitch)
         return Beam((max(1, ceil(reach * (1.0 - 1e-12))), rows), pitch)
 
     def check(self, grid: WebGrid) -> WebGrid:
-        """The grid, if it is as thick as the film, else `BadInput`."""
+        """Check that a grid is as thick as the film.
+
+        Args:
+            grid: The grid.
+
+        Returns:
+            The grid.
+
+        Raises:
+            BadInput: It is not.
+        """
         thick = grid.size[1]
         if abs(thick - self.film.thickness) > SAME * self.film.thickness:
-            raise BadInput(f"the grid is {thick:.6g} mm thick, {grid.shape[1]} voxels of {grid.edges[1]:.6g} mm, and "
-                           f"the film {self.film.thickness:.6g} mm; wanted the same; a pitch of "
-                           f"{self.film.thickness / grid.shape[1]:.6g} mm along rho makes it so")
+            raise BadInput(
+                f"the grid is {thick:.6g} mm thick, {grid.shape[1]} voxels of {grid.edges[1]:.6g} mm, and "
+                f"the film {self.film.thickness:.6g} mm; expected the same; a pitch of "
+                f"{self.film.thickness / grid.shape[1]:.6g} mm along rho makes it so"
+            )
         return grid
 
     def trace(self, u: ArrayLike, angle: ArrayLike = 0.0, leg: float | None = None) -> Traced:
-        """Rays of the columns at offsets u [mm], flattened, that lean by ``angle`` [rad] towards +x in the bath.
+        """Trace rays of some columns. A ray that leans does so about the point where its column meets the film's
+        middle.
 
-        A ray that leans does so about the point at which the column, unrefracted, meets the middle of the film.
+        Args:
+            u: Offsets of the columns [mm], (...,).
+            angle: Lean towards +x in the bath [rad], (...,), broadcast with ``u``.
+            leg: Length of each leg [mm]; by default the roller's.
+
+        Returns:
+            The rays, flattened.
         """
         x, lean = (a.ravel() for a in np.broadcast_arrays(as_offsets("u", u), as_offsets("angle", angle)))
         middle = self.radius + 0.5 * self.film.thickness
@@ -154,15 +220,23 @@ class Roller:
         return trace(self._layers(self.leg if leg is None else leg), x, y, np.sin(lean), np.cos(lean))
 
     def propagation(self, grid: WebGrid, beam: Beam) -> Propagation:
-        """Light of one pose in the flat film, `vamgpu.web.Propagation`.
+        """Light of one pose in the flat film.
 
         Every column is ``rays`` × ``fan`` rays of equal power; each leaves in every voxel it crosses exactly what is
         absorbed between the two walls. The entries are energies, so that the Jacobian r/(r_i + τ/2) is in them: what
         a voxel of the flat film absorbs is what its bent self absorbs, and the sum over a column is the mean over its
         rays of T·(1 − exp(−α·L)), times its gain where the roller compensates.
 
-        Raises `BadInput`: the grid is not as thick as the film, or a column misses it; `RayError`: a column is
-        reflected totally.
+        Args:
+            grid: Voxels of the film.
+            beam: Pixels of the light.
+
+        Returns:
+            The sparse matrix P[r, rho, l].
+
+        Raises:
+            BadInput: The grid is not as thick as the film, or a column misses it.
+            RayError: A column is reflected totally.
         """
         map = self.map(grid)
         columns = self._columns(beam)
@@ -175,6 +249,32 @@ class Roller:
         gain = np.ones(columns.size) if self.compensation is None else self.gain(columns)
         r, rho, l = (index.astype(np.int32) for index in entries)  # noqa: E741 - the web's axis
         return Propagation(shape, r, rho, l, weight * (gain / per_column)[r], map.middle)
+
+    def rays_of(self, grid: WebGrid, beam: Beam) -> WebRays:
+        """The light of `propagation` ray by ray, as it meets things that the film carries.
+
+        Args:
+            grid: Voxels of the film.
+            beam: Pixels of the light.
+
+        Returns:
+            All pieces of all rays, in the order in which each runs.
+
+        Raises:
+            BadInput: The grid is not as thick as the film, or a column misses it.
+            RayError: A column is reflected totally.
+        """
+        map, columns = self.map(grid), self._columns(beam)
+        offsets, leans = self._bundle(beam.pitch)
+        traced = self.trace(columns[:, None, None] + offsets[:, None], leans, map.leg)
+        n_rho, n_l = grid.shape[1], round(map.length / grid.edges[0])
+        absorption, per_column = self.film.absorption, offsets.size * leans.size
+        ray, rho, l, length, weight = walks(  # noqa: E741 - the web's axis
+            map, traced.segments, absorption, (n_rho, n_l), (grid.edges[1], grid.edges[0])
+        )
+        r, gain = ray // per_column, np.ones(columns.size) if self.compensation is None else self.gain(columns)
+        shape = (columns.size, n_rho, n_l)
+        return WebRays(shape, ray, r, rho, l, length, weight * (gain / per_column)[r], absorption, map.middle)
 
     def _bundle(self, pitch: float) -> tuple[Floats, Floats]:
         """Offsets [mm] and angles [rad] of the rays of one column."""
@@ -191,15 +291,29 @@ class Roller:
         lost = int(np.count_nonzero(np.abs(columns) >= reach))
         fits = self.beam(beam.pitch, 1).pixels[0]
         if self.aperture < self.outer:
-            raise RayError(f"{lost} of {columns.size} columns, out to {widest:.5g} mm, are totally reflected: from "
-                           f"index {self.film.bath_index:g} into {self.film.resin_index:g} light enters a film of "
-                           f"radius {self.outer:.5g} mm out to {reach:.5g} mm only; take at most {fits} columns of "
-                           f"{beam.pitch:g} mm, or a bath of lower index")
-        raise BadInput(f"{lost} of {columns.size} columns, out to {widest:.5g} mm, miss the film, which reaches to "
-                       f"{reach:.5g} mm; wanted columns that meet it; take at most {fits} columns of {beam.pitch:g} mm")
+            raise RayError(
+                f"{lost} of {columns.size} columns, out to {widest:.5g} mm, are totally reflected: from "
+                f"index {self.film.bath_index:g} into {self.film.resin_index:g} light enters a film of "
+                f"radius {self.outer:.5g} mm out to {reach:.5g} mm only; take at most {fits} columns of "
+                f"{beam.pitch:g} mm, or a bath of lower index"
+            )
+        raise BadInput(
+            f"{lost} of {columns.size} columns, out to {widest:.5g} mm, miss the film, which reaches to "
+            f"{reach:.5g} mm; expected columns that meet it; take at most {fits} columns of {beam.pitch:g} mm"
+        )
 
     def _layers(self, leg: float) -> Layers:
         film = self.film
         thick, sheet = film.substrate or (0.0, film.resin_index)
-        return Layers(self.radius, self.outer, self.outer + thick, leg, film.resin_index, film.bath_index, sheet,
-                      self.reflectivity, self.index, self.polarization)
+        return Layers(
+            self.radius,
+            self.outer,
+            self.outer + thick,
+            leg,
+            film.resin_index,
+            film.bath_index,
+            sheet,
+            self.reflectivity,
+            self.index,
+            self.polarization,
+        )

@@ -30,14 +30,16 @@ class FilmIndex:
     def __post_init__(self) -> None:
         object.__setattr__(self, "stride", positive("FilmIndex stride [mm]", self.stride))
         if not callable(self.index):
-            raise BadInput(f"FilmIndex index is {self.index!r}; wanted a function of x and y [mm]")
+            raise BadInput(f"FilmIndex index is {self.index!r}; expected a function of x and y [mm]")
 
     def at(self, x: Floats, y: Floats) -> Floats:
         """Index at places; raises `BadInput` where it is below 1 or not finite."""
         found = np.broadcast_to(np.asarray(self.index(x, y), dtype=np.float64), x.shape)
         if not np.all(found >= 1.0) or not np.all(np.isfinite(found)):
-            raise BadInput(f"the index of the resin is {np.min(found):g} to {np.max(found):g} along the rays; wanted "
-                           "finite numbers of at least 1")
+            raise BadInput(
+                f"the index of the resin is {np.min(found):g} to {np.max(found):g} along the rays; expected "
+                "finite numbers of at least 1"
+            )
         return found
 
     def slope(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:

@@ -14,8 +14,7 @@ import numpy as np
 
 from vamgpu.errors import RayError
 from vamgpu.optics.inputs import Floats
-from vamgpu.optics.interface import left
-from vamgpu.optics.roller_faces import reflect, refract
+from vamgpu.optics.interface import fresnel, left
 from vamgpu.optics.roller_index import FilmIndex
 
 MOST_FACES = 2000
@@ -119,9 +118,11 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Trace
         end[rays["ray"][done]] = np.where(share[rays["ray"][done]] > 0, fate[done], int(End.MISSED))
         rays = {name: value[~done] for name, value in rays.items()}
     else:
-        raise RayError(f"{rays['ray'].size} rays still run in the film after {MOST_FACES} faces; wanted rays that "
-                       f"leave: shorten the legs of {layers.leg:g} mm, or take a thicker film than "
-                       f"{layers.outer - layers.inner:g} mm")
+        raise RayError(
+            f"{rays['ray'].size} rays still run in the film after {MOST_FACES} faces; expected rays that "
+            f"leave: shorten the legs of {layers.leg:g} mm, or take a thicker film than "
+            f"{layers.outer - layers.inner:g} mm"
+        )
     return Traced(_joined(pieces), share, length, end)
 
 
@@ -172,7 +173,7 @@ def _entered(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> di
         "film": np.full(keep.size, layers.shell == layers.outer),
     }  # fmt: skip
     inside = np.where(rays["film"], layers.resin_at(rays["x"], rays["y"]), layers.sheet)
-    crossed = refract(rays, np.full(keep.size, layers.bath), inside, np.ones(keep.size, dtype=bool))
+    crossed = _refract(rays, np.full(keep.size, layers.bath), inside, np.ones(keep.size, dtype=bool))
     rays = {name: value[crossed] for name, value in rays.items()}
     grazing = (rays["side"] == 0) & (rays["y"] >= 0)
     rays["side"] = np.where(grazing, np.sign(rays["x"]), rays["side"]).astype(np.int8)
@@ -213,10 +214,10 @@ def _meet(layers: Layers, rays: dict[str, Any], face: np.ndarray) -> np.ndarray:
     resin = layers.resin_at(rays["x"], rays["y"])
     here = np.where(film, resin, layers.sheet)
     there = np.where(within, np.where(film, layers.sheet, resin), layers.bath)
-    crossed = refract(rays, here, there, within | bath)
+    crossed = _refract(rays, here, there, within | bath)
     rays["film"] = film ^ (crossed & within)
     fate[crossed & bath] = End.BATH
-    reflect(rays, roller | ((within | bath) & ~crossed))
+    _reflect(rays, roller | ((within | bath) & ~crossed))
     if layers.reflectivity == 0:
         fate[roller] = End.ROLLER
     rays["shares"] = np.where(roller[:, None], rays["shares"] * (layers.reflectivity or 1.0), rays["shares"])
@@ -236,3 +237,33 @@ def _piece(rays: dict[str, Any], far: Floats, polarization: str) -> dict[str, An
 def _joined(pieces: list[dict[str, Any]]) -> Segments:
     names = (*_KEPT, "length", "before", "power")
     return Segments(**{name: np.concatenate([piece[name] for piece in pieces] or [np.zeros(0)]) for name in names})
+
+
+def _normals(rays: dict[str, Any]) -> tuple[Floats, Floats]:
+    radius = np.hypot(rays["x"], rays["y"])
+    curved = rays["side"] == 0
+    return np.where(curved, rays["x"] / radius, rays["side"]), np.where(curved, rays["y"] / radius, 0.0)
+
+
+def _reflect(rays: dict[str, Any], where: np.ndarray) -> None:
+    nx, ny = _normals(rays)
+    back = np.where(where, 2.0 * (rays["dx"] * nx + rays["dy"] * ny), 0.0)
+    rays["dx"], rays["dy"] = rays["dx"] - back * nx, rays["dy"] - back * ny
+
+
+def _refract(rays: dict[str, Any], before: Floats, after: Floats, where: np.ndarray) -> np.ndarray:
+    """Cross a face with Snell's law and Fresnel's loss; returns which rays did, the others are totally reflected."""
+    nx, ny = _normals(rays)
+    facing = rays["dx"] * nx + rays["dy"] * ny
+    ratio, cosine = before / after, np.minimum(np.abs(facing), 1.0)
+    square = 1.0 - ratio**2 * (1.0 - cosine) * (1.0 + cosine)
+    crossed = where & (square >= 0)
+    beyond = np.sqrt(np.maximum(square, 0.0))
+    bend = np.where(facing < 0, -1.0, 1.0) * (beyond - ratio * cosine)
+    same = before == after
+    crossing = np.where(same[:, None], 1.0, fresnel(cosine, beyond, before, after))
+    change = crossed & ~same
+    rays["dx"] = np.where(change, ratio * rays["dx"] + bend * nx, rays["dx"])
+    rays["dy"] = np.where(change, ratio * rays["dy"] + bend * ny, rays["dy"])
+    rays["shares"] = np.where(crossed[:, None], rays["shares"] * crossing, rays["shares"])
+    return crossed

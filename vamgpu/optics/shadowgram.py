@@ -1,4 +1,4 @@
-"""What a camera behind a print sees: cured resin bends light, and where rays crowd the picture is bright."""
+"""What a camera behind a print sees: cured resin bends light, and where rays crowd the image is bright."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from vamgpu.geometry import Grid, centers, counts, positive
 from vamgpu.optics.index_field import GridField, Region
 from vamgpu.optics.inputs import Floats, index
 from vamgpu.optics.march import march
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Length, Place, Positive
 
 MARGIN = 2
 """Pixels by which the light is wider than the camera, so that its rim is lit like its middle."""
@@ -28,26 +30,25 @@ class Camera:
     """
 
     pixels: tuple[int, int]
-    pitch: float
-    focus: float = 0.0
-    aperture: float = 1.0
+    pitch: Length
+    focus: Place = 0.0
+    aperture: Positive = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", counts("Camera pixels", self.pixels, 2))
-        object.__setattr__(self, "pitch", positive("Camera pitch [mm]", self.pitch))
-        object.__setattr__(self, "aperture", positive("Camera aperture", self.aperture))
-        if not np.isfinite(self.focus):
-            raise BadInput(f"Camera focus is {self.focus!r} mm; wanted a finite distance from the axis")
+        check(self)
 
 
 @dataclass(frozen=True, eq=False)
 class Shadowgram:
-    """A picture and the rays it is made of.
+    """A camera image and the rays it is made of.
 
-    image: light over that without a print, (pixels across, pixels up).  light: all that was sent, a little wider than
-    the camera, in pixels without a print.  lost: what missed the camera or its aperture: image.sum() + lost is light.
-    start: X and z [mm] of the rays in front
-    of the print, (rays, 2).  deflection: slopes dX/dY and dz/dY behind it, (rays, 2).
+    Attributes:
+        image: Light over that without a print, (pixels across, pixels up).
+        light: All that was sent, a little wider than the camera, in pixels without a print.
+        lost: What missed the camera or its aperture: image.sum() + lost is light.
+        start: X and z of the rays in front of the print [mm], (rays, 2).
+        deflection: Slopes dX/dY and dz/dY behind it, (rays, 2).
     """
 
     image: Floats
@@ -80,20 +81,23 @@ def shadowgram(
     the camera is focused on, and share their light between the pixels around. Rays beside the cylinder pass.
 
     Args:
-        field: index in the print's own frame; resin_index at the cylinder's border.
-        camera: across a field of x and y alone, only its middle row of pixels is meaningful: give it one.
-        resin_index: around the cylinder.
-        pose: angle θ of the print [rad].
-        rays: per pixel and axis.
-        step: of ∫ds/n [mm]; by default a third of the grid's pitch over the index.
-        device: name or device.
+        field: Index in the print's own frame; resin_index at the cylinder's border.
+        camera: Across a field of x and y alone, only its middle row of pixels is meaningful: give it one.
+        resin_index: Refractive index around the cylinder.
+        pose: Angle θ of the print [rad].
+        rays: Rays per pixel and axis.
+        step: Of ∫ds/n [mm]; by default a third of the grid's pitch over the index.
+        device: A name or a device.
+
+    Returns:
+        The image and the rays it is made of.
 
     Raises:
-        BadInput: values that cannot be used.
-        RayError: a ray never leaves.
+        BadInput: An argument is of another kind or out of its range.
+        RayError: A ray never leaves.
     """
     if not isinstance(field, GridField):
-        raise BadInput(f"got {field!r} for the print; wanted a GridField, as made by cured_index")
+        raise BadInput(f"got {field!r} for the print; expected a GridField, as made by cured_index")
     flat = field.coefficients.ndim == 2
     if flat and camera.pixels[1] != 1:
         raise BadInput(f"a field of x and y lights one row of pixels; the camera has {camera.pixels[1]}")

@@ -16,6 +16,7 @@ from vamgpu.optics.graded import GradedVial
 from vamgpu.optics.inputs import Floats, absorbed_share
 from vamgpu.optics.interface import refract
 from vamgpu.optics.occluder import Occluded
+from vamgpu.optics.square import SquareBath
 from vamgpu.optics.vial import Vial
 
 RAYS = 1025
@@ -149,7 +150,7 @@ def traced_rays(vessel: Vessel | None, reach: float, rays: int = RAYS) -> Rays:
         return _bent(vessel)
     u = _offsets(vessel, reach, rays)
     chords = vessel.chords(u)
-    if isinstance(vessel, Vial):
+    if isinstance(vessel, (Vial, SquareBath)):
         entry, heading = trace_vial(vessel, u)
         cosine, sine = heading[:, 1], -heading[:, 0]
         p = entry[:, 0] * cosine + entry[:, 1] * sine
@@ -160,18 +161,26 @@ def traced_rays(vessel: Vessel | None, reach: float, rays: int = RAYS) -> Rays:
     return StraightRays(u, chords.transmittance, p, cosine, sine, start, vessel.absorption)
 
 
-def trace_vial(vial: Vial, u: Floats) -> tuple[Floats, Floats]:
+def trace_vial(vessel: Vial | SquareBath, u: Floats) -> tuple[Floats, Floats]:
     """Rays from in front of a vial into its resin by Snell's law in vector form, face by face.
 
     Args:
-        vial: the vial.
+        vessel: the vial, or the bath that it stands in.
         u: offsets of the columns [mm], shape (rays,); each reaches the resin.
 
     Returns:
         Places on the inner face [mm] and unit headings behind it, shape (rays, 2) each, axes X and Y.
     """
+    vial = vessel if isinstance(vessel, Vial) else vessel.vessel
     place = np.stack([u, np.full_like(u, -2.0 * vial.radius)], axis=1)
     heading = np.broadcast_to([0.0, 1.0], place.shape)
+    if isinstance(vessel, SquareBath):
+        normal = np.array([np.sin(vessel.tilt), -np.cos(vessel.tilt)])
+        half, indices = 0.5 * vessel.width, (vessel.front_index, vessel.wall_index, vial.bath_index)
+        for k, distance in enumerate((half + vessel.wall, half)):
+            way = (distance - place @ normal) / (heading @ normal)
+            place = place + way[:, None] * heading
+            heading = refract(heading, np.broadcast_to(normal, heading.shape), indices[k], indices[k + 1])
     for face in vial.faces:
         back = np.sum(place * heading, axis=1)
         beside = place - back[:, None] * heading

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
-from vamgpu.geometry import Chords, positive
+from vamgpu.geometry import Chords, Vessel, positive
 from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets
 from vamgpu.optics.interface import Polarization, polarized, transmittance
 from vamgpu.schema import check
@@ -17,33 +17,31 @@ from vamgpu.schema.quantities import Absorption, Index, Length
 
 
 @dataclass(frozen=True)
-class Vat:
+class Vat(Vessel):
     """A square or rectangular vat, lit at right angles through a flat window, that stands still while the part turns.
 
     The resin fills the vat or, where a radius is given, a round vessel in the middle of a clear liquid of the same
-    index. Rays run straight along +Y of the laboratory frame (see Vial): the chord of column u is X = u.
+    index. Rays run straight along +Y of the laboratory frame (see `Vial`): the chord of column u is X = u. The indices
+    set the loss at the two faces of the window and nothing else; all equal, the default, means no loss.
 
     Args:
-        width: inside of the vat across the beam [mm].
-        depth: inside of the vat along the beam [mm]; None for a square vat.
-        radius: of the round volume of resin [mm]; None where the resin fills the vat.
-        absorption: of the resin, natural logarithm [1/mm].
-        resin_index: refractive index of the resin and of the liquid that matches it.
-        wall_index: refractive index of the window.
-        bath_index: refractive index in front of the window. The indices set the loss at the two faces of the window
-            and nothing else; all equal, the default, means no loss.
-        polarization: of the light, as for `Vial`. Light meets the window at right angles, where s and p light lose the
-            same: it changes nothing here, so that a vial can be swapped for a vat.
+        width: Inside of the vat across the beam [mm].
+        depth: Inside of the vat along the beam [mm]; None for a square vat.
+        radius: Of the round volume of resin [mm]; None where the resin fills the vat.
+        absorption: Of the resin, natural logarithm [1/mm].
+        resin_index: Refractive index of the resin and of the liquid that matches it.
+        wall_index: Refractive index of the window.
+        bath_index: Refractive index in front of the window.
+        polarization: Of the light, as for `Vial`; s and p light lose the same at right angles, so it changes nothing.
 
     Raises:
-        BadInput: a value is not finite, negative, an index is below 1, the round volume exceeds the vat, or the
-            polarization is another.
+        BadInput: A value is out of its range, or the round volume exceeds the vat.
     """
 
     width: Length
     depth: Length | None = None
     radius: Length | None = None
-    absorption: Absorption = 0.0
+    absorption: Absorption = 0.0  # pyright: ignore[reportIncompatibleMethodOverride] - a field
     resin_index: Index = 1.0
     wall_index: Index = 1.0
     bath_index: Index = 1.0
@@ -53,8 +51,10 @@ class Vat:
         check(self)
         polarized("Vat polarization", self.polarization)
         if self.radius is not None and self.radius > self._inscribed:
-            raise BadInput(f"radius is {self.radius:g} mm in a vat of {self.width:g} x {self._depth:g} mm; wanted "
-                           f"at most {self._inscribed:g} mm; correct the radius, the width or the depth")
+            raise BadInput(
+                f"radius is {self.radius:g} mm in a vat of {self.width:g} x {self._depth:g} mm; expected "
+                f"at most {self._inscribed:g} mm; correct the radius, the width or the depth"
+            )
 
     @property
     def _depth(self) -> float:
@@ -76,7 +76,6 @@ class Vat:
 
     @property
     def lit_radius(self) -> float:
-        """Radius that light reaches at every pose [mm]: the printable radius, for straight light goes everywhere."""
         return self.printable_radius
 
     @property
@@ -92,29 +91,17 @@ class Vat:
         return np.sqrt(np.maximum((self.radius - x) * (self.radius + x), 0.0))
 
     def chords(self, u: ArrayLike) -> Chords:
-        """Chords in the resin of the columns at the offsets u [mm], any shape; raises BadInput for u not finite.
-
-        A column that misses the resin has transmittance and length zero.
-        """
         offsets = as_offsets("u", u)
         reaches = np.abs(offsets) < self.aperture
-        return Chords(p=offsets.copy(), angle=np.zeros(offsets.shape), spread=np.zeros(offsets.shape),
-                      transmittance=np.where(reaches, self.window_transmittance, 0.0),
-                      length=np.where(reaches, 2.0 * self._half_path(offsets), 0.0))
+        return Chords(
+            p=offsets.copy(),
+            angle=np.zeros(offsets.shape),
+            spread=np.zeros(offsets.shape),
+            transmittance=np.where(reaches, self.window_transmittance, 0.0),
+            length=np.where(reaches, 2.0 * self._half_path(offsets), 0.0),
+        )
 
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
-        """Column that lights each laboratory point, which is its X, and its weight.
-
-        The weight is transmittance * absorption * exp(-absorption * path) [1/mm], or the transmittance alone for a
-        resin that does not absorb; 0 outside the resin.
-
-        Args:
-            across: laboratory X [mm], any shape.
-            along: laboratory Y [mm], any shape that broadcasts with across.
-
-        Raises:
-            BadInput: a coordinate is not finite.
-        """
         points_x, points_y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
         half = self._half_path(points_x)
         inside = (np.abs(points_x) < self.aperture) & (np.abs(points_y) < half)
@@ -125,19 +112,28 @@ class Vat:
     def check_fits(self, radius: float) -> None:
         """Check that a target of this radius about the axis can be printed.
 
+        Args:
+            radius: Of the target [mm].
+
         Raises:
-            BadInput: the radius is not a finite number above 0.
-            TargetTooLarge: the radius exceeds the printable radius.
+            BadInput: The radius is not a finite number above 0.
+            TargetTooLarge: The radius exceeds the printable radius.
 
         Warns:
-            OpticsWarning: the window transmits less than 0.8.
+            OpticsWarning: The window transmits less than 0.8.
         """
         radius = positive("target radius [mm]", radius)
         if radius > self.printable_radius:
-            raise TargetTooLarge(f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this "
-                                 f"vat is {self.printable_radius:.4g} mm; scale or center the target, or take a "
-                                 "larger vat")
+            raise TargetTooLarge(
+                f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this "
+                f"vat is {self.printable_radius:.4g} mm; scale or center the target, or take a "
+                "larger vat"
+            )
         if self.window_transmittance < LOW_TRANSMITTANCE:
-            warnings.warn(f"the window transmits {self.window_transmittance:.3g} of the light at every radius up to "
-                          f"the target's {radius:.4g} mm, less than {LOW_TRANSMITTANCE:g}; allow a longer exposure or "
-                          "coat the window", OpticsWarning, stacklevel=2)
+            warnings.warn(
+                f"the window transmits {self.window_transmittance:.3g} of the light at every radius up to "
+                f"the target's {radius:.4g} mm, less than {LOW_TRANSMITTANCE:g}; allow a longer exposure or "
+                "coat the window",
+                OpticsWarning,
+                stacklevel=2,
+            )

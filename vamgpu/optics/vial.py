@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
-from vamgpu.geometry import Chords, positive
+from vamgpu.geometry import Chords, Vessel, positive
 from vamgpu.optics.faces import Face, transmit, turn
 from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets
 from vamgpu.optics.interface import Polarization, impact_after, polarized
@@ -22,31 +23,29 @@ LARGEST_DENSITY = 100.0
 
 
 @dataclass(frozen=True)
-class Vial:
+class Vial(Vessel):
     """A round vial of resin with a clear wall; light refracts at the outer and at the inner face of the wall.
 
-    Laboratory frame: a voxel at (x, y) seen at the pose theta lies at X = y cos(theta) - x sin(theta), the direction
-    in which the beam's columns are counted, and Y = -(x cos(theta) + y sin(theta)), along which light travels.
-    A column at offset u in the bath becomes the chord X cos(d) + Y sin(d) = u bath_index / resin_index. The deviation
-    d(u) has the sign of u, rays converge, where the resin is denser than the bath: the chord's direction
-    (-sin(d), cos(d)) leans towards the axis.
+    Laboratory frame: a voxel at (x, y) seen at the angle θ lies at X = y·cos θ − x·sin θ, the direction in which the
+    beam's columns are counted, and Y = −(x·cos θ + y·sin θ), along which light travels. A column at offset u in the
+    bath becomes the chord X·cos d + Y·sin d = u · bath_index / resin_index. The deviation d(u) has the sign of u, rays
+    converge, where the resin is denser than the bath: the chord's direction (−sin d, cos d) leans towards the axis.
 
-    Layers by Snell's invariant index * distance from the axis, Fresnel loss at both faces of the wall, Beer-Lambert
+    Layers by Snell's invariant index · distance from the axis, Fresnel loss at both faces of the wall, Beer-Lambert
     absorption in the resin from the inner face on.
 
     Args:
-        radius: outer radius [mm].
-        wall: thickness of the wall [mm]; 0 for no wall, then wall_index has no effect.
-        resin_index: refractive index of the resin.
-        wall_index: refractive index of the wall.
-        bath_index: refractive index around the vial, in which the columns of the beam are counted.
-        absorption: of the resin, natural logarithm [1/mm].
-        polarization: of the light: "none", unpolarized; "s", its field along the axis of the vial; "p", across it.
+        radius: Outer radius [mm].
+        wall: Thickness of the wall [mm]; 0 for no wall, then wall_index has no effect.
+        resin_index: Refractive index of the resin.
+        wall_index: Refractive index of the wall.
+        bath_index: Refractive index around the vial, in which the columns of the beam are counted.
+        absorption: Of the resin, natural logarithm [1/mm].
+        polarization: Of the light: "none", unpolarized; "s", its field along the axis of the vial; "p", across it.
             Unpolarized light loses the mean of what s and p light lose, each at all faces (`transmittance`).
 
     Raises:
-        BadInput: a value is not finite, negative, an index is below 1, the wall leaves no room for resin, or the
-            polarization is another.
+        BadInput: A value is out of its range, or the wall leaves no room for resin.
     """
 
     radius: Length
@@ -54,15 +53,18 @@ class Vial:
     resin_index: Index
     wall_index: Index
     bath_index: Index = 1.0
-    absorption: Absorption = 0.0
+    absorption: Absorption = 0.0  # pyright: ignore[reportIncompatibleMethodOverride] - a field
     polarization: Polarization = "none"
+    barrier: ClassVar[str] = "wall"
 
     def __post_init__(self) -> None:
         check(self)
         polarized("Vial polarization", self.polarization)
         if self.wall >= self.radius:
-            raise BadInput(f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; wanted a wall "
-                           "thinner than the radius; radius and wall are both in mm, and radius is half the diameter")
+            raise BadInput(
+                f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; expected a wall "
+                "thinner than the radius; radius and wall are both in mm, and radius is half the diameter"
+            )
 
     @property
     def inner_radius(self) -> float:
@@ -74,8 +76,10 @@ class Vial:
         """The refracting faces, from the outside in."""
         if self.wall == 0:
             return (Face(self.radius, self.bath_index, self.resin_index, self.bath_index),)
-        return (Face(self.radius, self.bath_index, self.wall_index, self.bath_index),
-                Face(self.inner_radius, self.wall_index, self.resin_index, self.bath_index))
+        return (
+            Face(self.radius, self.bath_index, self.wall_index, self.bath_index),
+            Face(self.inner_radius, self.wall_index, self.resin_index, self.bath_index),
+        )
 
     @property
     def aperture(self) -> float:
@@ -92,41 +96,48 @@ class Vial:
         """Radius that light reaches at every pose [mm]: less than printable_radius where the wall reflects totally."""
         return min(self.printable_radius, self.aperture * self.bath_index / self.resin_index)
 
-    def chords(self, u: ArrayLike) -> Chords:
-        """Chords in the resin of the columns at the offsets u [mm], any shape; raises BadInput for u not finite.
+    def transmitted(self, u: Floats) -> Floats:
+        """Tell what share of the power of columns reaches the resin, where one does.
 
-        A column that misses the resin has the p, angle and spread of the last one that reaches it, transmittance and
-        length zero.
+        Args:
+            u: Offsets of the columns, [...] [mm].
+
+        Returns:
+            Shares, [...].
         """
+        return transmit(self.faces, u, self.polarization)
+
+    def chords(self, u: ArrayLike) -> Chords:
         offsets = as_offsets("u", u)
         reaches = np.abs(offsets) < self.aperture
         kept = np.clip(offsets, -self.aperture, self.aperture)
         cos_d, sin_d, spread = turn(self.faces, kept)
         p = impact_after(kept, self.bath_index, self.resin_index)
         half = np.sqrt(np.maximum((self.inner_radius - p) * (self.inner_radius + p), 0.0))
-        return Chords(p=p, angle=np.arctan2(sin_d, cos_d), spread=spread,
-                      transmittance=np.where(reaches, transmit(self.faces, kept, self.polarization), 0.0),
-                      length=np.where(reaches, 2.0 * half, 0.0))
+        return Chords(
+            p=p,
+            angle=np.arctan2(sin_d, cos_d),
+            spread=spread,
+            transmittance=np.where(reaches, self.transmitted(kept), 0.0),
+            length=np.where(reaches, 2.0 * half, 0.0),
+        )
 
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
-        """Column that lights each laboratory point, and its weight: the inverse of the ray map.
+        """The ray through each point: the inverse of the ray map.
 
-        The weight is transmittance * density * absorption * exp(-absorption * path) [1/mm], without the last two
-        factors for a resin that does not absorb. The density, columns per mm across the chord, is
-        1 / abs(p'(u) - t d'(u)) at the signed length t along the chord: rays that converge grow denser downstream.
-        Inside the printable radius one ray comes to each point. Outside it two or three may meet: the one
-        of smallest abs(u) is returned, on the point's side of the axis.
+        Columns per mm across the chord, 1 / |p'(u) − t·d'(u)| at the signed length t along it, are the density: rays
+        that converge grow denser downstream. Inside the printable radius one ray comes to each point. Outside it two or
+        three may meet: the one of smallest |u| is returned, on the point's side of the axis.
 
         Args:
-            across: laboratory X [mm], any shape.
-            along: laboratory Y [mm], any shape that broadcasts with across.
+            across: Laboratory X [mm], (...,).
+            along: Laboratory Y [mm], (...,), broadcast with ``across``.
 
         Returns:
-            Columns u [mm] and weights, both finite everywhere; the weight is 0 outside the resin and where no ray
-            comes.
+            Columns u [mm], (...,), and weights [1/mm], (...,), as for `Vessel`, both finite everywhere.
 
         Raises:
-            BadInput: a coordinate is not finite.
+            BadInput: A coordinate is not finite.
         """
         points_x, points_y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
         inside = points_x**2 + points_y**2 < self.inner_radius**2
@@ -143,18 +154,21 @@ class Vial:
         cos_d, sin_d, _ = turn(self.faces, u)
         path = half + y * cos_d - x * sin_d
         density = 1.0 / np.maximum(np.abs(spacing), ratio / LARGEST_DENSITY)
-        share = transmit(self.faces, u, self.polarization) * density * absorbed_share(self.absorption, path)
+        share = self.transmitted(u) * density * absorbed_share(self.absorption, path)
         return u, np.where(spacing != 0.0, share, 0.0)
 
     def check_fits(self, radius: float) -> None:
         """Check that a target of this radius about the axis can be printed.
 
+        Args:
+            radius: Of the target [mm].
+
         Raises:
-            BadInput: the radius is not a finite number above 0.
-            TargetTooLarge: the radius exceeds what light reaches at every pose.
+            BadInput: The radius is not a finite number above 0.
+            TargetTooLarge: The radius exceeds what light reaches at every angle.
 
         Warns:
-            OpticsWarning: within the radius the faces transmit less than 0.8.
+            OpticsWarning: Within the radius the faces transmit less than 0.8.
         """
         radius = positive("target radius [mm]", radius)
         if radius > self.printable_radius:
@@ -162,18 +176,24 @@ class Vial:
                 f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this vial is "
                 f"{self.printable_radius:.4g} mm, the smaller of its inner radius {self.inner_radius:.4g} mm and "
                 f"{self.radius:.4g} mm * {self.bath_index:g} / {self.resin_index:g}; "
-                "scale or center the target, take a wider vial, or bring the bath's index closer to the resin's")
+                "scale or center the target, take a wider vial, or bring the bath's index closer to the resin's"
+            )
         if radius > self.lit_radius:
             raise TargetTooLarge(
-                f"the target reaches {radius:.4g} mm from the axis, but beyond {self.lit_radius:.4g} mm the wall of "
-                f"index {self.wall_index:g} keeps the light out of the resin of index {self.resin_index:g} by total "
-                "reflection; scale or center the target, or take a wall of higher index")
+                f"the target reaches {radius:.4g} mm from the axis, but beyond {self.lit_radius:.4g} mm the "
+                f"{self.barrier} of index {min(face.inner_index for face in self.faces):g} keeps the light out of the "
+                f"resin of index {self.resin_index:g} by total reflection; scale or center the target, or take a "
+                f"{self.barrier} of higher index"
+            )
         dim = self._radius_of_low_transmittance(radius)
         if dim is not None:
-            warnings.warn(f"beyond {dim:.3g} mm from the axis the faces of the vial transmit less than "
-                          f"{LOW_TRANSMITTANCE:g} of the light, and the target reaches {radius:.4g} mm; "
-                          "expect dimmer edges, or bring the bath's index closer to the resin's",
-                          OpticsWarning, stacklevel=2)
+            warnings.warn(
+                f"beyond {dim:.3g} mm from the axis the faces of the vial transmit less than "
+                f"{LOW_TRANSMITTANCE:g} of the light, and the target reaches {radius:.4g} mm; "
+                "expect dimmer edges, or bring the bath's index closer to the resin's",
+                OpticsWarning,
+                stacklevel=2,
+            )
 
     def _radius_of_low_transmittance(self, radius: float) -> float | None:
         p = np.linspace(0.0, radius, 2049)

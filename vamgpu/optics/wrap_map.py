@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import positive
 from vamgpu.optics.inputs import Floats, as_offsets
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Length, Thickness
 
 
 @dataclass(frozen=True)
@@ -28,17 +29,18 @@ class WrapMap:
     straight leg [mm].  Raises `BadInput`.
     """
 
-    inner: float
-    outer: float
-    neutral: float
-    leg: float
+    inner: Length
+    outer: Length
+    neutral: Length
+    leg: Thickness
 
     def __post_init__(self) -> None:
-        for name in ("inner", "outer", "neutral", "leg"):
-            object.__setattr__(self, name, positive(f"WrapMap {name} [mm]", getattr(self, name), zero=name == "leg"))
+        check(self)
         if not self.inner < self.outer or not self.inner <= self.neutral <= self.outer:
-            raise BadInput(f"WrapMap has inner {self.inner:g}, neutral {self.neutral:g} and outer radius "
-                           f"{self.outer:g} mm; wanted inner < outer and the neutral line between them")
+            raise BadInput(
+                f"WrapMap has inner {self.inner:g}, neutral {self.neutral:g} and outer radius "
+                f"{self.outer:g} mm; expected inner < outer and the neutral line between them"
+            )
 
     @property
     def arc(self) -> float:

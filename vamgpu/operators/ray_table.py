@@ -27,14 +27,14 @@ EQUAL = 1.05
 
 
 @dataclass(frozen=True)
-class OpenAir:
+class OpenAir(Vessel):
     """No vessel at all: straight rays, nothing absorbed, light everywhere.
 
     absorption: none.  lit_radius: of the light [mm].
     """
 
-    absorption: float = 0.0
-    lit_radius: float = inf
+    absorption: float = 0.0  # pyright: ignore[reportIncompatibleMethodOverride] - a field
+    lit_radius: float = inf  # pyright: ignore[reportIncompatibleMethodOverride] - a field
 
     def chords(self, u: np.ndarray) -> Chords:
         zero = np.zeros_like(u)
@@ -45,7 +45,7 @@ class OpenAir:
 
 
 @dataclass(frozen=True)
-class Light:
+class RayTable:
     """Tables of one pose; lengths in voxels, columns counted from 0.
 
     map: (n, n, 4) column, strength, and the columns a voxel across and along the light.
@@ -76,7 +76,7 @@ class Light:
         return min(int(np.max(np.sqrt(2.0) * across) + 2.0 * self.edges[:, 3].max()) + 2, len(self.map))
 
 
-def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None) -> Light:
+def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None) -> RayTable:
     """The tables of ``vessel`` for a grid and a beam.
 
     half: columns from a voxel's middle to the farthest that lights it, for a device that follows columns one by one;
@@ -102,7 +102,7 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None) 
     table = np.stack([column, strength, *gradient], axis=-1)
     together = TOGETHER if half is None else 1
     edges = rays.edges(_slack(column, radius, rays), min(radius, corner), together)
-    return Light(table, edges, radius, _steepest(column, radius), fill, sigma)
+    return RayTable(table, edges, radius, _steepest(column, radius), fill, sigma)
 
 
 def column_in_resin(beam: Beam, vessel: Vessel) -> float:
@@ -159,9 +159,7 @@ def _bared(vessel: Any) -> tuple[Vessel, list[Callable[..., np.ndarray]]]:
     return vessel, shares
 
 
-def _continued(
-    vessel: Vessel, radius: float, across: np.ndarray, along: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _continued(vessel: Vessel, radius: float, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The light at each point, continued in a straight line beyond ``radius`` [mm] where it ends there.
 
     Voxels at the rim interpolate between samples on both sides of it: a map that broke off would halve their light

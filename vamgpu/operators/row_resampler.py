@@ -1,4 +1,4 @@
-"""Rows of a beam and slices of a grid: two samplings of z about the same middle."""
+"""RowResampler of a beam and slices of a grid: two samplings of z about the same middle."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vamgpu.kernels.footprint import FAR, TAIL, THINNEST
 from vamgpu.kernels.resample import resample
 
 
-class Rows:
+class RowResampler:
     """How light of rows of pixels falls on slices of voxels; both ways are transposes.
 
     A weight is the mean, over a slice, of the light of a row: of its lit box, blurred by the point spread.
@@ -23,28 +23,35 @@ class Rows:
         sigma: standard deviation of the point spread [rows].
     """
 
+    rows: int
+    slices: int
+    device: Device
+
     def __init__(
         self, rows: int, row_pitch: float, slices: int, slice_pitch: float, device: Device, fill: float = 1.0,
         sigma: float = 0.0,
     ) -> None:  # fmt: skip
         self.rows, self.slices, self.device = rows, slices, device
         ratio = slice_pitch / row_pitch
-        self.same_pitch = abs(ratio - 1.0) < 1e-6
-        self.same = rows == slices and self.same_pitch and fill == 1.0 and sigma == 0.0
+        self.same_pitch: bool = abs(ratio - 1.0) < 1e-6
+        self.same: bool = rows == slices and self.same_pitch and fill == 1.0 and sigma == 0.0
         """Whether each row is a slice."""
+        self.weights: np.ndarray = np.eye(rows)
+        """What each slice gets of the light of each row, (slices, rows)."""
         if self.same:
             return
         position = (np.arange(slices) - 0.5 * (slices - 1)) * ratio + 0.5 * (rows - 1)
         matrix = ratio * _mean(position[:, None] - np.arange(rows), ratio, fill, sigma)
+        self.weights = matrix
         self._to_slices, self._from_slices = (_banded(device, m) for m in (matrix, matrix.T))
 
     def from_slices(self, source: DeviceArray, target: DeviceArray) -> None:
         """target [pose, r, row] from source [pose, r, slice]."""
-        self.device.launch(resample, source=source, lanes=source.lanes, target=target, **self._from_slices)
+        self.device.launch(resample, source=source, lanes=source, target=target, **self._from_slices)
 
     def to_slices(self, source: DeviceArray, target: DeviceArray) -> None:
         """target [pose, r, slice] from source [pose, r, row]."""
-        self.device.launch(resample, source=source, lanes=source.lanes, target=target, **self._to_slices)
+        self.device.launch(resample, source=source, lanes=source, target=target, **self._to_slices)
 
 
 def _mean(distance: np.ndarray, height: float, fill: float, sigma: float) -> np.ndarray:
@@ -69,8 +76,8 @@ def _second_integral(x: np.ndarray, sigma: float) -> np.ndarray:
 def _banded(device: Device, matrix: np.ndarray) -> dict[str, DeviceArray]:
     """The tables of `resample` for a matrix [target, source] whose rows are one short run each."""
     filled = matrix > 0.0
-    first = np.where(filled.any(axis=1), filled.argmax(axis=1), 0)
-    last = np.where(filled.any(axis=1), matrix.shape[1] - filled[:, ::-1].argmax(axis=1), 1)
+    first = np.maximum.accumulate(filled.argmax(axis=1))  # a row without an entry stands where the one before it does
+    last = np.where(filled.any(axis=1), matrix.shape[1] - filled[:, ::-1].argmax(axis=1), first + 1)
     taps = np.arange(int((last - first).max()))
     columns = np.minimum(first[:, None] + taps, matrix.shape[1] - 1)
     weights = np.take_along_axis(matrix, columns, axis=1) * (first[:, None] + taps < last[:, None])

@@ -1,25 +1,33 @@
-"""What the resin carries with it as it turns: an index of refraction, an extinction, opaque inserts."""
+"""What turns with the resin: an index of refraction, an extinction, opaque inserts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Grid, positive
-from vamgpu.kernels.trace import ABSORBS, BENDS, BLOCKS, MARGIN
+from vamgpu.kernels.medium import ABSORBS, BENDS, BLOCKS, MARGIN
 
 
 @dataclass(frozen=True, eq=False)
-class Carried:
-    """Fields on the voxels of a grid, [x, y] where nothing depends on z, else [x, y, z]; None where there is nothing.
+class CoRotatingMedium:
+    """A medium that turns with the resin: fields on voxels, [x, y] where nothing depends on z, else [x, y, z].
 
-    index: refractive index.  extinction: absorbed share per length [1/mm], natural logarithm, or one number for every
-    voxel; without it nothing is absorbed.  opaque: true where an insert stops the light; light ends where the
-    interpolated share of insert passes 0.4.  bath: refractive index beyond the grid; None takes the median of the
-    index on the grid's faces, or 1.  Raises `BadInput`, `ShapeMismatch`.
+    Args:
+        index: Refractive index, [x, y] or [x, y, z]; None where it does not change.
+        extinction: Absorbed share per length [1/mm], natural logarithm, [x, y] or [x, y, z], or one number for all
+            voxels; None where nothing is absorbed.
+        opaque: True where an insert stops the light, [x, y] or [x, y, z]; light ends where the interpolated share of
+            insert passes 0.4.
+        bath: Refractive index beyond the grid; None takes the median of the index on the grid's faces, or 1.
+
+    Raises:
+        BadInput: A value is not finite or out of its range.
+        ShapeMismatch: A field has neither two nor three axes.
     """
 
     index: np.ndarray | None = None
@@ -34,10 +42,10 @@ class Carried:
         _refuse_below("extinction [1/mm]", extinction, 0.0)
         opaque = None if self.opaque is None else np.asarray(self.opaque)
         if opaque is not None and opaque.dtype != bool:
-            raise BadInput(f"opaque holds {opaque.dtype}; wanted booleans: true where the insert is")
+            raise BadInput(f"opaque holds {opaque.dtype}; expected booleans: true where the insert is")
         for name, value in (("index", index), ("opaque", opaque), ("extinction", extinction)):
             if value is not None and value.ndim not in ((0, 2, 3) if name == "extinction" else (2, 3)):
-                raise ShapeMismatch(f"carried {name} has {value.ndim} axes; wanted [x, y] or [x, y, z]")
+                raise ShapeMismatch(f"medium {name} has {value.ndim} axes; expected [x, y] or [x, y, z]")
         if self.bath is not None:
             object.__setattr__(self, "bath", positive("bath index", self.bath))
             _refuse_below("bath index", np.asarray(self.bath), 1.0)
@@ -45,7 +53,11 @@ class Carried:
             object.__setattr__(self, name, value)
 
     def fields(self) -> dict[str, np.ndarray]:
-        """The arrays that are given, by name."""
+        """The fields that are given.
+
+        Returns:
+            Arrays [x, y] or [x, y, z] by name.
+        """
         named = {"index": self.index, "extinction": self.extinction, "opaque": self.opaque}
         return {name: np.asarray(value) for name, value in named.items() if value is not None and np.ndim(value) > 0}
 
@@ -56,21 +68,32 @@ class Carried:
 
     @property
     def kind(self) -> int:
-        """Which of the three there are, as kernels are told."""
+        """Which of the three there are, as kernels take it."""
         bends = BENDS * (self.index is not None)
         return bends | ABSORBS * (self.extinction is not None) | BLOCKS * (self.opaque is not None)
 
     def check(self, grid: Grid) -> None:
-        """Raise `ShapeMismatch` unless every field lives on the voxels of ``grid``."""
+        """Check that every field lives on the voxels of a grid.
+
+        Args:
+            grid: The grid.
+
+        Raises:
+            ShapeMismatch: A field does not.
+        """
         for name, values in self.fields().items():
             if values.shape not in (grid.shape, grid.shape[:2]):
                 raise ShapeMismatch(
-                    f"carried {name} has shape {values.shape}; wanted {grid.shape[:2]} = [x, y] or {grid.shape} = "
+                    f"medium {name} has shape {values.shape}; expected {grid.shape[:2]} = [x, y] or {grid.shape} = "
                     "[x, y, z]: sample it on the voxels of the grid"
                 )
 
     def surroundings(self) -> float:
-        """Refractive index beyond the grid."""
+        """Refractive index beyond the grid.
+
+        Returns:
+            The index.
+        """
         if self.bath is not None:
             return self.bath
         if self.index is None:
@@ -78,21 +101,33 @@ class Carried:
         faces = [np.take(self.index, end, axis=axis).ravel() for axis in (0, 1) for end in (0, -1)]
         return float(np.median(np.concatenate(faces)))
 
-    def medium(self, grid: Grid) -> np.ndarray:
-        """The samples that rays look up, (x + 4, y + 4, z + 4 or 1, 4), float64; see `trace`."""
+    def samples(self, grid: Grid) -> np.ndarray:
+        """The samples that the kernels of `trace` interpolate.
+
+        Args:
+            grid: Voxels of the fields.
+
+        Returns:
+            Float64 (x + 4, y + 4, z + 4 or 1, 4).
+
+        Raises:
+            ShapeMismatch: A field does not fit the grid.
+        """
         self.check(grid)
         shape = (*grid.shape[:2], 1) if self.is_level else grid.shape
-        samples = np.zeros((*(n + 2 * MARGIN * (n > 1 or axis < 2) for axis, n in enumerate(shape)), 4))
+        table = np.zeros((*(n + 2 * MARGIN * (n > 1 or axis < 2) for axis, n in enumerate(shape)), 4))
         if not self.is_level and shape[2] == 1:
             raise ShapeMismatch(f"the fields depend on z, the grid {grid.shape} has one slice; give them as [x, y]")
         if self.index is not None:
-            samples[..., :3] = _pull(_spread(self.index, shape) / self.surroundings())
+            table[..., :3] = _pull(_spread(self.index, shape) / self.surroundings())
         if self.extinction is not None:
             values = np.broadcast_to(self.extinction, shape) if np.ndim(self.extinction) == 0 else self.extinction
-            samples[_inner(shape)][..., 3] = grid.pitch * _spread(np.asarray(values), shape)
+            table[_inner(shape)][..., 3] = grid.pitch * _spread(np.asarray(values), shape)
         if self.opaque is not None:
-            samples[_inner(shape)][..., 3][_spread(self.opaque, shape)] = -1.0
-        return samples
+            table[_inner(shape)][..., 3][_spread(self.opaque, shape)] = -1.0
+        return table
+
+    medium: ClassVar[Renamed] = Renamed("samples")
 
 
 def _real(name: str, values: Any) -> np.ndarray | None:
@@ -100,13 +135,13 @@ def _real(name: str, values: Any) -> np.ndarray | None:
         return None
     array = np.asarray(values)
     if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
-        raise BadInput(f"{name} holds {array.dtype} or values that are not finite; wanted real numbers")
+        raise BadInput(f"{name} holds {array.dtype} or values that are not finite; expected real numbers")
     return array.astype(np.float64)
 
 
 def _refuse_below(name: str, values: np.ndarray | None, least: float) -> None:
     if values is not None and values.size and float(values.min()) < least:
-        raise BadInput(f"{name} falls to {float(values.min()):g}; wanted ≥ {least:g} everywhere")
+        raise BadInput(f"{name} falls to {float(values.min()):g}; expected ≥ {least:g} everywhere")
 
 
 def _spread(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

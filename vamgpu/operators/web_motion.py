@@ -17,7 +17,7 @@ DRIFT = 1e-6
 
 
 @dataclass(frozen=True)
-class Feed:
+class WebMotion:
     """Poses of light along a web: at pose k the window begins at column ``start + k·step``, which may lie between two.
 
     poses: how many.  step, start: in columns of the web; start is negative where the window begins before the web.
@@ -28,7 +28,9 @@ class Feed:
     start: float
 
     @classmethod
-    def past(cls, columns: int, window: int, step: float, poses: int | None = None, start: float | None = None) -> Feed:
+    def past(
+        cls, columns: int, window: int, step: float, poses: int | None = None, start: float | None = None
+    ) -> WebMotion:
         """The poses that see any of a web of ``columns``, or ``poses`` of them from ``start``.
 
         Raises `BadInput`, and `SkippedColumns` for a step longer than the window.
@@ -41,10 +43,10 @@ class Feed:
             )
         begin = float(1 - window) if start is None else float(start)
         if not np.isfinite(begin):
-            raise BadInput(f"start is {start!r}; wanted a finite number of columns")
+            raise BadInput(f"start is {start!r}; expected a finite number of columns")
         number = ceil((columns - begin) / step - DRIFT) if poses is None else counts("poses", (poses,), 1)[0]
         if number < 1:
-            raise BadInput(f"start is {begin:g}, behind the {columns} columns of the web; wanted less than {columns}")
+            raise BadInput(f"start is {begin:g}, behind the {columns} columns of the web; expected less than {columns}")
         whole = round(step)
         if whole and abs(step - whole) * number < DRIFT:
             step = float(whole)
@@ -89,12 +91,12 @@ class Feed:
                 f"none of {columns} columns is lit at {self.poses} poses of {self.step:g} columns from {self.start:g}; "
                 "let the window pass the web"
             )
-        wanted = columns if whole_web else int(lit[-1] - lit[0]) + 1
-        if lit.size < wanted:
+        expected = columns if whole_web else int(lit[-1] - lit[0]) + 1
+        if lit.size < expected:
             span = np.arange(columns) if whole_web else np.arange(lit[0], lit[-1] + 1)
             dark = np.setdiff1d(span, lit)
             raise SkippedColumns(
-                f"{dark.size} of {wanted} columns are never lit, the first is column {dark[0]}: the web moves "
+                f"{dark.size} of {expected} columns are never lit, the first is column {dark[0]}: the web moves "
                 f"{self.step:g} columns a pose and light reaches {np.unique(light.l).size} columns of the window; "
                 "turn by smaller steps or use coarser columns"
             )

@@ -1,0 +1,215 @@
+"""Rings about the axis of rotation as voxels of a volume: what even angles map onto itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+from math import ceil, pi
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import FULL_TURN, Beam, Vessel, centers, counts
+from vamgpu.kernels.footprint import half_support, share, sides
+from vamgpu.kernels.spectrum import ROWS
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Length
+
+PARTS = 2
+"""Parts of a cell along the radius and along the angle whose footprints are added."""
+ALIKE = 1e-5
+"""Difference of light from its mirror image, over the greatest, up to which one half stands for both."""
+
+
+@dataclass(frozen=True)
+class Belt:
+    """Neighboring rings of equally many cells.
+
+    begin, stop: of the rings.  cell: first of its cells of a turn.  samples: of a ring between two angles.
+    """
+
+    begin: int
+    stop: int
+    cell: int
+    samples: int
+
+    @property
+    def rings(self) -> int:
+        return self.stop - self.begin
+
+
+@dataclass(frozen=True)
+class PolarGrid:
+    """Rings of voxels about the axis of rotation: rings are as wide as slices are high, cells about as long.
+
+    Each ring has a whole number of cells between two angles of the turntable, so that turning it by one of them maps
+    the grid onto itself. A volume is ``[angle, cell, z]``: cell q of ring j between angle t and the next lies at
+    ``[t, belt.cell + q · belt.rings + j − belt.begin]``.
+
+    Args:
+        rings: Rings, a multiple of eight.
+        slices: Voxels along z, an even number.
+        pitch: Width of a ring and height of a slice [mm].
+        angles: Even angles of the turntable, two or more.
+
+    Raises:
+        BadInput: A value is out of its range.
+    """
+
+    rings: int
+    slices: int
+    pitch: Length
+    angles: int
+
+    def __post_init__(self) -> None:
+        for name in ("rings", "slices", "angles"):
+            object.__setattr__(self, name, counts(f"PolarGrid {name}", (getattr(self, name),), 1)[0])
+        check(self)
+        if self.rings % ROWS:
+            more = -(-self.rings // ROWS) * ROWS
+            raise BadInput(f"PolarGrid rings is {self.rings}; expected a multiple of {ROWS}: take {more}")
+        if self.angles < 2:
+            raise BadInput(f"PolarGrid angles is {self.angles}; expected 2 or more, even over a full turn")
+        if self.slices % 2:
+            raise BadInput(f"PolarGrid slices is {self.slices}; expected an even number: take {self.slices + 1}")
+
+    @cached_property
+    def belts(self) -> tuple[Belt, ...]:
+        """Rings of equally many cells, from the axis outward."""
+        found: list[Belt] = []
+        firsts = range(0, self.rings, ROWS)
+        for samples, those in groupby(firsts, lambda first: ceil(2.0 * pi * (first + ROWS) / self.angles - 1e-9)):
+            blocks = list(those)
+            cell = found[-1].cell + found[-1].rings * found[-1].samples if found else 0
+            found.append(Belt(blocks[0], blocks[-1] + ROWS, cell, samples))
+        return tuple(found)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Angles, cells between two of them, slices."""
+        last = self.belts[-1]
+        return (self.angles, last.cell + last.rings * last.samples, self.slices)
+
+    @cached_property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Middles of the cells.
+
+        Returns:
+            Distance from the axis (cells,) [mm] and angle φ (angles, cells) [rad].
+        """
+        radius, turn = [], []
+        for belt in self.belts:
+            rings = np.arange(belt.begin, belt.stop) + 0.5
+            radius.append(np.tile(rings * self.pitch, belt.samples))
+            turn.append(np.repeat(np.arange(belt.samples) / belt.samples, belt.rings))
+        start = np.arange(self.angles)[:, None]
+        return np.concatenate(radius), FULL_TURN / self.angles * (start + np.concatenate(turn))
+
+    @cached_property
+    def areas(self) -> np.ndarray:
+        """Area of each cell over that of a square of the pitch, (cells,)."""
+        samples = np.concatenate([np.full(b.rings * b.samples, b.samples * self.angles) for b in self.belts])
+        return 2.0 * pi * self.places[0] / self.pitch / samples
+
+    @property
+    def z(self) -> np.ndarray:
+        """Middles of the slices [mm], (slices,)."""
+        return centers(self.slices, self.pitch)
+
+
+def pose_on_rings(grid: PolarGrid, beam: Beam, vessel: Vessel) -> Iterator[np.ndarray]:
+    """What the columns of the pose at θ = 0 leave in each cell, belt by belt.
+
+    A cell is cut into parts that light sees as trapezoids, as it sees the voxels of a box; the dose is their mean.
+
+    Yields:
+        Mean over the cell of a column's light × pitch² / pixel pitch [mm], (rings, cells of a ring, columns).
+    """
+    for belt in grid.belts:
+        count = PARTS * grid.angles * belt.samples
+        rho = (np.arange(PARTS * belt.rings) + 0.5)[:, None] / PARTS + belt.begin
+        psi = FULL_TURN / count * (np.arange(count) - 0.5 * (PARTS - 1))
+        across, along = rho * grid.pitch * np.sin(psi), -rho * grid.pitch * np.cos(psi)
+        u, weight = vessel.illuminate(across, along)
+        column = u / beam.pitch + 0.5 * (beam.pixels[0] - 1)
+        a = np.abs(np.gradient(column, axis=0, edge_order=2))
+        b = 0.5 * np.abs(np.roll(column, -1, axis=1) - np.roll(column, 1, axis=1))
+        lit = np.hypot(across, along) <= vessel.lit_radius
+        strength = weight * lit * (rho / _middle(rho)) * grid.pitch**2 / beam.pitch / PARTS**2
+        yield _in_cells(column, strength, a, b, beam, (belt.rings, count // PARTS, beam.pixels[0]))
+
+
+def _middle(rho: np.ndarray) -> np.ndarray:
+    """Middle of the ring that each part lies in."""
+    return np.floor(rho) + 0.5
+
+
+def _in_cells(
+    column: np.ndarray, strength: np.ndarray, a: np.ndarray, b: np.ndarray, beam: Beam, shape: tuple[int, int, int]
+) -> np.ndarray:
+    """Shares of columns in parts of cells, added up by cell."""
+    fill, sigma = beam.fill**0.5, beam.sigma
+    reach = half_support(*sides(a, b, sigma), fill, sigma)
+    first = np.ceil(column - reach).astype(int)
+    found = np.zeros(shape)
+    ring, cell = np.arange(shape[0])[:, None], np.arange(shape[1])
+    for tap in range(int(np.floor(2.0 * reach.max())) + 1):
+        at = first + tap
+        value = strength * share(column - at, a, b, fill, sigma) * ((at >= 0) & (at < shape[2]))
+        at = np.clip(at, 0, shape[2] - 1)
+        for i in range(PARTS):
+            for j in range(PARTS):
+                part = (slice(i, None, PARTS), slice(j, None, PARTS))
+                found[ring, cell, at[part]] += value[part]
+    return found
+
+
+@dataclass(frozen=True)
+class RingTable:
+    """Entries and tiles of `vamgpu.kernels.spectrum`; pairs: of columns, mirrored: whether they mirror each other."""
+
+    entries: np.ndarray
+    tiles: np.ndarray
+    pairs: int
+    mirrored: bool
+
+
+def ring_table(grid: PolarGrid, beam: Beam, vessel: Vessel) -> RingTable:
+    """The products of each angular frequency, from the light of one pose."""
+    from scipy.fft import rfft
+
+    spectra = [rfft(pose, axis=1) / pose.shape[1] for pose in pose_on_rings(grid, beam, vessel)]
+    most = max(float(np.abs(each).max()) for each in spectra)
+    if most == 0.0:
+        raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
+    mirrored = all(np.abs(each - each[..., ::-1].conj()).max() <= ALIKE * most for each in spectra)
+    columns, turns = beam.pixels[0], grid.angles
+    blocks, tiles = [], []
+    start = 0
+    for belt, spectrum in zip(grid.belts, spectra, strict=True):
+        near = spectrum[..., columns // 2 :] if mirrored else spectrum
+        for j in range(belt.samples):
+            rows = _harmonics(near, turns, j, belt.samples)
+            for ring in range(0, belt.rings, ROWS):
+                own = rows[:, ring : ring + ROWS]
+                lit = np.flatnonzero(np.abs(own).max(axis=(0, 1)) > 0.0)
+                pairs = -(-(int(lit[-1]) + 1) // ROWS) * ROWS if lit.size else 0
+                block = np.zeros((len(own), pairs, 2, ROWS), np.float32)
+                held = own[..., :pairs].swapaxes(1, 2)
+                block[:, : held.shape[1], 0], block[:, : held.shape[1], 1] = np.real(held), np.imag(held)
+                mate = (belt.cell + (belt.samples - 1 - j) * belt.rings + ring) // ROWS
+                tiles.append((start, pairs, mate))
+                blocks.append(block.reshape(len(own), -1))
+                start += blocks[-1].shape[1]
+    half = -(-((columns + 1) // 2 if mirrored else columns) // ROWS) * ROWS
+    return RingTable(np.concatenate(blocks, axis=1).ravel(), np.array(tiles), half, mirrored)
+
+
+def _harmonics(spectrum: np.ndarray, turns: int, j: int, samples: int) -> np.ndarray:
+    """Frequencies k + j·turns of rings for k up to half of the turns, (k, ring, column)."""
+    kappa, n = np.arange(turns // 2 + 1) + j * turns, turns * samples
+    back = 2 * kappa > n
+    found = spectrum[:, np.where(back, n - kappa, kappa)]
+    return np.where(back[:, None], found.conj(), found).swapaxes(0, 1)

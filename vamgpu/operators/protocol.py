@@ -1,0 +1,60 @@
+"""What methods and proofs ask of an operator, so that anybody's can be one."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from vamgpu.backend.device import Device
+
+ATTRIBUTES = ("domain", "range", "device", "grid", "beam", "motion", "T")
+"""What every operator that light is found for must have."""
+
+
+class Operator(Protocol):
+    """A linear map from volumes to light, with its exact transpose and its geometry.
+
+    Every `LinearOperator` with a geometry is one. One in a vessel has the attribute ``vessel`` too.
+
+    Attributes:
+        domain: Space of volumes; its ``shape`` is that of the grid, [x, y, z].
+        range: Space of light; its ``shape`` is [angle, r, z].
+        device: Where its arrays live.
+        grid: The `Grid` or `WebGrid` of the volume.
+        beam: The `Beam`, whose pixels are [r, z].
+        motion: The `Turntable` or the web's motion, whose poses are the angles.
+    """
+
+    @property
+    def domain(self) -> Any: ...
+
+    @property
+    def range(self) -> Any: ...
+
+    @property
+    def device(self) -> Device: ...
+
+    @property
+    def grid(self) -> Any: ...
+
+    @property
+    def beam(self) -> Any: ...
+
+    @property
+    def motion(self) -> Any: ...
+
+    @property
+    def T(self) -> Any:  # noqa: N802 - the mathematician's name
+        """The transpose, which is called alike."""
+        ...
+
+    def __call__(self, x: Any, out: Any = None) -> Any:
+        """Compute A x.
+
+        Args:
+            x: A field on the device, [domain.shape]; stays as it is.
+            out: Takes the result, [range.shape]; None for a new field.
+
+        Returns:
+            The result, on the device.
+        """
+        ...

@@ -1,0 +1,53 @@
+"""A volume, each voxel times a number of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.backend import open_device
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Grid
+from vamgpu.kernels.update import multiply
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.space import VolumeSpace, WebSpace, require
+from vamgpu.web import WebGrid
+
+
+class Scaled(LinearOperator):
+    """Multiplies every voxel [x, y, z] by a factor; its own transpose.
+
+    Args:
+        grid: The voxels, of a volume or of a web.
+        factors: Of every voxel, [x, y, z] or [l, rho, z], finite.
+        device: A name or a device; the best one here by default.
+
+    Raises:
+        BadInput: A factor is no finite number.
+        ShapeMismatch: There is not one factor a voxel.
+    """
+
+    domain: VolumeSpace | WebSpace
+    range: VolumeSpace | WebSpace
+    device: Device
+    grid: Grid | WebGrid
+
+    def __init__(self, grid: Grid | WebGrid, factors: npt.ArrayLike, device: str | Device | None = None) -> None:
+        values = np.asarray(factors, np.float32)
+        if not np.isfinite(values).all():
+            raise BadInput("factors of voxels hold NaN or infinity; expected finite numbers")
+        self.domain = self.range = VolumeSpace(grid) if isinstance(grid, Grid) else WebSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - never replaced
+        require(self.domain, values, "the factors")
+        self.grid, self.device = grid, open_device(device)
+        self.factors: DeviceArray = self.device.upload(values)
+
+    def __repr__(self) -> str:
+        return f"Scaled({self.grid!r}, device={self.device.name!r})"
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        self.device.launch(multiply, x=x, y=self.factors, out=out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        self.forward(y, out)

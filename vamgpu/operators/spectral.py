@@ -1,0 +1,177 @@
+"""Projection between light at even angles and volumes on rings, by a product for each angular frequency."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import prod, sqrt
+from typing import final
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.geometry import FULL_TURN, Beam, Turntable, Vessel
+from vamgpu.kernels.spectrum import fold_columns, fourier, gather_rings, light_rings, unfold_columns
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.polar import PolarGrid, ring_table
+from vamgpu.operators.ray_table import OpenAir
+from vamgpu.operators.row_resampler import RowResampler
+from vamgpu.operators.space import PolarSpace, SinogramSpace
+
+LONGEST, MOST = 20, 4
+"""Greatest radix of a pass, where more passes can keep to it, and how many passes there may be. Measured on an H200."""
+
+
+@final
+class SpectralProjection(LinearOperator):
+    """Rays of a beam through rings of voxels that a turntable turns, in air or inside a vessel at rest.
+
+    ``A.T(sinogram)`` is the dose [angle, cell, z], ``A(volume)`` its plain transpose. ``A[i, j]`` is the mean, over
+    cell j, of the light that the box of pixel i sends, blurred by the beam's point spread, × pitch² / pixel pitch, as
+    of a voxel of a box; multiply a volume by the ``areas`` of the grid to integrate it along rays. Refraction,
+    absorption and the point spread are in the light of one pose, and cost nothing.
+
+    Args:
+        grid: Rings of the volume, made for the angles.
+        beam: Pixels, with their fill factor and point spread.
+        vessel: For example a `Vial`; None for straight light.
+        device: A name or a device; the best one here by default.
+
+    Raises:
+        BadInput: An argument is of another kind, or no light reaches a ring.
+        DeviceError: There is no such device.
+    """
+
+    domain: PolarSpace
+    range: SinogramSpace
+    grid: PolarGrid
+    beam: Beam
+    motion: Turntable
+    vessel: Vessel | None
+
+    def __init__(
+        self, grid: PolarGrid, beam: Beam, vessel: Vessel | None = None, device: str | Device | None = None
+    ) -> None:
+        for value, kind in ((grid, PolarGrid), (beam, Beam)):
+            if not isinstance(value, kind):
+                raise BadInput(f"got {value!r} where a {kind.__name__} is expected; SpectralProjection(grid, beam, …)")
+        if vessel is not None and not isinstance(vessel, Vessel):
+            raise BadInput(f"got {vessel!r} as vessel; expected a Vial, a Vat, or None for straight light")
+        self.grid, self.beam, self.vessel, self.motion = grid, beam, vessel, Turntable(grid.angles)
+        self.domain = PolarSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.device: Device = open_device(device)
+        pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
+        self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.slices, grid.pitch, self.device, **pixel)
+        table = ring_table(grid, beam, vessel or OpenAir())
+        self._folded = (grid.angles, table.pairs * (2 if table.mirrored else 1), grid.slices)
+        upload = self.device.table
+        self._entries = {
+            "entries": upload(table.entries),
+            "tiles": upload(table.tiles, "int32"),
+            "mirrored": int(table.mirrored),
+        }
+
+    def __repr__(self) -> str:
+        vessel = f", {self.vessel!r}" if self.vessel else ""
+        return f"SpectralProjection({self.grid!r}, {self.beam!r}{vessel}, device={self.device.name!r})"
+
+    @cached_property
+    def _of_light(self) -> _Passes:
+        angles, width, _ = self._folded
+        straight = (0, angles, width, 0)
+        return _Passes(self.device, [(angles, width, straight, straight)])
+
+    @cached_property
+    def _to_rings(self) -> _Passes:
+        return _Passes(self.device, [(n, rings, spectral, cells) for n, rings, cells, spectral in self._belts])
+
+    @cached_property
+    def _from_rings(self) -> _Passes:
+        return _Passes(self.device, self._belts)
+
+    @property
+    def _belts(self) -> list[tuple[int, int, Place, Place]]:
+        angles, width, _ = self.grid.shape
+        return [
+            (angles * b.samples, b.rings, (b.cell, b.samples, b.rings, width), (b.cell, angles, width, b.rings))
+            for b in self.grid.belts
+        ]
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        launch, empty = self.device.launch, self.device.empty
+        spectrum = self._from_rings.run(-1.0, x, empty(x.shape), empty(x.shape))
+        folded = empty(self._folded)
+        launch(gather_rings, spectrum=spectrum, **self._entries, folded=folded)
+        folded = self._of_light.run(1.0, folded, empty(self._folded), folded)
+        rows = out if self._rows.same else empty((*self.range.shape[:2], self.grid.slices))
+        launch(unfold_columns, folded=folded, mirrored=self._entries["mirrored"], sinogram=rows)
+        if rows is not out:
+            self._rows.from_slices(rows, out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        launch, empty, rows = self.device.launch, self.device.empty, y
+        if not self._rows.same:
+            rows = empty((*self.range.shape[:2], self.grid.slices))
+            self._rows.to_slices(y, rows)
+        folded = empty(self._folded)
+        launch(fold_columns, sinogram=rows, mirrored=self._entries["mirrored"], folded=folded)
+        folded = self._of_light.run(-1.0, folded, empty(self._folded), folded)
+        spectrum = empty(out.shape)
+        launch(light_rings, folded=folded, **self._entries, spectrum=spectrum)
+        self._to_rings.run(1.0, spectrum, empty(out.shape), out, last=out)
+
+
+Place = tuple[int, int, int, int]
+"""First sample, n, and steps a and b, as of `vamgpu.kernels.spectrum.Belts`."""
+
+
+class _Passes:
+    """Fourier transforms of rings, a pass after the other: (samples, rings, place in the source, in the sink)."""
+
+    def __init__(self, device: Device, belts: list[tuple[int, int, Place, Place]]) -> None:
+        self._device = device
+        radices = _passes([n for n, *_ in belts])
+        waves = [FULL_TURN * np.arange(n) / n for n, *_ in belts]
+        self._waves = device.table(np.concatenate([np.stack([np.cos(w), np.sin(w)], axis=1) for w in waves]))
+        self._tables = [device.table(self._pass(belts, radices, number), "int32") for number in range(len(radices[0]))]
+
+    @staticmethod
+    def _pass(belts: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]], number: int) -> np.ndarray:
+        """The table of one pass; the first reads where the source lies, all others where the sink does."""
+        found, item, wave = [], 0, 0
+        for (n, rings, source, sink), own in zip(belts, radices, strict=True):
+            read = sink if number else source
+            found.append((item, n, rings, own[number], prod(own[:number]), wave, *read, *sink))
+            item, wave = item + n * rings, wave + n
+        return np.array(found)
+
+    def run(
+        self, sign: float, source: DeviceArray, one: DeviceArray, two: DeviceArray, last: DeviceArray | None = None
+    ) -> DeviceArray:
+        """Transform; ``one`` and ``two`` are written in turn, ``last`` by the last pass. Where the result is."""
+        count = len(self._tables)
+        for number, belts in enumerate(self._tables):
+            sink = last if last is not None and number == count - 1 else one if number % 2 == 0 else two
+            if sink is source:  # the pass before the last may have written there
+                sink = one if source is two else two
+            self._device.launch(fourier, source=source, belts=belts, waves=self._waves, sign=sign, sink=sink)
+            source = sink
+        return source
+
+
+def _passes(lengths: list[int]) -> list[tuple[int, ...]]:
+    """Radices of each transform, as many for all: as few passes as keep them short, else those of the least work."""
+    choices = [found for count in range(1, MOST + 1) if all(found := [_radices(n, count) for n in lengths])]
+    short = [found for found in choices if max(map(max, found)) <= LONGEST]
+    return short[0] if short else min(choices, key=lambda found: sum(map(sum, found)))
+
+
+def _radices(n: int, passes: int) -> tuple[int, ...]:
+    """Factors of n, one a pass, none of them 1, whose sum is least; nothing where there are none."""
+    if passes == 1:
+        return (n,) if n > 1 else ()
+    rest = ((d, *_radices(n // d, passes - 1)) for d in range(2, n) if n % d == 0)
+    return min((found for found in rest if len(found) == passes), key=sum, default=())

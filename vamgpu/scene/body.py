@@ -1,0 +1,244 @@
+"""A body of a scene: its shape, and what is asked of the voxels it fills."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Grid, positive
+from vamgpu.schema.registry import nearest
+from vamgpu.targets.implicit import Implicit
+from vamgpu.targets.implicit import voxelize as filled
+from vamgpu.targets.limits import Asked
+from vamgpu.targets.solid import Solid
+from vamgpu.targets.target import Target
+from vamgpu.targets.voxelize import voxelize
+
+if TYPE_CHECKING:
+    import trimesh
+
+    Source = str | Path | Solid | trimesh.Trimesh | npt.NDArray[Any] | Implicit
+
+PRIORITIES: dict[str, float] = {"print": 0.0, "gray": 10.0, "don't care": 20.0, "keep out": 30.0, "insert": 40.0}
+"""Role → who has the voxel where bodies overlap, unless a body says otherwise."""
+PRINTED = ("print", "gray")
+FREE = ("insert", "don't care")
+"""Roles of which nothing is asked."""
+_DOSED = ("gray", "keep out")
+
+
+@dataclass(frozen=True)
+class Place:
+    """From the CAD frame to the vial's: place = factor · rotation · CAD + move."""
+
+    factor: float
+    rotation: npt.NDArray[np.float64] | None
+    move: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A shape in the CAD frame and its role; see `Scene`.
+
+    Args:
+        source: Path of a mesh file, a `Solid`, a `trimesh.Trimesh`, a mask [x, y, z] of fractions or booleans about the
+            CAD origin, or a function φ(x, y, z) [mm], negative inside.
+        role: ``print``, ``gray``, ``keep out``, ``don't care`` or ``insert``.
+        name: In messages and reports; by default the file's or the role.
+        dose: Of ``gray``: asked for; of ``keep out``: the limit. Relative to the dose that prints.
+        tolerance: Of a gray dose, a share of it, in which a voxel counts as right.
+        weight: Of its voxels in methods that lower a loss, above 0.
+        priority: Which body has the voxels that several fill, the higher one; by default the role's.
+        index: Of refraction, dimensionless, of an insert that light passes.
+        absorption: Of an insert that light passes [1/mm].
+        pitch: Edge of a mask's voxels [mm].
+
+    Raises:
+        BadInput: A value is out of its range, or has no meaning for the role.
+        MeshError: The mesh cannot be read or mended.
+        EmptyMesh: Nothing is in it.
+    """
+
+    source: Any
+    role: str = "print"
+    name: str | None = None
+    dose: float | None = None
+    tolerance: float = 0.2
+    weight: float = 1.0
+    priority: float | None = None
+    index: float | None = None
+    absorption: float | None = None
+    pitch: float | None = None
+
+    def __post_init__(self) -> None:
+        role, expected = str(self.role).replace("_", " ").replace("-", " "), ", ".join(PRIORITIES)
+        if role not in PRIORITIES:
+            close = nearest(role, PRIORITIES)
+            raise BadInput(f"no role {self.role!r} of a body; expected one of {expected}{close}")
+        shape = self._read()
+        given = {"role": role, "source": shape, "name": self.name or getattr(shape, "name", None) or role}
+        given["priority"] = PRIORITIES[role] if self.priority is None else self.priority
+        for key, value in given.items():
+            object.__setattr__(self, key, value)
+        self._check(f"body {self.name!r}")
+
+    def _read(self) -> Solid | Target | Implicit:
+        """The shape that the source stands for."""
+        from vamgpu.targets.mesh import from_trimesh, load_mesh
+        from vamgpu.targets.repair import repaired
+
+        source = self.source
+        if isinstance(source, np.ndarray):
+            if self.pitch is None:
+                raise BadInput("a body is a mask without pitch; give pitch= [mm], the edge of its voxels")
+            return Target.from_array(source, self.pitch, self.name or self.role)
+        if self.pitch is not None:
+            raise BadInput(f"got pitch={self.pitch} for a {type(source).__name__}; expected it for masks alone")
+        if isinstance(source, Solid):
+            return repaired(source)
+        if isinstance(source, str | Path):
+            return load_mesh(source, center=False)
+        if hasattr(source, "faces") and hasattr(source, "vertices"):
+            return from_trimesh(source, name=self.name or self.role)
+        if not isinstance(source, Implicit):
+            raise BadInput(
+                f"got a {type(source).__name__} as body; expected the path of a mesh file, a Solid, a trimesh.Trimesh, "
+                "a NumPy mask with pitch=, or a function φ(x, y, z)"
+            )
+        return source
+
+    def _check(self, who: str) -> None:
+        """Raise `BadInput` for numbers that are none, or that the role has no use for."""
+        if not isinstance(self.priority, (int, float)) or not isfinite(self.priority):
+            raise BadInput(f"priority of {who} is {self.priority!r}; expected a number")
+        positive(f"weight of {who}", self.weight)
+        positive(f"tolerance of {who}", self.tolerance)
+        if self.role in _DOSED and self.dose is None:
+            raise BadInput(f"{who} is {self.role!r} without a dose; give dose=, a share of the dose that prints")
+        if self.dose is not None:
+            positive(f"dose of {who}", self.dose)
+        alone = {"dose": _DOSED, "index": ("insert",), "absorption": ("insert",)}
+        for key, roles in alone.items():
+            value = getattr(self, key)
+            if value is not None and self.role not in roles:
+                raise BadInput(f"got {key}={value} for {who}, which is {self.role!r}; expected it for {roles} alone")
+        if self.index is not None and not 1.0 <= positive(f"index of {who}", self.index) < 10.0:
+            raise BadInput(f"index of {who} is {self.index:g}; expected an index of refraction from 1 on")
+        if self.absorption is not None:
+            positive(f"absorption of {who} [1/mm]", self.absorption, zero=True)
+
+    @property
+    def opaque(self) -> bool:
+        """Whether it is an insert that stops the light."""
+        return self.role == "insert" and self.index is None and self.absorption is None
+
+    @property
+    def asked(self) -> Asked:
+        """As its voxels are judged."""
+        return Asked(str(self.name), self.role, 1.0 if self.dose is None else self.dose, self.tolerance)
+
+    def solid(self, place: Place) -> Solid | None:
+        """The surface where it is printed.
+
+        Args:
+            place: Of the CAD frame.
+
+        Returns:
+            The surface [mm]; None for masks and functions.
+        """
+        if not isinstance(self.source, Solid):
+            return None
+        return self.source.placed(rotation=place.rotation, factor=place.factor, center=False).translated(place.move)
+
+    def reach(self, place: Place) -> tuple[float, float, float] | None:
+        """How far it goes.
+
+        Args:
+            place: Of the CAD frame.
+
+        Returns:
+            Greatest distance from the axis, lowest and highest z [mm]; None for functions, which do not say it.
+        """
+        solid = self.solid(place)
+        if solid is not None:
+            low, high = solid.bounds
+            return solid.radius, float(low[2]), float(high[2])
+        if isinstance(self.source, Target):
+            grid, z = self.source.grid, np.flatnonzero(self.source.numpy().any(axis=(0, 1)))
+            low, high = (place.factor * grid.pitch * (end - 0.5 * grid.shape[2]) for end in (z[0], z[-1] + 1))
+            away = float(np.hypot(*place.move[:2])) + place.factor * self.source.radius
+            return away, float(low) + place.move[2], float(high) + place.move[2]
+        return None
+
+    def fractions(self, grid: Grid, place: Place, device: Device) -> npt.NDArray[np.float32]:
+        """The share of every voxel that it fills.
+
+        Args:
+            grid: The voxels; what lies outside is cut off.
+            place: Of the CAD frame.
+            device: Where meshes are voxelized.
+
+        Returns:
+            Shares [x, y, z].
+
+        Raises:
+            BadInput: A mask is to be turned.
+        """
+        solid = self.solid(place)
+        if solid is not None:
+            return voxelize(solid, grid, device).fraction.numpy()
+        if isinstance(self.source, Target):
+            return self.averaged_mask(grid.shape, grid.pitch, (0.0, 0.0, 0.0), place, device)
+        return filled(self.placed(place), grid)
+
+    def averaged_mask(
+        self, shape: tuple[int, int, int], pitch: float, middle: tuple[float, float, float], place: Place,
+        device: Device,
+    ) -> npt.NDArray[np.float32]:  # fmt: skip
+        """A mask on other voxels.
+
+        Args:
+            shape: Voxels.
+            pitch: Their edge [mm].
+            middle: Of the grid [mm].
+            place: Of the CAD frame.
+            device: Where it is averaged.
+
+        Returns:
+            Shares [x, y, z].
+
+        Raises:
+            BadInput: The mask is to be turned.
+        """
+        if place.rotation is not None:
+            raise BadInput(f"body {self.name!r} is a mask, which cannot be turned; give it in the turned frame")
+        mask = Target.from_array(self.source.numpy(), place.factor * self.source.grid.pitch)
+        x, y, z = (m - move for m, move in zip(middle, place.move, strict=True))
+        return mask.resampled(Grid(shape, pitch), (x, y, z), device).numpy()
+
+    def placed(self, place: Place) -> Any:
+        """The function where it is printed.
+
+        Args:
+            place: Of the CAD frame.
+
+        Returns:
+            φ(x, y, z).
+        """
+        turn = np.eye(3) if place.rotation is None else np.asarray(place.rotation, np.float64)
+
+        def shape(*points: Any) -> Any:
+            there = [(at - move) / place.factor for at, move in zip(points, place.move, strict=True)]
+            x, y, z = (sum(turn[k, axis] * there[k] for k in range(3) if turn[k, axis]) for axis in range(3))
+            x, y, z = np.broadcast_arrays(x, y, z)
+            value = np.asarray(self.source(x, y, z))
+            return np.broadcast_to(value, x.shape) if value.shape == () else value
+
+        return shape

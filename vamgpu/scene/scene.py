@@ -1,0 +1,445 @@
+"""Bodies in one CAD frame, and what they make of voxels and of light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import ceil, inf
+
+import numpy as np
+import numpy.typing as npt
+
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, EmptyMesh, TargetTooLarge
+from vamgpu.geometry import Beam, Grid, Turntable, Vessel, counts, positive
+from vamgpu.operators.bundle import RayBundle
+from vamgpu.operators.medium import CoRotatingMedium
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.traced import TracedProjection
+from vamgpu.operators.web import WebProjection
+from vamgpu.operators.web_insert import WebInsertProjection
+from vamgpu.optics.graded import GradedVial
+from vamgpu.optics.occluder import Occluded
+from vamgpu.scene.body import FREE, PRINTED, Body, Place
+from vamgpu.scene.web import WebPart, shares_on_web
+from vamgpu.targets.limits import Limits
+from vamgpu.targets.target import MARGIN, Target
+from vamgpu.web import WebGrid, Wrap
+
+MULTIPLE = 4
+"""Grids that are chosen here have multiples of this many voxels along every axis."""
+HALF = 0.5
+"""Share of a voxel from which on it belongs to a body."""
+RAYS = 3
+"""Rays of a pixel past inserts: fewer leave stripes where pixels and voxels are of one size."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Bodies in one CAD frame: what is to be printed, how, and what stands in the light.
+
+    Bodies stay where they were drawn; the frame may be turned and scaled as a whole.
+
+    Args:
+        bodies: At least one of them is ``print`` or ``gray``.
+        factor: Scale of the CAD frame, dimensionless.
+        orientation: Rotation matrix of the CAD frame, (3, 3), applied first.
+        origin: Point of the CAD frame that comes to the middle of the axis, (x, y, z) [mm before ``factor``]; by
+            default x = y = 0 and the middle of what is printed.
+        void: Limit of the dose where no body is, relative to the dose that prints; by default the least gray dose, 1 at
+            most.
+
+    Raises:
+        BadInput: A value is out of its range, or nothing is to be printed.
+    """
+
+    bodies: Sequence[Body]
+    factor: float = 1.0
+    orientation: npt.ArrayLike | None = None
+    origin: tuple[float, float, float] | None = None
+    void: float | None = None
+    _known: dict[Grid | WebGrid, _Shares] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        bodies = (self.bodies,) if isinstance(self.bodies, Body) else tuple(self.bodies)
+        wrong = next((body for body in bodies if not isinstance(body, Body)), None)
+        if wrong is not None:
+            raise BadInput(f"got a {type(wrong).__name__} among the bodies; expected Body(source, role)")
+        if not any(body.role in PRINTED for body in bodies):
+            raise BadInput(f"none of {len(bodies)} bodies is to be printed; expected one of role print or gray")
+        object.__setattr__(self, "bodies", bodies)
+        positive("factor", self.factor)
+        if self.void is not None:
+            positive("void", self.void)
+        origin = None if self.origin is None else np.asarray(self.origin, np.float64)
+        if origin is not None and (origin.shape != (3,) or not np.isfinite(origin).all()):
+            raise BadInput(f"origin is {self.origin!r}; expected three finite lengths (x, y, z)")
+
+    @property
+    def inserts(self) -> tuple[Body, ...]:
+        """The bodies that stand in the light."""
+        return tuple(body for body in self.bodies if body.role == "insert")
+
+    @property
+    def printed(self) -> tuple[Body, ...]:
+        """The bodies that are made."""
+        return tuple(body for body in self.bodies if body.role in PRINTED)
+
+    @property
+    def place(self) -> Place:
+        """Where the CAD frame comes to lie."""
+        turn = None if self.orientation is None else np.asarray(self.orientation, np.float64)
+        if self.origin is not None:
+            at = np.asarray(self.origin, np.float64)
+            x, y, z = -self.factor * (at if turn is None else turn @ at)
+            return Place(self.factor, turn, (float(x), float(y), float(z)))
+        _, low, high = self._reach(Place(self.factor, turn, (0.0, 0.0, 0.0)))
+        return Place(self.factor, turn, (0.0, 0.0, -0.5 * (low + high) if low < high else 0.0))
+
+    def _reach(self, place: Place) -> tuple[float, float, float]:
+        """Of all that is printed, as far as it is known: radius, lowest and highest z [mm]."""
+        known = [reach for body in self.printed if (reach := body.reach(place)) is not None]
+        if not known:
+            return 0.0, inf, -inf
+        return max(r for r, _, _ in known), min(low for _, low, _ in known), max(high for _, _, high in known)
+
+    def grid(self, pitch: float, *, margin: int = MARGIN, shape: tuple[int, int, int] | None = None) -> Grid:
+        """Voxels that hold all that is printed, and what stands in its light.
+
+        Args:
+            pitch: Voxel edge [mm].
+            margin: Voxels left free between the bodies and the inscribed cylinder.
+            shape: Voxels of the grid; by default the smallest multiples of 4 that hold the bodies and the margin.
+                Needed where a body that is printed or an insert is a function.
+
+        Returns:
+            The grid.
+
+        Raises:
+            BadInput: A value is out of its range.
+            TargetTooLarge: What is printed does not fit ``shape``.
+        """
+        pitch, place = positive("pitch [mm]", pitch), self.place
+        free = positive("margin [voxels]", margin, zero=True)
+        radius, low, high = self._reach(place)
+        along = 2.0 * max(abs(low), abs(high)) / pitch - 1e-6 if low < high else 0.0
+        across = 2.0 * (radius / pitch + free) + 1.0 - 1e-6
+        if shape is not None:
+            grid = Grid(counts("shape", shape, 3), pitch)  # type: ignore[arg-type]
+            if radius and (across > min(grid.shape[:2]) or along > grid.shape[2]):
+                raise TargetTooLarge(
+                    f"what is printed reaches {radius:.4g} mm from the axis and {0.5 * along * pitch:.4g} mm up or "
+                    f"down; expected it within shape {grid.shape} of {pitch:g} mm: use shape "
+                    f"({ceil(across)}, {ceil(across)}, {ceil(along)}), or another origin"
+                )
+            return grid
+        standing = [(body, body.reach(place)) for body in (*self.printed, *self.inserts)]
+        unknown = next((body.name for body, reach in standing if reach is None), None)
+        if unknown is not None:
+            raise BadInput(f"body {unknown!r} is a function, which does not say how far it reaches; give shape=")
+        widest = max(reach[0] for _, reach in standing if reach is not None)
+        n, nz = (MULTIPLE * ceil(n / MULTIPLE) for n in (2.0 * (widest / pitch + free) + 1.0 - 1e-6, along))
+        return Grid((n, n, max(nz, MULTIPLE)), pitch)
+
+    def target(
+        self, *, pitch: float, margin: int = MARGIN, shape: tuple[int, int, int] | None = None,
+        device: str | Device | None = None, name: str | None = None,
+    ) -> Target:  # fmt: skip
+        """What is asked of every voxel.
+
+        Args:
+            pitch: Voxel edge [mm].
+            margin: Voxels left free between the bodies and the inscribed cylinder.
+            shape: Voxels of the grid; see `grid`.
+            device: Where meshes are voxelized: a name or a device; the best one here by default.
+            name: In messages and reports; by default that of the first body that is printed.
+
+        Returns:
+            The target, its `limits` per voxel.
+
+        Raises:
+            BadInput: A value is out of its range.
+            EmptyMesh: A body fills no voxel, or others carve all of it away.
+            TargetTooLarge: What is printed does not fit ``shape``.
+        """
+        grid = self.grid(pitch, margin=margin, shape=shape)
+        found, name = self._shares(grid, open_device(device)), name or str(self.printed[0].name)
+        fraction, radius, place = found.fraction, self._reach(self.place), self.place
+        target = Target.from_array(fraction, pitch, name)
+        exact = all(body.reach(place) is not None for body in self.printed)
+        limits = None if self._plain else found.limits(self)
+        solid = self.printed[0].solid(place) if self._plain and len(self.bodies) == 1 else None
+        return Target(
+            grid, name, target.fraction, radius[0] if exact else target.radius, target.volume,
+            2.0 * max(abs(radius[1]), abs(radius[2])) if exact else grid.shape[2] * grid.pitch, solid, limits,
+        )  # fmt: skip
+
+    @property
+    def _plain(self) -> bool:
+        """Whether there is nothing but parts to print."""
+        return self.void in (None, 1.0) and all(body.role == "print" and body.weight == 1.0 for body in self.bodies)
+
+    def _shares(self, grid: Grid | WebGrid, device: Device) -> _Shares:
+        if grid not in self._known:
+            if isinstance(grid, Grid):
+                filled = [body.fractions(grid, self.place, device) for body in self.bodies]
+            else:
+                filled = [shares_on_web(body, grid, self._on_film, device) for body in self.bodies]
+            self._known[grid] = _Shares.of(self, filled)
+        return self._known[grid]
+
+    @property
+    def _on_film(self) -> Place:
+        """Where the CAD frame comes to lie on a web: its origin, unless another is said, where the web begins."""
+        return self.place if self.origin is not None else replace(self.place, move=(0.0, 0.0, 0.0))
+
+    def web_part(self, grid: WebGrid, *, device: str | Device | None = None, name: str | None = None) -> WebPart:
+        """What is asked of the voxels of a web's film.
+
+        The CAD frame is that of the film laid flat: x along the web from where it begins, y outwards from the roller's
+        side, z across it about its middle. What lies outside is cut off.
+
+        Args:
+            grid: Voxels of the film.
+            device: Where meshes are voxelized: a name or a device; the best one here by default.
+            name: In messages; by default that of the first body that is printed.
+
+        Returns:
+            The part, its `limits` per voxel.
+
+        Raises:
+            BadInput: A mask cannot be put on these voxels.
+            EmptyMesh: A body fills no voxel, or others carve all of it away.
+        """
+        if not isinstance(grid, WebGrid):
+            raise BadInput(f"got {grid!r} as the web; expected a WebGrid")
+        found = self._shares(grid, open_device(device))
+        limits = None if self._plain else found.limits(self)
+        return WebPart(grid, name or str(self.printed[0].name), found.fraction, limits)
+
+    def web_operator(
+        self, grid: WebGrid, beam: Beam, wrap: Wrap, *, device: str | Device | None = None, poses: int | None = None,
+        start: float | None = None,
+    ) -> WebProjection | WebInsertProjection:  # fmt: skip
+        """The light of a beam on a web that carries the inserts along.
+
+        Args:
+            grid: Voxels of the film.
+            beam: Its pixels; ``fill`` and ``spread`` must be left out.
+            wrap: The machine, a `Roller` where there are inserts.
+            device: Where to compute: a name or a device; the best one here by default.
+            poses: How many poses; by default all that see any of the web.
+            start: Where the first window begins [columns]; by default the first that sees any of the web.
+
+        Returns:
+            A `WebProjection`, or with inserts a `WebInsertProjection`.
+
+        Raises:
+            BadInput: An insert has an index of its own, or an argument is out of its range.
+            EmptyMesh: A body fills no voxel.
+            SkippedColumns: Some columns are never lit.
+        """
+        if not self.inserts:
+            return WebProjection(grid, beam, wrap, device, poses, start)
+        bending = next((body for body in self.inserts if body.index is not None), None)
+        if bending is not None:
+            raise BadInput(
+                f"insert {bending.name!r} has the index {bending.index:g} on a web, whose rays are traced once for all "
+                "poses, and would bend anew at each; expected an opaque insert, or absorption= alone where its index "
+                "is near the resin's"
+            )
+        found, resin = self._shares(grid, open_device(device)), float(getattr(wrap, "film", wrap).absorption)
+        solid, extinction = np.zeros(grid.shape), np.full(grid.shape, resin)
+        for body, share in zip(self.bodies, found.shares, strict=True):
+            if body.opaque:
+                solid += share
+            elif body.role == "insert":
+                extinction += share * ((body.absorption or 0.0) - resin)
+        return WebInsertProjection(grid, beam, wrap, solid >= HALF, np.maximum(extinction, 0.0), device, poses, start)
+
+    def medium(
+        self, grid: Grid, *, resin_index: float | None = None, absorption: float = 0.0,
+        device: str | Device | None = None,
+    ) -> CoRotatingMedium:  # fmt: skip
+        """The inserts as light meets them, in resin that fills the inscribed cylinder of a grid.
+
+        Args:
+            grid: Voxels.
+            resin_index: Refractive index of the resin; needed beside an insert that has one.
+            absorption: Of the resin [1/mm].
+            device: Where meshes are voxelized.
+
+        Returns:
+            The medium; [x, y] where nothing depends on z.
+
+        Raises:
+            BadInput: An insert has an index, and the resin none.
+        """
+        found = self._shares(grid, open_device(device))
+        solid, index = np.zeros(grid.shape), np.full(grid.shape, 0.0 if resin_index is None else resin_index)
+        extinction = np.broadcast_to((absorption * _disc(grid))[:, :, None], grid.shape).copy()
+        for body, share in zip(self.bodies, found.shares, strict=True):
+            if body.role != "insert":
+                continue
+            if body.opaque:
+                solid += share
+                continue
+            extinction += share * ((body.absorption or 0.0) - extinction)
+            if body.index is not None:
+                if resin_index is None:
+                    raise BadInput(f"insert {body.name!r} has the index {body.index:g}, and the resin none; expected a "
+                                   "vessel that says it, or resin_index=")  # fmt: skip
+                index += share * (body.index - resin_index)
+        bends = any(body.index is not None for body in self.inserts)
+        absorbs = absorption > 0.0 or any(body.absorption for body in self.inserts)
+        fields = [index if bends else None, extinction if absorbs else None, solid >= HALF if solid.any() else None]
+        level = all(values is None or (values == values[:, :, :1]).all() for values in fields)
+        index_, extinction_, opaque = (values[:, :, 0] if level and values is not None else values for values in fields)
+        return CoRotatingMedium(index_, extinction_, opaque, bath=resin_index if bends else None)
+
+    def operator(
+        self, target: Target, beam: Beam, motion: Turntable, vessel: Vessel | None = None, *, rays: int = RAYS,
+        resin_index: float | None = None, device: str | Device | None = None, footprint: str = "exact",
+    ) -> Projection | TracedProjection:  # fmt: skip
+        """The light of a beam past the inserts.
+
+        Args:
+            target: Made by `target`.
+            beam: Its pixels; ``fill`` and ``spread`` must be left out where there are inserts.
+            motion: Angles.
+            vessel: What the resin stands in; None for straight light that nothing absorbs.
+            rays: Rays of a pixel, where there are inserts.
+            resin_index: Refractive index of the resin, where the vessel does not say it.
+            device: Where to compute: a name or a device; the best one here by default.
+            footprint: How a pixel meets a voxel, where there are no inserts.
+
+        Returns:
+            A `Projection`, or with inserts a `TracedProjection` whose rays the vessel refracts and the resin absorbs.
+
+        Raises:
+            BadInput: The vessel bends light in the resin, or an argument is out of its range.
+            TargetTooLarge: What is printed reaches beyond the printable radius.
+        """
+        check = getattr(vessel, "check_fits", None)
+        if check is not None:
+            check(target.radius)
+        if not self.inserts:
+            return Projection(target.grid, beam, motion, vessel, device, footprint=footprint)  # type: ignore[arg-type]
+        if isinstance(vessel, (GradedVial, Occluded)):
+            raise BadInput(f"{type(vessel).__name__} and inserts in the resin; expected a vessel in whose resin light "
+                           "runs straight, such as a Vial, or no inserts")  # fmt: skip
+        index = getattr(vessel, "resin_index", None) if resin_index is None else resin_index
+        absorption = 0.0 if vessel is None else vessel.absorption
+        medium = self.medium(target.grid, resin_index=index, absorption=absorption, device=device)
+        bundle = refracted(target.grid, beam, vessel, counts("rays", (rays,), 1)[0])
+        return TracedProjection(target.grid, beam, motion, medium, bundle, device)
+
+
+def refracted(grid: Grid, beam: Beam, vessel: Vessel | None, rays: int = RAYS) -> RayBundle:
+    """Rays of a beam in the resin of a vessel, side by side in each pixel.
+
+    Where the resin absorbs, their weights are what is left of them at the circle about the axis that `Scene.medium`
+    fills with it: that is the same at every angle.
+
+    Args:
+        grid: Voxels that the rays come to.
+        beam: Its pixels.
+        vessel: What the resin stands in; None for straight light.
+        rays: Of a pixel.
+
+    Returns:
+        The rays.
+    """
+    across = (np.arange(rays) + 0.5) / rays - 0.5
+    u = beam.columns()[:, None] + beam.pitch * across
+    p, angle, share = u, np.zeros_like(u), np.ones_like(u)
+    if vessel is not None:
+        chords = vessel.chords(u)
+        lit = chords.transmittance > 0
+        p, angle, share = (np.where(lit, values, 0.0) for values in (chords.p, chords.angle, chords.transmittance))
+        if vessel.absorption > 0:
+            inner = np.sqrt(np.maximum(_circle(grid) ** 2 - p**2, 0.0))
+            share = share * np.exp(
+                -vessel.absorption * np.maximum(0.5 * np.where(lit, chords.length, 0.0) - inner, 0.0)
+            )
+    start = np.stack([p * np.cos(angle), p * np.sin(angle), np.zeros_like(p)], axis=-1)[:, None]
+    heading = np.stack([-np.sin(angle), np.cos(angle), np.zeros_like(p)], axis=-1)[:, None]
+    return RayBundle(start, heading, share[:, None] / rays)
+
+
+def _circle(grid: Grid) -> float:
+    """Radius [mm] about the axis inside which a medium has the resin's absorption."""
+    return 0.5 * min(grid.shape[:2]) * grid.pitch
+
+
+def _disc(grid: Grid) -> npt.NDArray[np.float64]:
+    """Share of every column of voxels inside that circle, [x, y]."""
+    x, y, _ = grid.axes()
+    return np.clip((_circle(grid) - np.hypot(x[:, None], y[None, :])) / grid.pitch + 0.5, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shares:
+    """Whose the voxels are.
+
+    shares: of every body in every voxel after overlaps are decided.  fraction: of what is printed in what anything is
+    asked of.  owner: number of the body that a voxel belongs to, −1 for none.
+    """
+
+    shares: list[npt.NDArray[np.floating]]
+    fraction: npt.NDArray[np.float32]
+    owner: npt.NDArray[np.int16]
+
+    @classmethod
+    def of(cls, scene: Scene, filled: list[npt.NDArray[np.float32]]) -> _Shares:
+        """From the share of every voxel that each body fills by itself."""
+        bodies, shape = scene.bodies, filled[0].shape
+        room = np.ones(shape, np.float32)
+        shares = list(filled)
+        for k in sorted(range(len(bodies)), key=lambda k: (bodies[k].priority, k), reverse=True):
+            shares[k] = np.minimum(filled[k], room)
+            room = room - shares[k]
+        made, free = (
+            sum((share for body, share in zip(bodies, shares, strict=True) if body.role in roles), np.zeros(shape))
+            for roles in (PRINTED, FREE)
+        )
+        asked = free < HALF
+        fraction = np.where(asked, np.minimum(made / np.maximum(1.0 - free, HALF), 1.0), 0.0).astype(np.float32)
+        owner, most = np.full(shape, -1, np.int16), np.where(fraction >= HALF, 0.0, room)
+        for k, body in enumerate(bodies):
+            mine = asked & ((fraction >= HALF) == (body.role in PRINTED))
+            may = ~asked if body.role in FREE else mine
+            wins = may & (shares[k] > 0.0) & (shares[k] >= np.where(asked, most, 0.0))
+            owner[wins], most[wins] = k, shares[k][wins]
+        found = cls(shares, fraction, owner)
+        found._check(bodies, filled)
+        return found
+
+    def _check(self, bodies: Sequence[Body], filled: list[npt.NDArray[np.float32]]) -> None:
+        for k, body in enumerate(bodies):
+            if not filled[k].any():
+                raise EmptyMesh(f"body {body.name!r} fills no voxel of {filled[k].shape}; expected some: look at where "
+                                "it was drawn, at the scale, or take a finer pitch or a wider shape")  # fmt: skip
+            if body.role not in PRINTED or (self.owner == k).any():
+                continue
+            if not (filled[k] >= HALF).any():
+                raise EmptyMesh(f"body {body.name!r} fills no voxel by half; expected some: take a finer pitch")
+            there = set(self.owner[filled[k] >= HALF].tolist()) - {-1}
+            over = ", ".join(repr(bodies[n].name) for n in sorted(there)) or "others"
+            raise EmptyMesh(
+                f"nothing is left of body {body.name!r}: carved away by {over}; expected some voxels: move it, or give "
+                "it a higher priority"
+            )
+
+    def limits(self, scene: Scene) -> Limits:
+        """What every voxel is asked for."""
+        bodies = scene.bodies
+        grays = [body.dose for body in bodies if body.role == "gray" and body.dose is not None]
+        void = min([1.0, *grays]) if scene.void is None else scene.void
+        dose = [0.0 if body.role in FREE else body.asked.dose for body in bodies]
+        weight = [body.weight for body in bodies]
+        return Limits(
+            np.array([*dose, void], np.float32)[self.owner], np.array([*weight, 1.0], np.float32)[self.owner],
+            self.owner, tuple(body.asked for body in bodies), void,
+        )  # fmt: skip
