@@ -2,33 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.kernels.loss import band_loss, look_up
-from vamgpu.losses.loss import Loss, steepest
+from vamgpu.kernels.signature import Kernel
+from vamgpu.losses.loss import KernelLoss, steepest
 from vamgpu.losses.response import Linear, Response
-from vamgpu.operators.compose import combine
-from vamgpu.operators.reductions import EVERYWHERE, folded, parts_for
 
 MOST = 1e12
 """Weights and slacks are below this: sums of what they multiply must fit float32, as devices keep it."""
 GREATEST_POWER = 64.0
 """Of an excess: that of a dose three times the part's to a higher power leaves float32."""
-SINGLE = "a weight of single voxels has no place on an endless web; use price or gain for inside and outside"
 
 
 @dataclass(frozen=True)
-class Band(Loss):
+class Band(KernelLoss):
     """Loss Σ w·gain·e^power + ridge·M², e = max(0, |M − c| − slack) with M = response(dose).
 
-    c, slack and gain are (outside, inside) the part; between for a fractional voxel unless ``binary``.
-    weight: w of each voxel [x, y, z], NumPy or on the device; None for 1.  Raises `BadInput`.
+    Pairs are for outside and inside the part; between for a fractional voxel unless ``binary``.
+
+    Args:
+        center: c, in units of M, dimensionless.
+        slack: Half width of the band about c, dimensionless.
+        gain: A factor of the loss.
+        power: Of the excess, an exponent.
+        ridge: A factor of M².
+        binary: A voxel is in the part from a fraction of one half on, never between.
+        response: M(d), of a dose.
+        weight: w of each voxel [x, y, z], NumPy or on the device; None for 1.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
     center: tuple[float, float]
@@ -46,53 +55,40 @@ class Band(Loss):
         bounded = bounded and all(abs(value) < MOST for value in self.center)
         if not (pairs and bounded and 1 <= self.power <= GREATEST_POWER):
             raise BadInput(
-                f"{self!r}: wanted two of slack and gain, centers that are numbers, the others ≥ 0 and below {MOST:g}, "
+                f"{self!r}: expected two of slack and gain, centers that are numbers, the others ≥ 0 and below "
+                f"{MOST:g}, "
                 f"and a power from 1 to {GREATEST_POWER:g}"
             )
 
     @classmethod
     def thresholds(cls, outside: float, inside: float, most: float = 1.0, power: float = 2.0) -> Band:
-        """At most ``outside`` where nothing is, between ``inside`` and ``most`` in the part; both doses of the part.
+        """At most ``outside`` where nothing is, between ``inside`` and ``most`` in the part.
 
-        Raises `BadInput` unless 0 ≤ outside < inside ≤ most.
+        Args:
+            outside: Greatest dose outside, relative to the part's.
+            inside: Least dose inside, relative to the part's.
+            most: Greatest dose inside, relative to the part's.
+            power: Of the excess, an exponent.
+
+        Returns:
+            The loss.
+
+        Raises:
+            BadInput: Unless 0 ≤ outside < inside ≤ most.
         """
         if not 0 <= outside < inside <= most:
-            raise BadInput(f"thresholds {outside}, {inside}, {most}; wanted 0 ≤ outside < inside ≤ most")
+            raise BadInput(f"thresholds {outside}, {inside}, {most}; expected 0 ≤ outside < inside ≤ most")
         center, slack = (0.5 * outside, 0.5 * (inside + most)), (0.5 * outside, 0.5 * (most - inside))
         return cls(center, slack, (1.0 / power, 1.0 / power), power, binary=True)
 
-    @property
-    def coupling(self) -> str:
-        return "" if self.weight is None else SINGLE
-
-    def value_and_gradient(
-        self, dose: DeviceArray, target: DeviceArray, out: DeviceArray, reach: float = EVERYWHERE
-    ) -> float:
-        if out is not dose:
-            combine(1.0, dose, 0.0, dose, out)
-        parts, curve = parts_for(band_loss, out), self.response.curve()
-        out.device.launch(
-            band_loss,
-            dose=out,
-            target=target,
-            weight=target if self.weight is None else self.weight,
-            weighted=int(self.weight is not None),
-            response=out.device.table(curve.values),
-            start=curve.start,
-            density=curve.density,
-            low=self.center[0],
-            high=self.center[1],
-            slack_low=self.slack[0],
-            slack_high=self.slack[1],
-            gain_low=self.gain[0],
-            gain_high=self.gain[1],
-            power=self.power,
-            ridge=self.ridge,
-            binary=int(self.binary),
-            reach=reach,
-            parts=parts,
-        )
-        return folded(parts)
+    def launched(self, device: Device) -> tuple[Kernel, dict[str, Any]]:
+        curve = self.response.curve()
+        return band_loss, {
+            "response": device.table(curve.values), "start": curve.start, "density": curve.density,
+            "low": self.center[0], "high": self.center[1], "slack_low": self.slack[0], "slack_high": self.slack[1],
+            "gain_low": self.gain[0], "gain_high": self.gain[1], "power": self.power, "ridge": self.ridge,
+            "binary": int(self.binary),
+        }  # fmt: skip
 
     def curvature(self) -> float:
         curve = self.response.curve()
@@ -104,6 +100,3 @@ class Band(Loss):
             return self.gain[inside] * excess**self.power + self.ridge * value**2
 
         return max(steepest(lambda dose, k=k: loss(dose, k), curve.start, end) for k in (0, 1))
-
-    def on(self, field: Callable[[Any], DeviceArray | None]) -> Band:
-        return self if self.weight is None else replace(self, weight=field(self.weight))

@@ -6,18 +6,22 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
+from vamgpu.kernels.signature import Kernel
+from vamgpu.kernels.update import multiply
 from vamgpu.losses.response import REACH
 from vamgpu.operators.compose import combine
-from vamgpu.operators.reductions import EVERYWHERE
+from vamgpu.operators.reductions import EVERYWHERE, folded, parts_for
 
 DOSES = 257
 """At which curvatures are looked for."""
+SINGLE = "a weight of single voxels has no place on an endless web; use penalty or gain for inside and outside"
 
 
 class Loss(ABC):
@@ -47,10 +51,10 @@ class Loss(ABC):
         """The loss of a dose, on its device.
 
         Args:
-            dose: [x, y, z] in units of the part's; stays as it is unless it is ``out``.
+            dose: Relative to the part's, [x, y, z]; stays as it is unless it is ``out``.
             target: Fractions [x, y, z].
-            out: Takes the derivative by dose; may be ``dose``.
-            reach: Voxels farther from the axis, counted in voxels, do not count: their derivative is 0.
+            out: Takes the derivative by dose, [x, y, z]; may be ``dose``.
+            reach: Radius about the axis [voxels] beyond which voxels do not count: their derivative is 0.
 
         Returns:
             The loss.
@@ -60,14 +64,39 @@ class Loss(ABC):
     def curvature(self) -> float:
         """Greatest second derivative of a voxel's loss by its dose, which bounds the length of steps.
 
+        Returns:
+            The curvature of the loss.
+
         Raises:
-            BadInput: Where the loss does not know.
+            BadInput: The loss does not know it.
         """
         raise BadInput(f"{self!r} does not know its curvature, on which steps along a web depend; define curvature()")
 
     def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
-        """The same with its weights of voxels as ``field`` makes them of what was given: on a device."""
+        """The same loss with its weights of voxels on a device.
+
+        Args:
+            field: Makes a field [x, y, z] on the device of what was given.
+
+        Returns:
+            The loss.
+        """
         return self
+
+    def weighted(self, weight: DeviceArray) -> Loss:
+        """The same loss with every voxel's share multiplied by a weight.
+
+        Args:
+            weight: Of every voxel ≥ 0, [x, y, z] on the dose's device.
+
+        Returns:
+            The loss.
+
+        Raises:
+            BadInput: The loss takes no weights.
+        """
+        raise BadInput(f"{type(self).__name__} takes no weights of voxels, and the bodies of the target have some; "
+                       "give them the weight 1, or define weighted()")  # fmt: skip
 
     def __add__(self, other: Loss) -> Loss:
         return Sum((*_terms(self), *_terms(other)))
@@ -79,6 +108,54 @@ class Loss(ABC):
 
     def __pow__(self, exponent: float) -> Loss:
         return Power(self, exponent)
+
+
+class KernelLoss(Loss):
+    """A sum over voxels that one kernel makes, each voxel with its ``weight``, a field of the dataclass that it is."""
+
+    weight: Any
+
+    @abstractmethod
+    def launched(self, device: Device) -> tuple[Kernel, dict[str, Any]]:
+        """What to launch for it.
+
+        Args:
+            device: Where the loss is computed.
+
+        Returns:
+            The kernel, and what it takes besides dose, target, weight, reach and parts.
+        """
+        ...
+
+    @property
+    def coupling(self) -> str:
+        return "" if self.weight is None else SINGLE
+
+    def value_and_gradient(
+        self, dose: DeviceArray, target: DeviceArray, out: DeviceArray, reach: float = EVERYWHERE
+    ) -> float:
+        if out is not dose:
+            combine(1.0, dose, 0.0, dose, out)
+        kernel, given = self.launched(out.device)
+        parts = parts_for(kernel, out)
+        weight = target if self.weight is None else self.weight
+        weighted = int(self.weight is not None)
+        out.device.launch(
+            kernel, dose=out, target=target, weight=weight, weighted=weighted, **given, reach=reach, parts=parts
+        )
+        return folded(parts)
+
+    def weighted(self, weight: DeviceArray) -> Self:
+        both = weight
+        if self.weight is not None:
+            both = weight.device.empty(weight.shape)
+            weight.device.launch(multiply, x=self.weight, y=weight, out=both)
+        return replace(self, weight=both)  # pyright: ignore[reportArgumentType] - heirs are dataclasses
+
+    def on(self, field: Callable[[Any], DeviceArray | None]) -> Self:
+        if self.weight is None:
+            return self
+        return replace(self, weight=field(self.weight))  # pyright: ignore[reportArgumentType] - heirs are dataclasses
 
 
 @dataclass(frozen=True)
@@ -107,6 +184,9 @@ class Sum(Loss):
     def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
         return replace(self, terms=tuple(term.on(field) for term in self.terms))
 
+    def weighted(self, weight: DeviceArray) -> Loss:
+        return replace(self, terms=tuple(term.weighted(weight) for term in self.terms))
+
 
 @dataclass(frozen=True)
 class Power(Loss):
@@ -118,7 +198,7 @@ class Power(Loss):
 
     def __post_init__(self) -> None:
         if not (0.0 < self.exponent < inf and 0.0 <= self.factor < inf):
-            raise BadInput(f"{self!r}: wanted an exponent > 0 and a factor ≥ 0, both finite")
+            raise BadInput(f"{self!r}: expected an exponent > 0 and a factor ≥ 0, both finite")
 
     @property
     def coupling(self) -> str:
@@ -138,6 +218,9 @@ class Power(Loss):
 
     def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
         return replace(self, loss=self.loss.on(field))
+
+    def weighted(self, weight: DeviceArray) -> Loss:
+        return replace(self, loss=self.loss.weighted(weight))
 
 
 def steepest(loss: Callable[[np.ndarray], np.ndarray], least: float = 0.0, most: float = REACH) -> float:

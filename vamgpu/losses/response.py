@@ -29,7 +29,11 @@ class Response(Protocol):
     """Response of the resin to a dose in units of the part's."""
 
     def curve(self) -> Curve:
-        """The response as samples that a device interpolates."""
+        """Sample the response.
+
+        Returns:
+            Samples that a device interpolates.
+        """
         ...
 
 
@@ -39,8 +43,12 @@ def _sampled(function: np.ufunc | object) -> Curve:
 
 
 @dataclass(frozen=True)
-class Linear:
-    """M(d) = gain·d."""
+class Linear(Response):
+    """M(d) = gain·d.
+
+    Args:
+        gain: Slope above 0, dimensionless.
+    """
 
     gain: float = 1.0
 
@@ -52,8 +60,13 @@ class Linear:
 
 
 @dataclass(frozen=True)
-class Logistic:
-    """M(d) = 1 / (1 + exp(−steepness·(d − middle)))."""
+class Logistic(Response):
+    """M(d) = 1 / (1 + exp(−steepness·(d − middle))).
+
+    Args:
+        steepness: Relative to the part's dose, above 0.
+        middle: Dose at which M is one half, relative to the part's.
+    """
 
     steepness: float = 10.0
     middle: float = 0.5
@@ -67,8 +80,19 @@ class Logistic:
 
 
 @dataclass(frozen=True)
-class GeneralizedLogistic:
-    """M(d) = low + (high − low) / (1 + exp(−steepness·(d − middle)))^(1/skew), Richards' curve."""
+class GeneralizedLogistic(Response):
+    """M(d) = low + (high − low) / (1 + exp(−steepness·(d − middle)))^(1/skew), Richards' curve.
+
+    Args:
+        low: M in darkness, dimensionless.
+        high: M at any dose however great, dimensionless.
+        steepness: Relative to the part's dose, above 0.
+        middle: Dose relative to the part's.
+        skew: Above 0, dimensionless.
+
+    Raises:
+        BadInput: A value is out of its range.
+    """
 
     low: float = 0.0
     high: float = 1.0
@@ -81,7 +105,8 @@ class GeneralizedLogistic:
         positive("GeneralizedLogistic skew", self.skew)
         if not -inf < self.low < self.high < inf or not isfinite(self.middle):
             raise BadInput(
-                f"GeneralizedLogistic goes from {self.low} to {self.high} about {self.middle}; wanted finite low < high"
+                f"GeneralizedLogistic goes from {self.low} to {self.high} about {self.middle}; expected finite low < "
+                "high"
             )
 
     def curve(self) -> Curve:
@@ -93,8 +118,16 @@ class GeneralizedLogistic:
 
 
 @dataclass(frozen=True)
-class Interpolated:
-    """A measured response: straight between (dose, value) pairs, doses rising."""
+class Interpolated(Response):
+    """A measured response: straight between (dose, value) pairs.
+
+    Args:
+        doses: Relative to the part's dose, rising.
+        values: M at each dose, dimensionless.
+
+    Raises:
+        BadInput: Doses do not rise, or the numbers of both differ.
+    """
 
     doses: tuple[float, ...]
     values: tuple[float, ...]
@@ -103,7 +136,7 @@ class Interpolated:
         doses, values = np.asarray(self.doses, float), np.asarray(self.values, float)
         if doses.ndim != 1 or doses.shape != values.shape or len(doses) < 2 or (np.diff(doses) <= 0).any():
             raise BadInput(
-                f"Interpolated got {doses.shape} doses and {values.shape} values; wanted two pairs or more, rising"
+                f"Interpolated got {doses.shape} doses and {values.shape} values; expected two pairs or more, rising"
             )
         if not (np.isfinite(doses).all() and np.isfinite(values).all()):
             raise BadInput("Interpolated got NaN or infinity; clean the measurement first")

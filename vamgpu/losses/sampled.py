@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.kernels.loss import look_up, sampled_loss
-from vamgpu.losses.band import SINGLE
-from vamgpu.losses.loss import Loss, steepest
+from vamgpu.kernels.signature import Kernel
+from vamgpu.losses.loss import KernelLoss, steepest
 from vamgpu.losses.response import REACH, SAMPLES, Curve, Linear, Response
-from vamgpu.operators.compose import combine
-from vamgpu.operators.reductions import EVERYWHERE, folded, parts_for
 
 Function = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class VoxelLoss(Loss):
+class VoxelLoss(KernelLoss):
     """Σ w·((1 − f)·void(M) + f·part(M)) with M = response(dose) and the target's fraction f.
 
     ``void`` and ``part`` are functions of NumPy arrays. Both are sampled at 1024 doses from 0 to 3 times the part's, go
@@ -32,7 +30,7 @@ class VoxelLoss(Loss):
     Args:
         void: Loss of a voxel out of the part.
         part: Loss of a voxel in the part.
-        response: M.
+        response: M(d), of a dose.
         binary: A voxel is in the part from a fraction of one half on, never between.
         weight: w of each voxel [x, y, z], NumPy or on the device; None for 1.
 
@@ -69,37 +67,15 @@ class VoxelLoss(Loss):
         )
         return outer, inner
 
-    @property
-    def coupling(self) -> str:
-        return "" if self.weight is None else SINGLE
-
-    def value_and_gradient(
-        self, dose: DeviceArray, target: DeviceArray, out: DeviceArray, reach: float = EVERYWHERE
-    ) -> float:
-        if out is not dose:
-            combine(1.0, dose, 0.0, dose, out)
-        parts, (outer, inner) = parts_for(sampled_loss, out), self.curves
-        out.device.launch(
-            sampled_loss,
-            dose=out,
-            target=target,
-            weight=target if self.weight is None else self.weight,
-            weighted=int(self.weight is not None),
-            outer=out.device.table(outer.values),
-            inner=out.device.table(inner.values),
-            start=outer.start,
-            density=outer.density,
-            binary=int(self.binary),
-            reach=reach,
-            parts=parts,
-        )
-        return folded(parts)
+    def launched(self, device: Device) -> tuple[Kernel, dict[str, Any]]:
+        outer, inner = self.curves
+        return sampled_loss, {
+            "outer": device.table(outer.values), "inner": device.table(inner.values), "start": outer.start,
+            "density": outer.density, "binary": int(self.binary),
+        }  # fmt: skip
 
     def curvature(self) -> float:
         return max(steepest(lambda dose, c=c: look_up(dose, c.values, c.start, c.density)[0]) for c in self.curves)
-
-    def on(self, field: Callable[[Any], DeviceArray | None]) -> VoxelLoss:
-        return self if self.weight is None else replace(self, weight=field(self.weight))
 
 
 def cross_entropy(response: Response) -> VoxelLoss:
@@ -109,7 +85,11 @@ def cross_entropy(response: Response) -> VoxelLoss:
     darkness out of the part. It is convex where M rises, and never negative. For M(d) = d it is half the square error.
     P is interpolated between its samples, so that M comes in steps: a logistic of steepness 10 to 0.4 %.
 
-    response: M; beyond the doses it is sampled at it keeps its last value.
+    Args:
+        response: M; beyond the doses it is sampled at it keeps its last value.
+
+    Returns:
+        The loss.
     """
     doses, curve = np.linspace(0.0, REACH, SAMPLES), response.curve()
     values, _ = look_up(doses, np.asarray(curve.values), curve.start, curve.density)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from vamgpu.losses.response import GeneralizedLogistic, Interpolated, Linear, Logistic
 from vamgpu.methods.bclp import BCLP
+from vamgpu.methods.bounds import bound
 from vamgpu.methods.calgd import GradientDescent
+from vamgpu.methods.certificate import Bound
+from vamgpu.methods.default import BestWindow
 from vamgpu.methods.descent import Descent
 from vamgpu.methods.fbp import FilteredBackProjection
 from vamgpu.methods.lbfgs import LBFGS
@@ -14,6 +17,8 @@ from vamgpu.methods.plan import Plan, Step
 from vamgpu.methods.rebin import rebin
 from vamgpu.methods.recipe import Recipe
 from vamgpu.methods.run import METHODS, optimize
+from vamgpu.methods.tolerances import Tolerances
+from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
 
 __all__ = [
@@ -21,6 +26,8 @@ __all__ = [
     "LBFGS",
     "METHODS",
     "OSMO",
+    "BestWindow",
+    "Bound",
     "Descent",
     "FilteredBackProjection",
     "GeneralizedLogistic",
@@ -33,7 +40,9 @@ __all__ = [
     "ProcessWindow",
     "Recipe",
     "Step",
+    "Tolerances",
+    "WidestWindow",
+    "bound",
     "optimize",
     "rebin",
 ]
-

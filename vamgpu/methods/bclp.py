@@ -6,18 +6,18 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Any, ClassVar
 
+from vamgpu.deprecated import Renamed, renamed_arguments
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
 from vamgpu.losses.response import Logistic, Response
-from vamgpu.methods.descent import Descent
-from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.descent import ByDescent
 from vamgpu.methods.papers import BAND, ROLL_TO_ROLL
-from vamgpu.methods.work import Work
 
 
+@renamed_arguments(price="penalty")
 @dataclass(frozen=True)
-class BCLP:
+class BCLP(ByDescent):
     """Band constraint Lp norm minimization: a response M of the dose within a band of the target f, never farther.
 
     As published, with light g, dose d = Aᵀg and the voxels' weights w:
@@ -29,16 +29,16 @@ class BCLP:
 
     What differs here: the step η is not fixed. The first changes the light by ``share``, the next are longer by
     ``growth``; a step that raises the loss is taken back, and the next is half as long and without momentum. With a
-    fixed growing step the loss of a web rose from 80 to 2352, without this being told. Momentum looks ahead (Nesterov).
+    fixed growing step the loss of a web rose from 80 to 2352, and no warning came. Momentum looks ahead (Nesterov).
 
     Args:
-        p: Power, ≥ 1.
-        q: ≥ 1; None makes q = p, so that distant parts of a print do not couple.
-        slack: ε outside and inside the part.
-        price: w outside and inside the part.
-        ridge: λ, needs q = p.
-        response: M.
-        share: Change of the light in the first step over the light, > 0.
+        p: Exponent, ≥ 1.
+        q: Exponent of the sum, ≥ 1; None makes q = p, so that distant parts of a print do not couple.
+        slack: ε outside and inside the part, dimensionless, as the response is.
+        penalty: Weight w of a voxel outside and inside the part.
+        ridge: λ, the weight of the regularization; needs q = p.
+        response: M(d), of a dose.
+        share: Relative change of the light in the first step, > 0.
         growth: Of the step from one to the next, ≥ 1.
         momentum: Share of the last step that is added to the next, in [0, 1).
         weight: Further w for each voxel [x, y, z], NumPy or on the device; None for 1.
@@ -50,7 +50,7 @@ class BCLP:
     p: float = 2.0
     q: float | None = None
     slack: tuple[float, float] = (0.05, 0.01)
-    price: tuple[float, float] = (1.0, 1.0)
+    penalty: tuple[float, float] = (1.0, 1.0)
     ridge: float = 0.0
     response: Response = Logistic()
     share: float = 0.05
@@ -58,16 +58,15 @@ class BCLP:
     momentum: float = 0.0
     weight: Any = field(default=None, compare=False, repr=False)
     papers: ClassVar[tuple[str, ...]] = (BAND, ROLL_TO_ROLL)
-    cost: ClassVar[float] = 1.0
-    criterion: ClassVar[Criterion] = "loss"
     iterations: ClassVar[int] = 100
+    price: ClassVar[Renamed] = Renamed("penalty")
 
     def __post_init__(self) -> None:
         if self.q is not None and (not 1 <= self.q < inf or (self.ridge > 0 and self.q != self.p)):
             raise BadInput(
-                f"q is {self.q} with p = {self.p} and ridge = {self.ridge}; wanted q ≥ 1, and q = p with a ridge"
+                f"q is {self.q} with p = {self.p} and ridge = {self.ridge}; expected q ≥ 1, and q = p with a ridge"
             )
-        self._descent()
+        super().__post_init__()
 
     @classmethod
     def paper_002(cls) -> BCLP:
@@ -81,7 +80,7 @@ class BCLP:
     def band(self) -> Band:
         """The loss of a voxel."""
         return Band(
-            (0.0, 1.0), self.slack, self.price, self.p, self.ridge, response=self.response, weight=self.weight
+            (0.0, 1.0), self.slack, self.penalty, self.p, self.ridge, response=self.response, weight=self.weight
         )  # fmt: skip
 
     @property
@@ -94,10 +93,4 @@ class BCLP:
         """Why places far apart on a web depend on each other; empty where they do not."""
         if self.q in (None, self.p):
             return self.loss.coupling
-        return f"q is {self.q} with p = {self.p}: that couples the whole web; wanted q = p, or None"
-
-    def _descent(self) -> Descent:
-        return Descent(self.loss, self.share, self.growth, self.momentum)
-
-    def steps(self, work: Work) -> Steps:
-        yield from self._descent().steps(work)
+        return f"q is {self.q} with p = {self.p}: that couples the whole web; expected q = p, or None"

@@ -11,7 +11,7 @@ from vamgpu.methods.method import Criterion
 from vamgpu.operators.compose import combine
 
 if TYPE_CHECKING:
-    from vamgpu.methods.work import Work
+    from vamgpu.methods.state import OptimizerState
 
 
 class Best:
@@ -21,6 +21,8 @@ class Best:
         memory: Of the run; holds the light and what is known of it, so that a resumed run goes on with it.
         criterion: What tells better from worse.
     """
+
+    memory: dict[str, Any]
 
     def __init__(self, memory: dict[str, Any], criterion: Criterion) -> None:
         self.memory, self.criterion = memory, criterion
@@ -68,7 +70,7 @@ class Best:
         """Iterations after which the light kept was reached."""
         return int(self.memory.get("best iteration", 0))
 
-    def choose(self, work: Work) -> tuple[DeviceArray, float, int]:
+    def choose(self, state: OptimizerState) -> tuple[DeviceArray, float, int]:
         """The light to return, by one more evaluation at most, and none where all light was offered.
 
         Returns:
@@ -78,10 +80,10 @@ class Best:
         kept = self.memory.get("best")
         if kept is not None and self.unseen is None:
             return kept, self.window, self.iteration
-        last = work.held("light")
-        dose = work.operator.T(last)
-        window, _ = work.window(dose)
-        loss = work.loss(dose, self.unseen) if self.unseen is not None and self.criterion == "loss" else 0.0
+        last = state.buffer("light")
+        dose = state.operator.T(last)
+        window, _ = state.window(dose)
+        loss = state.loss(dose, self.unseen) if self.unseen is not None and self.criterion == "loss" else 0.0
         if kept is None or self.better(loss, window):
-            return last, window, work.iteration
+            return last, window, state.iteration
         return kept, self.window, self.iteration

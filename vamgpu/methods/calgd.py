@@ -8,14 +8,12 @@ from typing import ClassVar
 from vamgpu.losses.loss import Loss
 from vamgpu.losses.response import Logistic, Response
 from vamgpu.losses.sampled import cross_entropy
-from vamgpu.methods.descent import Descent
-from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.descent import ByDescent
 from vamgpu.methods.papers import CAL, CAL_FIRST
-from vamgpu.methods.work import Work
 
 
 @dataclass(frozen=True)
-class GradientDescent:
+class GradientDescent(ByDescent):
     """The projected error of a sigmoid of the dose corrects the light, from filtered back projection on.
 
     As published, with light g, dose d = Aᵀg, target f and the sigmoid M of steepness s about the threshold μ:
@@ -30,7 +28,7 @@ class GradientDescent:
     time), the step η is not fixed but grows, and a step that raises the loss is taken back and halved.
 
     Args:
-        share: Change of the light in the first step over the light, > 0.
+        share: Relative change of the light in the first step, > 0.
         growth: Of the step from one to the next, ≥ 1.
         momentum: Share of the last step that is added to the next, in [0, 1); published: 0.
         response: The sigmoid M.
@@ -45,19 +43,8 @@ class GradientDescent:
     response: Response = Logistic()
     papers: ClassVar[tuple[str, ...]] = (CAL, CAL_FIRST)
     iterations: ClassVar[int] = 20
-    cost: ClassVar[float] = 1.0
-    criterion: ClassVar[Criterion] = "loss"
-
-    def __post_init__(self) -> None:
-        self._descent()
 
     @property
     def loss(self) -> Loss:
         """What the projected error is the gradient of."""
         return cross_entropy(self.response)
-
-    def _descent(self) -> Descent:
-        return Descent(self.loss, self.share, self.growth, self.momentum)
-
-    def steps(self, work: Work) -> Steps:
-        yield from self._descent().steps(work)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from vamgpu.deprecated import renamed_arguments
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import Band
 from vamgpu.losses.response import Logistic
 from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.calgd import GradientDescent
+from vamgpu.methods.default import BestWindow
 from vamgpu.methods.fbp import FilteredBackProjection
 from vamgpu.methods.lbfgs import LBFGS
 from vamgpu.methods.method import Method
@@ -18,12 +20,15 @@ from vamgpu.methods.plan import Plan
 from vamgpu.methods.projector import Projector
 from vamgpu.methods.recipe import Recipe
 from vamgpu.methods.run import optimize
+from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
 
 OUTSIDE, INSIDE = 0.78, 0.95
 """Thresholds of the default method, in units of the part's dose."""
 LABELS = {
-    "window": "process window (default)",
+    "best": "best window (default)",
+    "window": "process window, two thresholds",
+    "widest": "widest window",
     "lbfgs": "L-BFGS, two thresholds",
     "bclp": "BCLP",
     "penalty": "penalty minimization",
@@ -39,7 +44,8 @@ def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -
     """A method by its name in `LABELS` that asks for given thresholds, everything else its own default.
 
     Methods of two thresholds take them as they are. Those that fit a sigmoid have one threshold, its middle: half way
-    between the two. The recipe asks for doses, not for thresholds, and filtered back projection for none: both stay.
+    between the two. The recipe asks for doses, not for thresholds, the default, the widest window and filtered
+    back projection for none: all four stay.
 
     Args:
         name: Of the method.
@@ -55,7 +61,9 @@ def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -
     Band.thresholds(outside, inside)
     middle = Logistic(middle=0.5 * (outside + inside))
     made: dict[str, Method] = {
+        "best": BestWindow(),
         "window": ProcessWindow(outside=outside, inside=inside),
+        "widest": WidestWindow(),
         "lbfgs": LBFGS(outside=outside, inside=inside),
         "bclp": BCLP(response=middle),
         "penalty": PenaltyMinimization(outside=outside, inside=inside),
@@ -69,30 +77,33 @@ def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -
     return made[name]
 
 
+@renamed_arguments(pairs="evaluations")
 def compared(
     operator: Projector,
     target: Any,
     name: str,
-    pairs: float,
+    evaluations: float,
     *,
     thresholds: tuple[float, float] = (OUTSIDE, INSIDE),
     resume: Plan | None = None,
 ) -> Plan:
-    """The best light of a method at given thresholds that ``pairs`` projector evaluations buy.
+    """The best light of a method at given thresholds that ``evaluations`` projector evaluations buy.
 
     Args:
         operator: The projector.
         target: A `Target`, or fractions [x, y, z].
         name: Of the method, one of `LABELS`.
-        pairs: Forward and back projections that may be spent, warm start included; those a method has no use for stay
-            unspent.
+        evaluations: Projector evaluations that may be spent, warm start included; those a method has no use for
+            stay unspent.
         thresholds: (outside, inside) in units of the part's dose.
-        resume: A plan of the same call with fewer pairs, to go on from.
+        resume: A plan of the same call with fewer evaluations, to go on from.
 
     Returns:
-        The plan; its ``pairs`` are never more than were given, if one iteration is paid for.
+        The plan; its ``evaluations`` are never more than were given, if one iteration is paid for.
 
     Raises:
         BadInput: As `at_thresholds` and `optimize` do.
     """
-    return optimize(operator, target, at_thresholds(name, *thresholds), pairs=pairs, resume=resume)
+    return optimize(
+        operator, target, at_thresholds(name, *thresholds), evaluations=evaluations, resume=resume, progress=False
+    )

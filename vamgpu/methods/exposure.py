@@ -1,82 +1,115 @@
-"""What one light is judged by: the loss of its dose, and the price of bright light."""
+"""What one light is judged by: the loss of its dose, and the penalty of bright light."""
 
 from __future__ import annotations
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.losses.loss import Loss
-from vamgpu.methods.minimize import Pace
-from vamgpu.methods.work import Work
+from vamgpu.methods.fbp import filtered_light
+from vamgpu.methods.method import Steps
+from vamgpu.methods.minimize import Channel, Pace, minimize
+from vamgpu.methods.ramp import identity
+from vamgpu.methods.state import OptimizerState
+from vamgpu.operators.reductions import dot
 
 
-class Exposure:
-    """The loss of the dose Aᵀg of light g, plus price·Σ g^power.
+class DoseObjective:
+    """The loss of the dose Aᵀg of light g, plus penalty·Σ g^power.
 
     A step looks at ``ahead``, which momentum carries beyond the light that is held. Doses are linear, so that the dose
-    of the light itself, by which light is chosen, follows from that of ``ahead`` without projecting. Half a pair for a
-    value, half for a gradient.
+    of the light itself, by which light is chosen, follows from that of ``ahead`` without projecting. Half an evaluation
+    for a value, half for a gradient.
 
     Args:
-        work: Of the run; lines are searched for from ``light`` in its memory, steps taken from ``ahead``.
+        state: Of the run; lines are searched for from ``light`` in its memory, steps taken from ``ahead``.
         loss: Of the dose.
         pace: That it is lowered at.
-        price: Of light, and its power; for steps that are searched for.
+        penalty: Of light, and its power; for steps that are searched for.
         rest: Dose that other light brings.
         dose: To work in; None for a new volume.
         gradient: To work in; None for a new sinogram.
     """
 
+    state: OptimizerState
+    loss: Loss
+    pace: Pace
+    penalty: tuple[float, float]
+    rest: DeviceArray | None
+
     def __init__(
-        self, work: Work, loss: Loss, pace: Pace, *, price: tuple[float, float] = (0.0, 1.0),
+        self, state: OptimizerState, loss: Loss, pace: Pace, *, penalty: tuple[float, float] = (0.0, 1.0),
         rest: DeviceArray | None = None, dose: DeviceArray | None = None, gradient: DeviceArray | None = None,
     ) -> None:  # fmt: skip
-        self.work, self.loss, self.pace, self.price, self.rest = work, loss.on(work.field), pace, price, rest
-        self.dose = work.volume() if dose is None else dose
-        if pace.history and "gradient" not in work.memory:
-            work.memory["gradient"] = work.sinogram()
-        kept = work.memory.get("gradient") if pace.history else gradient
-        self._gradient = work.sinogram() if kept is None else kept
+        self.state, self.loss, self.pace, self.penalty, self.rest = state, loss.on(state.field), pace, penalty, rest
+        self.dose: DeviceArray = state.volume() if dose is None else dose
+        if pace.history and "gradient" not in state.memory:
+            state.memory["gradient"] = state.sinogram()
+        kept = state.memory.get("gradient") if pace.history else gradient
+        self._gradient = state.sinogram() if kept is None else kept
         self._at = "light" if pace.history else "ahead"
         self._projected = False
 
     def value(self, carried: float = 0.0) -> tuple[float, float]:
-        work, pace, self._projected = self.work, self.pace, False
-        work.expose(work.held(self._at), self.dose)
+        state, pace, self._projected = self.state, self.pace, False
+        state.expose(state.buffer(self._at), self.dose)
         if self.rest is not None:
-            work.combine(1.0, self.dose, 1.0, self.rest, self.dose)
+            state.combine(1.0, self.dose, 1.0, self.rest, self.dose)
         held = self._dose_of_light(carried)
-        window = 0.0 if pace.fixed else work.window(held)[0]
-        loss = work.loss(self.dose, self.loss) + self._bright()
-        if pace.back <= 1.0 and loss > 0.0:  # projected also where the step is taken back: an iteration is one pair
-            self.gradient()
+        window = 0.0 if pace.fixed else state.window(held)[0]
+        loss = state.loss(self.dose, self.loss) + self._bright()
+        if pace.back <= 1.0 and loss > 0.0:
+            self.gradient()  # also where the step is taken back: an iteration is one evaluation
         if pace.back <= 1.0 and held is not self.dose:  # the loss that counts is that of the light held
-            work.scale(1.0, held, self.dose)
-            loss = work.loss(self.dose, self.loss)
+            state.scale(1.0, held, self.dose)
+            loss = state.loss(self.dose, self.loss)
         return loss, window
 
     def gradient(self) -> tuple[DeviceArray]:
         if not self._projected:
-            self.work.project(self.dose, self._gradient)
+            self.state.project(self.dose, self._gradient)
             self._bright()
             self._projected = True
         return (self._gradient,)
 
     def _bright(self) -> float:
         """What the light costs; its derivative is added to the gradient, which a value overwrites in vain."""
-        price, power = self.price
-        if not price:
+        penalty, power = self.penalty
+        if not penalty:
             return 0.0
-        return self.work.free(self.work.held(self._at), self._gradient, price, power, hold=False)
+        return self.state.apply_penalty(self.state.buffer(self._at), self._gradient, penalty, power, hold=False)
 
     def _dose_of_light(self, carried: float) -> DeviceArray:
         """Dose of ``light`` from that of ``ahead`` = light + m·(light − the light before it)."""
-        pace, memory, work = self.pace, self.work.memory, self.work
+        pace, memory, state = self.pace, self.state.memory, self.state
         if pace.history or pace.fixed or pace.momentum == 0.0:
             return self.dose
         if "dose" not in memory:
-            memory["dose"], carried = work.volume(), 0.0
-        dose = work.held("dose")
+            memory["dose"], carried = state.volume(), 0.0
+        dose = state.buffer("dose")
         if carried:
-            work.combine(1.0 / (1.0 + carried), self.dose, carried / (1.0 + carried), dose, dose)
+            state.combine(1.0 / (1.0 + carried), self.dose, carried / (1.0 + carried), dose, dose)
         else:  # what is in a new volume may be no number
-            work.scale(1.0, self.dose, dose)
+            state.scale(1.0, self.dose, dose)
         return dose
+
+
+def lower(state: OptimizerState, loss: Loss, pace: Pace, *, efficiency: float = 0.0, power: float = 1.0) -> Steps:
+    """Lower a loss of the dose, from filtered back projection on, or from where the memory of the state stands.
+
+    Args:
+        state: Of the run.
+        loss: Of the dose.
+        pace: That it is lowered at.
+        efficiency: Penalty of the first light against a part that is all wrong by one; needs a pace with a history.
+        power: Of the light in that penalty.
+
+    Yields:
+        As `minimize` does.
+    """
+    memory = state.memory
+    if "light" not in memory:
+        filtered_light(state, state.volume())
+    if efficiency and "penalty" not in memory:
+        bright = state.apply_penalty(state.buffer("light"), state.sinogram(), 1.0, power, hold=False)
+        memory["penalty"] = efficiency * dot(state.target, state.target) / max(bright, 1e-60)
+    exposure = DoseObjective(state, loss, pace, penalty=(state.number("penalty"), power))
+    yield from minimize(exposure, (Channel(state, identity(state.operator)),), pace)

@@ -7,16 +7,16 @@ from typing import ClassVar
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.losses.band import Band
-from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.method import Criterion, Method, Steps
 from vamgpu.methods.papers import RAMP
 from vamgpu.methods.quadrature import check_complete
 from vamgpu.methods.ramp import ramp
-from vamgpu.methods.work import Work
+from vamgpu.methods.state import OptimizerState
 
 
 @dataclass(frozen=True)
-class FilteredBackProjection:
-    """Forward projection, ramp, clip: one projector pair and done.
+class FilteredBackProjection(Method):
+    """Forward projection, ramp, clip: one projector evaluation and done.
 
     Poses count by the directions that they stand for. `optimize` refuses a scan that lacks a twentieth of all
     directions, where nothing is inverted: methods that iterate take it.
@@ -27,24 +27,25 @@ class FilteredBackProjection:
     cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "window"
 
-    def steps(self, work: Work) -> Steps:
-        check_complete(work.operator.motion)
-        dose = work.volume()
-        filtered_light(work, dose)
-        window, _ = work.window(dose)
-        yield work.loss(dose, Band((0.0, 1.0), (0.0, 0.0))), window
+    def steps(self, state: OptimizerState) -> Steps:
+        check_complete(state.operator.motion)
+        dose = state.volume()
+        filtered_light(state, dose)
+        window, _ = state.window(dose)
+        yield state.loss(dose, Band((0.0, 1.0), (0.0, 0.0))), window
 
 
-def filtered_light(work: Work, dose: DeviceArray) -> None:
+def filtered_light(state: OptimizerState, dose: DeviceArray) -> float:
     """Put the clipped, filtered projection of the target into memory as ``light``, and its dose into ``dose``.
 
-    Scaled so that the part's mean dose is one; one projector pair.
+    Scaled so that the part's mean dose is one; one projector evaluation. Returns what it was before.
     """
-    shadow, light = work.sinogram(), work.sinogram()
-    work.project(work.target, shadow)
-    work.filter(shadow, ramp(work.operator), light, floor=0.0)
-    work.expose(light, dose)
-    gain = work.part_mean(dose)
-    work.scale(1.0 / gain, light, light)
-    work.scale(1.0 / gain, dose, dose)
-    work.memory["light"] = light
+    projected, light = state.sinogram(), state.sinogram()
+    state.project(state.goal, projected)
+    state.filter(projected, ramp(state.operator), light, floor=0.0)
+    state.expose(light, dose)
+    gain = state.part_mean(dose)
+    state.scale(1.0 / gain, light, light)
+    state.scale(1.0 / gain, dose, dose)
+    state.memory["light"] = light
+    return gain

@@ -1,4 +1,4 @@
-"""L-BFGS on the two-threshold loss, with a price on bright light."""
+"""L-BFGS on the two-threshold loss, with a penalty on bright light."""
 
 from __future__ import annotations
 
@@ -8,25 +8,30 @@ from typing import ClassVar
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import GREATEST_POWER, MOST, Band
 from vamgpu.losses.loss import Loss
-from vamgpu.methods.exposure import Exposure
-from vamgpu.methods.fbp import filtered_light
-from vamgpu.methods.method import Criterion, Steps
-from vamgpu.methods.minimize import Channel, Pace, minimize
+from vamgpu.methods.exposure import lower
+from vamgpu.methods.method import Criterion, Method, Steps
+from vamgpu.methods.minimize import Pace
 from vamgpu.methods.papers import LIMITED_MEMORY, THRESHOLDS
-from vamgpu.methods.ramp import identity
-from vamgpu.methods.work import Work
-from vamgpu.operators.reductions import dot
+from vamgpu.methods.state import OptimizerState
 
 
 @dataclass(frozen=True)
-class LBFGS:
+class LBFGS(Method):
     """Projected limited-memory quasi-Newton steps with backtracking.
 
-    outside, inside, most: thresholds in units of the part's dose.  efficiency: price of bright light against a part
-    that is all wrong by one; with power 4 it is the few brightest pixels that cost, which dim the rest of a print: the
-    mean over the greatest light rises.  power: of that price, ≥ 1; 1 asks for little light instead.
-    history: pairs of sinograms kept.  history_bytes: memory they may take; None takes what the device gives. Fewer
-    pairs than asked raise a `MemoryNotice`.  Raises `BadInput`.
+    Args:
+        outside: Greatest dose outside the part, in units of the part's dose.
+        inside: Least dose in the part, in units of the part's dose.
+        most: Greatest dose in the part, in units of the part's dose.
+        efficiency: Penalty of bright light against a part that is all wrong by one; with power 4 it is the few
+            brightest pixels that cost, which dim the rest of a print: the mean over the greatest light rises.
+        power: Exponent of that penalty, ≥ 1; 1 asks for little light instead.
+        history: Pairs of sinograms kept.
+        history_bytes: Memory they may take; None takes what the device gives. Fewer pairs than asked raise a
+            `MemoryNotice`.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
     outside: float = 0.8
@@ -40,13 +45,14 @@ class LBFGS:
     iterations: ClassVar[int] = 40
     cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "loss"
+    takes_start: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         Band.thresholds(self.outside, self.inside, self.most)
         counted = isinstance(self.history, int) and self.history >= 1
         if not (counted and 0 <= self.efficiency < MOST and 1 <= self.power <= GREATEST_POWER):
             raise BadInput(
-                f"{self!r}: wanted efficiency ≥ 0, a power from 1 to {GREATEST_POWER:g} and a whole history ≥ 1"
+                f"{self!r}: expected efficiency ≥ 0, a power from 1 to {GREATEST_POWER:g} and a whole history ≥ 1"
             )
 
     @property
@@ -59,20 +65,8 @@ class LBFGS:
         """Why places far apart on a web depend on each other; empty where they do not."""
         if not self.efficiency:
             return ""
-        return f"efficiency is {self.efficiency}: its price is set by all light of a web; wanted 0"
+        return f"efficiency is {self.efficiency}: its penalty is set by all light of a web; expected 0"
 
-    def steps(self, work: Work) -> Steps:
-        if "light" not in work.memory:
-            filtered_light(work, work.volume())
-        if "price" not in work.memory:
-            work.memory["price"] = self._price(work)
+    def steps(self, state: OptimizerState) -> Steps:
         pace = Pace(history=self.history, history_bytes=self.history_bytes)
-        exposure = Exposure(work, self.loss, pace, price=(work.number("price"), self.power))
-        yield from minimize(exposure, (Channel(work, identity(work.operator)),), pace)
-
-    def _price(self, work: Work) -> float:
-        if not self.efficiency:
-            return 0.0
-        light, slope = work.held("light"), work.sinogram()
-        total = work.free(light, slope, 1.0, self.power, hold=False)
-        return self.efficiency * dot(work.target, work.target) / max(total, 1e-60)
+        yield from lower(state, self.loss, pace, efficiency=self.efficiency, power=self.power)

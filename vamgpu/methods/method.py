@@ -6,7 +6,7 @@ from collections.abc import Generator
 from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
 
 if TYPE_CHECKING:
-    from vamgpu.methods.work import Work
+    from vamgpu.methods.state import OptimizerState
 
 
 Steps = Generator[tuple[float, float], None, None]
@@ -22,9 +22,11 @@ class Method(Protocol):
     Attributes:
         papers: Citations of its sources.
         iterations: How many it runs where the caller does not say.
-        cost: Projector pairs that an iteration takes at least.
+        cost: Projector evaluations that an iteration takes at least.
         criterion: What its best light is chosen by: the strict window for methods that aim at thresholds, the loss for
             methods whose loss is the purpose.
+        takes_start: Whether it begins with the ``light`` in the memory where there is some; without the attribute it
+            does not, and `optimize` refuses a ``start``.
     """
 
     papers: ClassVar[tuple[str, ...]]
@@ -32,11 +34,14 @@ class Method(Protocol):
     cost: ClassVar[float]
     criterion: ClassVar[Criterion]
 
-    def steps(self, work: Work) -> Steps:
+    def steps(self, state: OptimizerState) -> Steps:
         """Improve ``light`` in the memory for ever, or until nothing is left to gain.
 
-        Every light whose dose is known is offered by ``work.offer``, which keeps the best. Everything a later run needs
-        to go on is in ``work.memory`` whenever it yields.
+        Every light whose dose is known is offered by ``state.offer``, which keeps the best. Everything a later run
+        needs to go on is in ``state.memory`` whenever it yields.
+
+        Args:
+            state: Of the run.
 
         Yields:
             Loss and strict window of the step.

@@ -14,7 +14,7 @@ from vamgpu.losses.loss import Loss
 from vamgpu.methods.method import Steps
 from vamgpu.methods.pairs import Pairs
 from vamgpu.methods.ramp import Taps
-from vamgpu.methods.work import Work
+from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import dot
 
@@ -40,36 +40,36 @@ class Objective(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """Light of one color: ``light`` and ``ahead`` of it in the memory of its work.
+    """Light of one color: ``light`` and ``ahead`` of it in the memory of its state.
 
     Attributes:
-        work: Its operator and memory.
+        state: Its operator and memory.
         taps: Filter of its gradient along r.
         length: Of its steps over those of the others.
     """
 
-    work: Work
+    state: OptimizerState
     taps: Taps
     length: float = 1.0
 
     @property
     def light(self) -> DeviceArray:
-        return self.work.held("light")
+        return self.state.buffer("light")
 
     @property
     def ahead(self) -> DeviceArray:
-        return self.work.held("ahead")
+        return self.state.buffer("ahead")
 
     def gain(self, rounds: int) -> float:
-        """Greatest eigenvalue of exposing what is filtered and projected, by power iteration; not counted as pairs."""
-        work, value = self.work, 1.0
-        x = work.device.upload(np.random.default_rng(1).random(work.operator.domain.shape, np.float32))
-        shadow, filtered = work.sinogram(), work.sinogram()
+        """Greatest eigenvalue of exposing what is filtered and projected, by power iteration; not counted."""
+        state, value = self.state, 1.0
+        x = state.device.upload(np.random.default_rng(1).random(state.operator.domain.shape, np.float32))
+        projected, filtered = state.sinogram(), state.sinogram()
         for _ in range(rounds):
-            work.scale(1.0 / dot(x, x) ** 0.5, x, x)
-            work.operator(x, out=shadow)
-            work.filter(shadow, self.taps, filtered)
-            work.operator.T(filtered, out=x)
+            state.scale(1.0 / dot(x, x) ** 0.5, x, x)
+            state.operator(x, out=projected)
+            state.filter(projected, self.taps, filtered)
+            state.operator.T(filtered, out=x)
             value = dot(x, x) ** 0.5
         return value
 
@@ -122,13 +122,13 @@ def minimize(objective: Objective, channels: Sequence[Channel], pace: Pace) -> S
         window of the light that was held before the step.
     """
     if pace.history:
-        yield from _searched(objective, channels[0].work, pace)
+        yield from _searched(objective, channels[0].state, pace)
         return
-    lead = channels[0].work
+    lead = channels[0].state
     memory, best = lead.memory, lead.best
     for channel in channels:
-        if "ahead" not in channel.work.memory:
-            channel.work.memory["ahead"] = channel.work.sinogram()
+        if "ahead" not in channel.state.memory:
+            channel.state.memory["ahead"] = channel.state.sinogram()
             combine(1.0, channel.light, 0.0, channel.light, channel.ahead)
     if pace.step is not None:
         memory.setdefault("step", pace.step)
@@ -151,15 +151,15 @@ def minimize(objective: Objective, channels: Sequence[Channel], pace: Pace) -> S
 
 def _offered(channels: Sequence[Channel], loss: float, window: float, possible: bool) -> bool:
     """Whether the light looked at is the best so far; a copy of it is kept then."""
-    iteration = channels[0].work.iteration + possible
+    iteration = channels[0].state.iteration + possible
     offers = [
-        channel.work.best.offer(channel.ahead if possible else channel.light, loss, window, iteration)
+        channel.state.best.offer(channel.ahead if possible else channel.light, loss, window, iteration)
         for channel in channels
     ]
     return offers[0]
 
 
-def _paced(lead: Work, pace: Pace, rose: bool, returned: bool) -> None:
+def _paced(lead: OptimizerState, pace: Pace, rose: bool, returned: bool) -> None:
     """Lengthen the step, or shorten it and drop the momentum."""
     memory, growth = lead.memory, lead.number("growth", pace.growth)
     if rose:
@@ -172,11 +172,11 @@ def _paced(lead: Work, pace: Pace, rose: bool, returned: bool) -> None:
 
 def _retreated(channels: Sequence[Channel], loss: float, window: float) -> tuple[float, float]:
     """Go back to the best light, if there is one yet; returns its loss and window."""
-    lead = channels[0].work
+    lead = channels[0].state
     for channel in channels:
-        if "best" in channel.work.memory:
+        if "best" in channel.state.memory:
             for light in (channel.light, channel.ahead):
-                channel.work.scale(1.0, channel.work.held("best"), light)
+                channel.state.scale(1.0, channel.state.buffer("best"), light)
             loss, window = lead.best.loss, lead.best.window
     lead.memory.update({"loss": loss, "carried": 0.0, "returned": True, "retreats": lead.number("retreats") + 1.0})
     lead.best.unseen = None
@@ -185,14 +185,14 @@ def _retreated(channels: Sequence[Channel], loss: float, window: float) -> tuple
 
 def _moved(objective: Objective, channels: Sequence[Channel], pace: Pace) -> None:
     """One step of every channel; what is dark and should stay so is held."""
-    lead, gradients = channels[0].work, objective.gradient()
+    lead, gradients = channels[0].state, objective.gradient()
     run = lead.number("run")
     momentum = run / (run + 3.0) if pace.momentum is None else pace.momentum * (run > 0 or pace.fixed)
     for channel, gradient in zip(channels, gradients, strict=True):
-        channel.work.free(channel.ahead, gradient)
+        channel.state.apply_penalty(channel.ahead, gradient)
         if "step" not in lead.memory:
             lead.memory["step"] = pace.share * _ratio(channel.light, gradient)
-        channel.work.step(gradient, channel.taps, lead.number("step") * channel.length, momentum)
+        channel.state.step(gradient, channel.taps, lead.number("step") * channel.length, momentum)
         if pace.possible:
             combine(1.0, channel.ahead, 0.0, channel.ahead, channel.ahead, floor=0.0)
     lead.memory.update({"run": run + 1.0, "carried": 0.0 if pace.possible else momentum})
@@ -205,42 +205,42 @@ def _ratio(light: DeviceArray, gradient: DeviceArray) -> float:
 
 
 # ---- along quasi-Newton directions -------------------------------------------------------------------------------
-def _searched(objective: Objective, work: Work, pace: Pace) -> Steps:
+def _searched(objective: Objective, state: OptimizerState, pace: Pace) -> Steps:
     """Projected steps along limited-memory directions, each shorter until the loss falls."""
-    memory = work.memory
+    memory = state.memory
     if "loss" not in memory:
         memory["loss"], memory["window"] = objective.value()
         objective.gradient()
-    pairs = Pairs(work, pace.history, pace.history_bytes)
-    direction = work.sinogram()
+    pairs = Pairs(state, pace.history, pace.history_bytes)
+    direction = state.sinogram()
     while True:
         pairs.direct(direction)
         pairs.open()
-        if not _line(objective, work, pairs, direction):
-            memory["stuck"] = float(not pairs.used and work.affords(1.0))
+        if not _line(objective, state, pairs, direction):
+            memory["stuck"] = float(not pairs.used and state.affords(1.0))
             pairs.forget()
-        yield work.number("loss"), work.number("window")
-        if work.number("stuck"):
+        yield state.number("loss"), state.number("window")
+        if state.number("stuck"):
             return
 
 
-def _line(objective: Objective, work: Work, pairs: Pairs, direction: DeviceArray) -> bool:
+def _line(objective: Objective, state: OptimizerState, pairs: Pairs, direction: DeviceArray) -> bool:
     """Move light along a direction, shorter until the loss falls; else leave light and gradient as they were."""
-    light, gradient, before = work.held("light"), work.held("gradient"), work.number("loss")
+    light, gradient, before = state.buffer("light"), state.buffer("gradient"), state.number("loss")
     share = 1.0 if pairs.used else 0.05 * _ratio(light, direction)
-    work.scale(1.0, light, pairs.step)
-    work.scale(1.0, gradient, pairs.change)
+    state.scale(1.0, light, pairs.step)
+    state.scale(1.0, gradient, pairs.change)
     for _ in range(TRIES):
-        if not work.affords(1.0):
+        if not state.affords(1.0):
             break
-        work.combine(1.0, pairs.step, share, direction, light, floor=0.0)
+        state.combine(1.0, pairs.step, share, direction, light, floor=0.0)
         loss, window = objective.value()
         if loss < before:
             objective.gradient()
-            work.memory.update({"loss": loss, "window": window})
+            state.memory.update({"loss": loss, "window": window})
             pairs.close(light, gradient)
             return True
         share *= 0.4
-    work.scale(1.0, pairs.step, light)
-    work.scale(1.0, pairs.change, gradient)
+    state.scale(1.0, pairs.step, light)
+    state.scale(1.0, pairs.change, gradient)
     return False

@@ -9,22 +9,22 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.kernels.update import correct_by_difference
 from vamgpu.losses.band import MOST, Band
-from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.method import Criterion, Method, Steps
 from vamgpu.methods.papers import OBJECT_SPACE
 from vamgpu.methods.ramp import Taps, ramp
-from vamgpu.methods.work import Work
+from vamgpu.methods.state import OptimizerState
 
 
 @dataclass(frozen=True)
-class OSMO:
+class OSMO(Method):
     """Lower a model of the part where voids get too much and raise it where the part gets too little, in turn.
 
     As published, with the model m, at first the target, and the dose d of its light over the greatest dose:
 
         m ← m − max(0, d − outside) in voids, then d anew, then m ← m + max(0, inside − d) in the part, then d anew
 
-    What is made of the model is never negative light: max(0, filter(A m)). One iteration takes two projector pairs, and
-    the first one a third for the dose of the target itself.
+    What is made of the model is never negative light: max(0, filter(A m)). One iteration takes two projector
+    evaluations, and the first one a third for the dose of the target itself.
 
     What differs here: the ramp filters every projection of the model, so that corrections are sharpened as the target
     is (the authors' toolbox filters the target alone); ``gain`` scales a correction (published: 1).
@@ -49,47 +49,49 @@ class OSMO:
     def __post_init__(self) -> None:
         Band.thresholds(self.outside, self.inside)
         if not 0 < self.gain < MOST:
-            raise BadInput(f"{self!r}: wanted 0 < gain < {MOST:g}")
+            raise BadInput(f"{self!r}: expected 0 < gain < {MOST:g}")
 
-    def steps(self, work: Work) -> Steps:
-        dose, shadow, taps = work.volume(), work.sinogram(), ramp(work.operator)
-        if "light" not in work.memory:
-            work.memory["light"], model = work.sinogram(), work.volume()
-            work.paint(0.0, model)
-            self._illuminate(work, model, shadow, taps, dose)
-            self._correct(work, dose, model, void=True)
-            work.memory["model"] = model
-        model, light = work.held("model"), work.held("light")
+    def steps(self, state: OptimizerState) -> Steps:
+        dose, projected, taps = state.volume(), state.sinogram(), ramp(state.operator)
+        if "light" not in state.memory:
+            state.memory["light"], model = state.sinogram(), state.volume()
+            state.fill_background(0.0, model)
+            self._illuminate(state, model, projected, taps, dose)
+            self._correct(state, dose, model, void=True)
+            state.memory["model"] = model
+        model, light = state.buffer("model"), state.buffer("light")
         band = Band.thresholds(self.outside, self.inside)
         while True:
-            self._illuminate(work, model, shadow, taps, dose)
-            self._correct(work, dose, model, void=False)
-            window = self._illuminate(work, model, shadow, taps, dose)
-            self._correct(work, dose, model, void=True)
-            work.scale(1.0 / work.number("peak"), light, light)
-            work.scale(1.0 / work.number("peak"), dose, dose)
-            loss = work.loss(dose, band)
-            work.offer(loss, window, 1)
+            self._illuminate(state, model, projected, taps, dose)
+            self._correct(state, dose, model, void=False)
+            window = self._illuminate(state, model, projected, taps, dose)
+            self._correct(state, dose, model, void=True)
+            state.scale(1.0 / state.number("peak"), light, light)
+            state.scale(1.0 / state.number("peak"), dose, dose)
+            loss = state.loss(dose, band)
+            state.offer(loss, window, 1)
             yield loss, window
 
-    def _illuminate(self, work: Work, model: DeviceArray, shadow: DeviceArray, taps: Taps, dose: DeviceArray) -> float:
+    def _illuminate(
+        self, state: OptimizerState, model: DeviceArray, projected: DeviceArray, taps: Taps, dose: DeviceArray
+    ) -> float:
         """Light for a model, and its dose; returns the window."""
-        work.project(model, shadow)
-        work.filter(shadow, taps, work.held("light"), floor=0.0)
-        work.expose(work.held("light"), dose)
-        window, work.memory["peak"] = work.window(dose)
+        state.project(model, projected)
+        state.filter(projected, taps, state.buffer("light"), floor=0.0)
+        state.expose(state.buffer("light"), dose)
+        window, state.memory["peak"] = state.window(dose)
         return window
 
-    def _correct(self, work: Work, dose: DeviceArray, model: DeviceArray, *, void: bool) -> None:
-        work.device.launch(
+    def _correct(self, state: OptimizerState, dose: DeviceArray, model: DeviceArray, *, void: bool) -> None:
+        state.device.launch(
             correct_by_difference,
             dose=dose,
-            scale=1.0 / work.number("peak"),
-            target=work.target,
+            scale=1.0 / state.number("peak"),
+            target=state.target,
             low=self.outside,
             high=self.inside,
             gain_outside=self.gain * void,
             gain_inside=self.gain * (not void),
-            reach=work.reach,
+            reach=state.reach,
             model=model,
         )

@@ -6,7 +6,7 @@ import warnings
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import MemoryNotice, OutOfMemory
-from vamgpu.methods.work import Work
+from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.reductions import dot
 
 
@@ -16,29 +16,35 @@ class Pairs:
     ``step`` and ``change`` are the pair in the making; until `close` they hold the light and gradient before the step.
     """
 
-    def __init__(self, work: Work, most: int, most_bytes: int | None) -> None:
-        self.work, self.most, self.most_bytes = work, most, most_bytes
-        self.kept: list[tuple[DeviceArray, DeviceArray, float]] = work.memory.setdefault("pairs kept", [])
-        self.used = 0
-        self.step = self.change = work.held("light")  # until open()
+    state: OptimizerState
+    most: int
+    most_bytes: int | None
+    step: DeviceArray
+    change: DeviceArray
+
+    def __init__(self, state: OptimizerState, most: int, most_bytes: int | None) -> None:
+        self.state, self.most, self.most_bytes = state, most, most_bytes
+        self.kept: list[tuple[DeviceArray, DeviceArray, float]] = state.memory.setdefault("pairs kept", [])
+        self.used: int = 0
+        self.step = self.change = state.buffer("light")  # until open()
         self._spare: list[DeviceArray] = []
 
     def direct(self, out: DeviceArray) -> None:
         """out = the quasi-Newton direction of descent, dark light held."""
-        work = self.work
-        work.scale(1.0, work.held("gradient"), out)
-        work.free(work.held("light"), out)
+        state = self.state
+        state.scale(1.0, state.buffer("gradient"), out)
+        state.apply_penalty(state.buffer("light"), out)
         self.used = len(self.kept)
         shares = []
         for step, change, inverse in reversed(self.kept):
             shares.append(inverse * dot(step, out))
-            work.combine(1.0, out, -shares[-1], change, out)
+            state.combine(1.0, out, -shares[-1], change, out)
         if self.kept:
             _, change, inverse = self.kept[-1]
-            work.scale(1.0 / (inverse * dot(change, change)), out, out)
+            state.scale(1.0 / (inverse * dot(change, change)), out, out)
         for (step, change, inverse), share in zip(self.kept, reversed(shares), strict=True):
-            work.combine(1.0, out, share - inverse * dot(change, out), step, out)
-        work.scale(-1.0, out, out)
+            state.combine(1.0, out, share - inverse * dot(change, out), step, out)
+        state.scale(-1.0, out, out)
 
     def open(self) -> None:
         """Make room for the next pair: new arrays, or those of the oldest pair."""
@@ -50,11 +56,11 @@ class Pairs:
 
     def _allocate(self) -> None:
         count = len(self.kept) + 1
-        need = 2 * count * self.work.held("light").nbytes
+        need = 2 * count * self.state.buffer("light").nbytes
         try:
             if self.most_bytes is not None and need > self.most_bytes and self.kept:
                 raise OutOfMemory(f"{count} pairs take {need} bytes; {self.most_bytes} are allowed")
-            self._spare = [self.work.sinogram(), self.work.sinogram()]
+            self._spare = [self.state.sinogram(), self.state.sinogram()]
         except OutOfMemory as error:
             self._spare = []
             if not self.kept:
@@ -64,8 +70,8 @@ class Pairs:
 
     def close(self, light: DeviceArray, gradient: DeviceArray) -> None:
         """Complete the pair with the light and gradient after the step; keep it if it curves upwards."""
-        self.work.combine(1.0, light, -1.0, self.step, self.step)
-        self.work.combine(1.0, gradient, -1.0, self.change, self.change)
+        self.state.combine(1.0, light, -1.0, self.step, self.step)
+        self.state.combine(1.0, gradient, -1.0, self.change, self.change)
         product = dot(self.step, self.change)
         if product > 1e-10 * (dot(self.step, self.step) * dot(self.change, self.change)) ** 0.5:
             self.kept.append((self.step, self.change, 1.0 / product))

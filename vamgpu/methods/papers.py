@@ -36,3 +36,15 @@ RESTART = (
 TWO_METRIC = "D. P. Bertsekas, Projected Newton methods, SIAM J. Control Optim. 20 (1982) 221"
 LIMITED_MEMORY = "D. C. Liu, J. Nocedal, On the limited memory BFGS method, Math. Program. 45 (1989) 503"
 VIAL = "A. Orth et al., Correcting ray distortion in tomographic additive manufacturing, Opt. Express 29 (2021) 11037"
+PRIMAL_DUAL = (
+    "A. Chambolle, T. Pock, A first-order primal-dual algorithm for convex problems, "
+    "J. Math. Imaging Vis. 40 (2011) 120"
+)
+DIAGONAL = (
+    "T. Pock, A. Chambolle, Diagonal preconditioning for first order primal-dual algorithms in convex optimization, "
+    "ICCV (2011) 1762"
+)
+ANCHORED = "H. Lu, J. Yang, Restarted Halpern PDHG for linear programming, arXiv:2407.16144 (2024)"
+SAFE_STEPS = (
+    "D. Applegate et al., Practical large-scale linear programming using primal-dual hybrid gradient, NeurIPS (2021)"
+)

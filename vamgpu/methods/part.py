@@ -10,14 +10,24 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, EmptyMesh, OpticsWarning, TargetTooLarge
+from vamgpu.errors import BadInput, EmptyMesh, NoLight, OpticsWarning, ShapeMismatch, TargetTooLarge
 from vamgpu.geometry import Grid
-from vamgpu.kernels.update import paint
+from vamgpu.kernels.update import fill_background, linear
 from vamgpu.methods.projector import Projector
-from vamgpu.methods.reach import check_reach
+from vamgpu.operators.compose import Composed
+from vamgpu.operators.protocol import ATTRIBUTES
 from vamgpu.operators.reductions import EVERYWHERE, extent, total
+from vamgpu.operators.scaled import Scaled
 from vamgpu.operators.space import require
+from vamgpu.targets.limits import Limits
 from vamgpu.web import WebGrid
+
+LOST = 1e-6
+"""Dose of the darkest voxel of a part over that of the brightest anywhere, by even light, below which there is no
+solving: float32 rounds what is summed up by some 1e-7 of it, so that this voxel's dose would be rounding."""
+DIM = 1e-2
+"""The same share, below which a print is possible but unlikely to come out: light for the darkest voxel passes others
+that take a hundred times as much of it."""
 
 
 def fractions_of(operator: Projector, target: Any) -> DeviceArray:
@@ -27,22 +37,51 @@ def fractions_of(operator: Projector, target: Any) -> DeviceArray:
     beyond 0..1, `EmptyMesh` where nothing is to be printed or judged, `NoLight` where light does not get to it all,
     `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
     """
-    if not hasattr(operator, "grid") or not hasattr(operator, "beam"):
-        raise BadInput(f"got {operator!r} as operator; wanted a projector, or something made of one")
+    _check_projector(operator)
     radius = getattr(target, "radius", None)
     if not isinstance(operator.grid, WebGrid):
-        check = getattr(operator.vessel, "check_fits", None)
+        check = getattr(_vessel(operator), "check_fits", None)
         if radius is not None and check is not None:
             check(radius)
         _check_beam(operator, radius, getattr(target, "height", None))
     fractions = on_device(operator, target)
     _check_values(fractions)
     if isinstance(operator.grid, Grid):
-        check_cylinder(fractions, operator.grid, stacklevel=4)
+        check_cylinder(fractions, operator.grid, stacklevel=5)
     known = hasattr(target, "radius")  # then vessel and beam were asked above, and absorption alone is left
-    if not isinstance(operator.grid, WebGrid) and not (known and operator.vessel is None):
-        check_reach(operator, fractions)
+    if not isinstance(operator.grid, WebGrid) and not (known and _vessel(operator) is None):
+        _check_reach(operator, fractions)
     return fractions
+
+
+def one_limit(target: Any) -> Any:
+    """The target, or `BadInput` where its voxels have limits of their own, for methods that know but one."""
+    if getattr(target, "limits", None) is not None:
+        raise BadInput(f"the voxels of {target.name!r} have limits of their own; expected a part without bodies: "
+                       "use optimize()")  # fmt: skip
+    return target
+
+
+def limited(operator: Any, limits: Limits) -> Any:
+    """A projector whose doses are those of ``operator`` over the limits of their voxels, so that 1 limits them all."""
+    if limits.dose.shape != operator.domain.shape:
+        raise ShapeMismatch(
+            f"the target's limits have shape {limits.dose.shape}; expected {operator.domain.shape}, that of the grid"
+        )
+    return Composed(operator, Scaled(operator.grid, limits.scale, operator.device))
+
+
+def _check_projector(operator: Any) -> None:
+    lacking = [name for name in ATTRIBUTES if not hasattr(operator, name)]
+    if lacking or not callable(operator):
+        raise BadInput(
+            f"got {operator!r} as operator; expected a projector, or something made of one: it lacks "
+            f"{', '.join(lacking) or 'a call'} (see vamgpu.operators.protocol)"
+        )
+
+
+def _vessel(operator: Any) -> Any:
+    return getattr(operator, "vessel", None)
 
 
 def reach_of(grid: Grid | WebGrid) -> float:
@@ -52,6 +91,7 @@ def reach_of(grid: Grid | WebGrid) -> float:
 
 def on_device(operator: Projector, target: Any) -> DeviceArray:
     """The target's fractions [x, y, z] on the operator's device; arguments and errors as for `fractions_of`."""
+    _check_projector(operator)
     wanted = operator.grid.pitch
     pitch = getattr(getattr(target, "grid", None), "pitch", wanted)
     if not np.allclose(pitch, wanted, rtol=1e-9, atol=0.0):
@@ -89,9 +129,9 @@ def _check_values(fractions: DeviceArray) -> None:
     if not isfinite(total(fractions)):
         raise BadInput("the target holds NaN or infinity; expected fractions in 0..1")
     if not (low >= 0.0 and high <= 1.0):
-        raise BadInput(f"the target reaches from {low:g} to {high:g}; wanted fractions in 0..1: scale it")
+        raise BadInput(f"the target reaches from {low:g} to {high:g}; expected fractions in 0..1: scale it")
     if high == 0.0:
-        raise EmptyMesh("every voxel of the target is 0; wanted some that are filled")
+        raise EmptyMesh("every voxel of the target is 0; expected some that are filled")
 
 
 def check_cylinder(fractions: DeviceArray, grid: Grid, stacklevel: int = 3) -> None:
@@ -107,7 +147,7 @@ def check_cylinder(fractions: DeviceArray, grid: Grid, stacklevel: int = 3) -> N
             f"fullest one: {max(most, 0.0):g}); center the target on the axis, scale it, or choose a finer pitch"
         )
     inside = fractions.device.empty(fractions.shape)
-    fractions.device.launch(paint, target=fractions, low=0.0, high=1.0, reach=reach, model=inside)
+    fractions.device.launch(fill_background, target=fractions, low=0.0, high=1.0, reach=reach, model=inside)
     out = 1.0 - total(inside) / total(fractions)
     if out > 1e-6:
         warnings.warn(
@@ -119,8 +159,8 @@ def check_cylinder(fractions: DeviceArray, grid: Grid, stacklevel: int = 3) -> N
 
 
 def _check_beam(operator: Projector, radius: float | None, height: float | None) -> None:
-    """Refuse a part [mm] higher than the light; warn of one wider, which only the poses along it light whole."""
-    (columns, rows), pitch, vessel = operator.beam.pixels, operator.beam.pitch, operator.vessel
+    """Refuse a part [mm] higher than the light; warn of one wider, which only the angles along it light whole."""
+    (columns, rows), pitch, vessel = operator.beam.pixels, operator.beam.pitch, _vessel(operator)
     if height is not None and height > rows * pitch * (1.0 + 1e-6):
         raise TargetTooLarge(
             f"the target is {height:.4g} mm high, the light of {operator.beam} {rows * pitch:.4g} mm; "
@@ -131,7 +171,42 @@ def _check_beam(operator: Projector, radius: float | None, height: float | None)
     if radius is not None and radius > reach * (1.0 + 1e-6):
         warnings.warn(
             f"the target has a radius of {radius:.4g} mm, the light of {operator.beam} one of {reach:.4g} mm in the "
-            "resin: what lies beyond is lit at some poses only; scale the target or take a beam of more columns",
+            "resin: what lies beyond is lit at some angles only; scale the target or take a beam of more columns",
             OpticsWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
+
+
+def _check_reach(operator: Any, fractions: DeviceArray) -> None:
+    """Refuse a part that stays in the dark whatever the light, and warn of one that light hardly gets to.
+
+    Voxels out of the cylinder that is judged do not count. Costs one projector evaluation, no part of a run's.
+
+    Args:
+        operator: a projector of a volume that turns.
+        fractions: of the part [x, y, z], on its device.
+
+    Raises:
+        NoLight: even light leaves a voxel of the part less than `LOST` of the greatest dose.
+    """
+    device, vessel = operator.device, _vessel(operator)
+    even, dose = device.empty(operator.range.shape), device.empty(operator.domain.shape)
+    operator(fractions, out=even)  # finite numbers, as new memory need not hold
+    device.launch(linear, a=0.0, x=even, b=0.0, y=even, floor=1.0, out=even)
+    operator.T(even, out=dose)
+    least, greatest = extent(dose, fractions, 0.5, inf, reach_of(operator.grid))[0], extent(dose)[1]
+    if not isfinite(least):  # no voxel that is judged is filled by half
+        return
+    share = least / greatest if greatest > 0.0 else 0.0
+    if share >= DIM:
+        return
+    absorption, lit = float(getattr(vessel, "absorption", 0.0)), float(getattr(vessel, "lit_radius", inf))
+    told = (
+        f"even light leaves the darkest voxel of the part {share:.2g} of the greatest dose; expected {DIM:g} or more, "
+        f"{LOST:g} at the very least: absorption is {absorption:g} /mm, the resin is lit out to {lit:.4g} mm from the "
+        f"axis, and the light is that of {operator.beam}: take less absorber, a smaller part nearer to the axis, or a "
+        "beam of more pixels"
+    )
+    if share < LOST:
+        raise NoLight(f"light does not reach the part: {told}")
+    warnings.warn(f"light hardly reaches the part: {told}", OpticsWarning, stacklevel=6)

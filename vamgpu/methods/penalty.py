@@ -1,20 +1,20 @@
-"""Penalty minimization: a price for every voxel on the wrong side of its threshold."""
+"""Penalty minimization: a penalty for every voxel on the wrong side of its threshold."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import ClassVar
 
+from vamgpu.deprecated import Renamed, renamed_arguments
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
-from vamgpu.methods.descent import Descent
-from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.descent import ByDescent
 from vamgpu.methods.papers import PENALTY
-from vamgpu.methods.work import Work
 
 
+@renamed_arguments(price="penalty")
 @dataclass(frozen=True)
-class PenaltyMinimization:
+class PenaltyMinimization(ByDescent):
     """Pays for every voxel on the wrong side of its threshold, and for nothing else.
 
     As published, with light g, dose d = Aᵀg and the penalties ρ₁ of a void voxel and ρ₂ of a part voxel:
@@ -29,9 +29,9 @@ class PenaltyMinimization:
 
     Args:
         outside: Threshold of the void in units of the part's dose.
-        inside: Threshold of the part.
-        price: (ρ₁, ρ₂).
-        share: Change of the light in the first step over the light, > 0.
+        inside: Threshold of the part, in units of the part's dose.
+        penalty: Weight of a void voxel and of a part voxel, (ρ₁, ρ₂).
+        share: Relative change of the light in the first step, > 0.
         growth: Of the step from one to the next, ≥ 1.
         momentum: Share of the last step that is added to the next, in [0, 1).
 
@@ -41,28 +41,21 @@ class PenaltyMinimization:
 
     outside: float = 0.75
     inside: float = 0.9
-    price: tuple[float, float] = (1.0, 1.0)
+    penalty: tuple[float, float] = (1.0, 1.0)
     share: float = 0.05
     growth: float = 1.1
     momentum: float = 0.0
     papers: ClassVar[tuple[str, ...]] = (PENALTY,)
-    cost: ClassVar[float] = 1.0
-    criterion: ClassVar[Criterion] = "loss"
     iterations: ClassVar[int] = 20
+    price: ClassVar[Renamed] = Renamed("penalty")
 
     def __post_init__(self) -> None:
         Band.thresholds(self.outside, self.inside)
-        self._descent()
+        super().__post_init__()
 
     @property
     def loss(self) -> Loss:
         """The sum of penalties."""
         far = 10.0  # a ceiling no dose reaches, low enough for float32
         center, slack = (0.5 * self.outside, 0.5 * (self.inside + far)), (0.5 * self.outside, 0.5 * (far - self.inside))
-        return Band(center, slack, self.price, 1.0, binary=True)
-
-    def _descent(self) -> Descent:
-        return Descent(self.loss, self.share, self.growth, self.momentum)
-
-    def steps(self, work: Work) -> Steps:
-        yield from self._descent().steps(work)
+        return Band(center, slack, self.penalty, 1.0, binary=True)

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.operators.linear import LinearOperator
+from vamgpu.card import card, drawable
+from vamgpu.deprecated import Renamed
+from vamgpu.methods.certificate import Bound
+from vamgpu.operators.compose import combine
+from vamgpu.operators.protocol import Operator
 
 if TYPE_CHECKING:
     from vamgpu.methods.method import Method
+    from vamgpu.methods.tolerances import CornerDoses, Tolerances
 
 
 @dataclass(frozen=True)
@@ -18,7 +26,7 @@ class Step:
 
     Attributes:
         iteration: Counted from 1.
-        pairs: Projector pairs (one forward and one back projection) spent so far, warm start included.
+        evaluations: Projector evaluations (one forward and one back projection) spent so far, warm start included.
         loss: The method's own: of the light it holds where light is chosen by the loss; otherwise of the point the step
             looked at, which accelerated methods take ahead of the light they hold.
         window: Strict process window of the light held, (least dose in the part − greatest out of it) / greatest; −1
@@ -26,9 +34,10 @@ class Step:
     """
 
     iteration: int
-    pairs: float
+    evaluations: float
     loss: float
     window: float
+    pairs: ClassVar[Renamed] = Renamed("evaluations")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,34 +48,93 @@ class Plan:
 
     Attributes:
         sinogram: [angle, r, z] ≥ 0 on the operator's device, in units of the dose the part should get.
-        operator: What made it.
-        method: What made it.
+        operator: The projector it was found for.
+        method: The method that found it.
         history: One `Step` an iteration.
-        window: Strict process window of this very light.
-        pairs: Projector pairs that the method spent. Whether light reaches the part is asked before, in one pair, and
-            the light is chosen after, in half a pair; neither is counted, as no method has a say in them.
+        window: Strict process window of this very light, a share of the greatest dose.
+        evaluations: Projector evaluations that the method spent. One before, to see whether light reaches the part, and
+            half of one after, to choose the light, are not counted: no method has a say in them.
         papers: What the method relies on.
-        seconds: Of the run.
+        seconds: How long the run took [s].
         target_name: Of what it prints.
         state: What resuming needs; a resumed run goes on from its last light, not from the best.
         best_iteration: Number of iterations after which this light was reached; 0 is the first guess.
+        bound: How wide a window any light can have, where the method tells (`WidestWindow` does after 60 steps, by 6
+            evaluations more that are not counted); else see `vamgpu.methods.bound`.
+        target: What it prints, as it was given to `optimize`; None where nobody said.
+        tolerances: That the light was sought for; ``window`` and ``bound`` are those of all their corners together.
+        corners: What the light gives at each of them; None without tolerances.
     """
 
     sinogram: DeviceArray
-    operator: LinearOperator
+    operator: Operator
     method: Method
     history: tuple[Step, ...]
     window: float
-    pairs: float
+    evaluations: float
     papers: tuple[str, ...]
     seconds: float
     target_name: str
     state: dict[str, Any] = field(default_factory=dict, repr=False)
     best_iteration: int = 0
+    bound: Bound | None = None
+    target: Any = field(default=None, repr=False)
+    tolerances: Tolerances | None = None
+    corners: CornerDoses | None = field(default=None, repr=False)
+    pairs: ClassVar[Renamed] = Renamed("evaluations")
 
     def __repr__(self) -> str:
-        return f"Plan({self.target_name!r}: strict window {self.window:+.4f} after {self.pairs:g} pairs)"
+        held = "" if self.corners is None else f" at {len(self.corners.corners)} corners"
+        after = f"after {self.evaluations:g} evaluations"
+        return f"Plan({self.target_name!r}: strict window {self.window:+.4f}{held} {after})"
+
+    def _repr_html_(self) -> str:
+        light = self.sinogram.numpy() if drawable(self.sinogram.shape) else None
+        numbers = {
+            "strict window": f"{self.window:+.4f} of the greatest dose",
+            **({} if self.corners is None else {"nominal window": f"{self.corners.nominal:+.4f}"}),
+            "method": type(self.method).__name__,
+            "iterations": f"{len(self.history)}, the best after {self.best_iteration}",
+            "evaluations of the projector": f"{self.evaluations:g}",
+            "took": f"{self.seconds:.3g} s on {self.operator.device.name}",
+            "light [angle, r, z]": " × ".join(f"{n:,}" for n in self.sinogram.shape),
+        }
+        planes: dict[str, np.ndarray | None] = {
+            "light of the first angle, r × z": None if light is None else light[0],
+            "light of the middle row, r × angle": None if light is None else light[:, :, light.shape[2] // 2].T,
+        }
+        return card(f"Plan of {self.target_name!r}", numbers, planes)
 
     def dose(self) -> DeviceArray:
         """Dose [x, y, z] of the light on the operator's device: Aᵀ sinogram."""
         return self.operator.T(self.sinogram)
+
+    def save(self, path: str | Path, *, state: bool = True, overwrite: bool = False) -> Path:
+        """Write a job folder that `vamgpu.load` reads, and that ``vam prove`` and ``vam print`` take.
+
+        Args:
+            path: The folder.
+            state: Keep what resuming needs too, several times as much as the light.
+            overwrite: Replace a job folder that stands there.
+
+        Returns:
+            The path.
+
+        Raises:
+            BadInput: Nothing but Python can describe the operator.
+            StorageError: The path is taken, or cannot be written.
+        """
+        from vamgpu.methods.saved import save_plan
+
+        return save_plan(self, path, state=state, overwrite=overwrite)
+
+
+def copied(value: Any) -> Any:
+    """A copy of what a plan remembers, arrays included, so that the plan stays what it is."""
+    if isinstance(value, DeviceArray):
+        return combine(1.0, value, 0.0, value, value.device.empty(value.shape))
+    if isinstance(value, dict):
+        return {name: copied(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return type(value)(copied(part) for part in value)
+    return value

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from vamgpu.operators.compose import Derived
-from vamgpu.operators.oblique import Oblique
-from vamgpu.operators.projection import Projection
-from vamgpu.operators.traced import TracedProjection
-from vamgpu.operators.web import WebProjection
+from vamgpu.operators.protocol import Operator
 
-Projector = Projection | WebProjection | TracedProjection | Oblique | Derived
+Projector = Operator

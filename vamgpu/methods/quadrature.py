@@ -1,4 +1,4 @@
-"""How much of all directions each pose of a scan stands for."""
+"""How much of all directions each angle of a scan stands for."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ WHOLE = 0.95
 
 
 def directions(motion: Turntable) -> np.ndarray:
-    """The part [rad] of all directions, 0 to π, that each pose stands for; shape (angles,).
+    """The part [rad] of all directions, 0 to π, that each angle stands for; shape (angles,).
 
-    Poses share the range between neighbors (the trapezoidal rule on a circle); at the end of a range a pose has as much
-    outside as there is to its neighbor. Parallel light from opposite sides meets the same voxels, so a range that is
-    scanned from both sides is shared by both: even poses over a full or a half turn have π / angles each.
+    Angles share the range between neighbors (the trapezoidal rule on a circle); at the end of a range an angle has as
+    much outside as there is to its neighbor. Parallel light from opposite sides meets the same voxels, so a range that
+    is scanned from both sides is shared by both: even angles over a full or a half turn have π / angles each.
     """
     if motion.theta is None:
         return np.full(motion.angles, 0.5 * FULL_TURN / motion.angles)
@@ -32,7 +32,7 @@ def directions(motion: Turntable) -> np.ndarray:
 
 
 def is_complete(motion: Turntable) -> bool:
-    """Whether a scan has light from all directions, as its poses see them."""
+    """Whether a scan has light from all directions, as its angles see them."""
     return float(directions(motion).sum()) >= WHOLE * 0.5 * FULL_TURN
 
 
@@ -47,9 +47,9 @@ def check_complete(motion: object) -> None:
 
 
 def balance(motion: Turntable) -> np.ndarray | None:
-    """What the filtered light of each pose is to be multiplied by, so that Aᵀ · filter · A is even over directions.
+    """What the filtered light of each angle is to be multiplied by, so that Aᵀ · filter · A is even over directions.
 
-    Directions over their mean, over the square of the pose's time, which A and Aᵀ both multiply by; shape (angles,).
+    Directions over their mean, over the square of the angle's time, which A and Aᵀ both multiply by; shape (angles,).
     None where all are 1.
     """
     if motion.is_even:
@@ -58,7 +58,7 @@ def balance(motion: Turntable) -> np.ndarray | None:
 
 
 def _cells(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper end [rad] of what each pose has between its neighbors."""
+    """Lower and upper end [rad] of what each angle has between its neighbors."""
     order = np.argsort(theta % FULL_TURN, kind="stable")
     sorted_theta = (theta % FULL_TURN)[order]
     after = np.diff(sorted_theta, append=sorted_theta[0] + FULL_TURN)

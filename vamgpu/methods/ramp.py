@@ -10,8 +10,8 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.kernels.filter import filter_rows
 from vamgpu.methods.projector import Projector
 from vamgpu.methods.quadrature import balance
-from vamgpu.operators.feed import Feed
 from vamgpu.operators.reductions import dot
+from vamgpu.operators.web_motion import WebMotion
 from vamgpu.web import WebGrid
 
 
@@ -19,7 +19,7 @@ from vamgpu.web import WebGrid
 class Taps:
     """One side of a symmetric filter; taps between multiples of ``stride`` (counted from the first) are zero.
 
-    balance: what filtered light of each pose is multiplied by; None where poses are even and lit as long.
+    balance: what filtered light of each angle is multiplied by; None where angles are even and lit as long.
     """
 
     table: DeviceArray
@@ -30,7 +30,7 @@ class Taps:
 def ramp(operator: Projector) -> Taps:
     """The band-limited ramp, scaled so that Aᵀ·ramp·A is near the identity for straight rays that nothing absorbs.
 
-    Poses count by the directions that they stand for, and by the time that they are lit.
+    Angles count by the directions that they stand for, and by the time that they are lit.
     Source: G. Ramachandran & A. Lakshminarayanan, PNAS 68 (1971) 2236.
     """
     columns = operator.beam.pixels[0]
@@ -48,7 +48,7 @@ def capped_ramp(operator: Projector, cap: float, span: float = 1.0) -> Taps:
     """The ramp |ω| up to ``cap`` cycles a column, level beyond: a preconditioner that spares the finest detail.
 
     span: share of the columns its taps reach over; below 1 they fade out, which costs little and saves most of the
-    work.
+    state.
     """
     columns = operator.beam.pixels[0]
     frequency = np.abs(np.fft.fftfreq(8 * columns))
@@ -68,14 +68,14 @@ def _scale(operator: Projector) -> float:
     grid, motion = operator.grid, operator.motion
     if isinstance(grid, WebGrid):
         return _web_scale(operator, grid)
-    assert not isinstance(motion, Feed)
+    assert not isinstance(motion, WebMotion)
     # A voxel of Aᵀ gathers pitch² / beam pitch from each angle; π per half turn is what the inversion formula asks
     area = grid.pitch**2 / operator.beam.pitch
     return np.pi / motion.angles / area / operator.beam.pitch
 
 
 def _balance(operator: Projector) -> DeviceArray | None:
-    found = None if isinstance(operator.motion, Feed) else balance(operator.motion)
+    found = None if isinstance(operator.motion, WebMotion) else balance(operator.motion)
     return None if found is None else operator.device.table(found)
 
 
@@ -90,9 +90,9 @@ def bar(grid: WebGrid) -> np.ndarray:
 def _web_scale(operator: Projector, grid: WebGrid) -> float:
     # Less than half a turn of light that fades has no closed formula: measured, so that a bar comes back as high
     device, columns = operator.device, operator.beam.pixels[0]
-    target, shadow, shown = device.upload(bar(grid)), *map(device.empty, (operator.range.shape,) * 2)
-    operator(target, out=shadow)
+    target, projected, shown = device.upload(bar(grid)), *map(device.empty, (operator.range.shape,) * 2)
+    operator(target, out=projected)
     taps = device.table(_ramp_taps(columns))
-    device.launch(filter_rows, sinogram=shadow, taps=taps, stride=2, floor=-3e38, filtered=shown)
+    device.launch(filter_rows, sinogram=projected, taps=taps, stride=2, floor=-3e38, filtered=shown)
     back = operator.T(shown)
     return dot(target, target) / max(dot(back, target), 1e-30)

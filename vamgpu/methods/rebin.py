@@ -18,25 +18,33 @@ WEAKEST = 0.2
 def rebin(plan: Plan, operator: Projection) -> DeviceArray:
     """Light [angle, r, z] for ``operator``, which has a vessel, from a plan made for straight rays of the same motion.
 
-    Column u at pose θ shines along the straight ray at distance p(u) from the axis and angle θ + d(u); its power per
-    column shrinks by p′(u) and by the transmittance, both made up for. Absorption is not.
-    Source: A. Orth et al., Opt. Express 29 (2021) 11037.
+    Column u at angle θ shines along the straight ray at distance p(u) from the axis and angle θ + d(u); its power per
+    column shrinks by p′(u) and by the transmittance, both made up for. Absorption is not. Source: A. Orth et al., Opt.
+    Express 29 (2021) 11037.
 
-    Raises `BadInput` for a plan that has a vessel itself, other poses, or other rows along z, and for poses that are
-    not even over a full turn: light moves on by the same number of poses at every angle.
+    Args:
+        plan: A plan for straight rays.
+        operator: An operator with a vessel, of the same motion and rows.
+
+    Returns:
+        Light [angle, r, z] for the operator.
+
+    Raises:
+        BadInput: The plan has a vessel itself, other angles or other rows, or angles are not even over a full turn:
+            light moves on by the same number of steps at every angle.
     """
     source, vessel = plan.operator, operator.vessel
     if not isinstance(source, Projection) or source.vessel is not None or vessel is None:
         raise BadInput("rebin takes a plan for straight rays (vessel=None) to an operator with a vessel")
     if source.motion != operator.motion or source.beam.pixels[1] != operator.beam.pixels[1]:
         raise BadInput(
-            f"the plan has {source.motion} and {source.beam.pixels[1]} rows; wanted {operator.motion} and "
-            f"{operator.beam.pixels[1]}: plan for the same poses and rows"
+            f"the plan has {source.motion} and {source.beam.pixels[1]} rows; expected {operator.motion} and "
+            f"{operator.beam.pixels[1]}: plan for the same angles and rows"
         )
     if not source.motion.is_even:
         raise BadInput(
             f"rebin got {source.motion} angles; expected even ones over a full turn, each lit as long, among which a "
-            "ray that a vessel turns finds its pose: give the vessel to the operator that plans instead"
+            "ray that a vessel turns finds its angle: give the vessel to the operator that plans instead"
         )
     if source.device is not operator.device:
         raise BadInput(f"the plan is on {source.device}, the operator on {operator.device}; use one device for both")
@@ -47,7 +55,7 @@ def rebin(plan: Plan, operator: Projection) -> DeviceArray:
 
 
 def _rays(source: Projection, operator: Projection, vessel: Vessel) -> np.ndarray:
-    """(columns, 3): turn in poses, column of the straight beam, gain."""
+    """(columns, 3): turn in steps of the angle, column of the straight beam, gain."""
     u, pitch = operator.beam.columns(), operator.beam.pitch
     chords = vessel.chords(u)
     sides = (vessel.chords(u + 0.5 * side * pitch).p for side in (-1, 1))

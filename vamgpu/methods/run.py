@@ -2,38 +2,46 @@
 
 from __future__ import annotations
 
+import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from math import ceil, inf
 from typing import Any
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import BadInput, Cancelled, Diverged, DivergenceWarning
+from vamgpu.deprecated import renamed_arguments
+from vamgpu.errors import BadInput, Cancelled, Diverged, DivergenceWarning, ToleranceWarning
 from vamgpu.geometry import counts, positive
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.calgd import GradientDescent
-from vamgpu.methods.course import Course
+from vamgpu.methods.default import BestWindow
 from vamgpu.methods.descent import Descent
 from vamgpu.methods.fbp import FilteredBackProjection
 from vamgpu.methods.lbfgs import LBFGS
 from vamgpu.methods.method import Method
 from vamgpu.methods.osmo import OSMO
-from vamgpu.methods.part import fractions_of
+from vamgpu.methods.part import fractions_of, limited
 from vamgpu.methods.penalty import PenaltyMinimization
-from vamgpu.methods.plan import Plan, Step
+from vamgpu.methods.plan import Plan, Step, copied
 from vamgpu.methods.projector import Projector
 from vamgpu.methods.recipe import Recipe
+from vamgpu.methods.start import begin
+from vamgpu.methods.state import OptimizerState
+from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, doses_of
+from vamgpu.methods.trajectory import LossTrajectory
+from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
-from vamgpu.methods.work import Work
-from vamgpu.operators.compose import combine
 
 METHODS: dict[str, type[Any]] = {
-    "default": ProcessWindow,
+    "default": BestWindow,
+    "best": BestWindow,
     "window": ProcessWindow,
+    "widest": WidestWindow,
     "recipe": Recipe,
     "fbp": FilteredBackProjection,
     "cal": GradientDescent,
@@ -47,6 +55,7 @@ METHODS: dict[str, type[Any]] = {
 Progress = Callable[[Step], None]
 
 
+@renamed_arguments(pairs="evaluations")
 def optimize(
     operator: Projector,
     target: Any,
@@ -57,29 +66,41 @@ def optimize(
     progress: bool | Progress | None = None,
     cancel: Callable[[], bool] | None = None,
     resume: Plan | None = None,
-    pairs: float | None = None,
+    evaluations: float | None = None,
+    start: Any = None,
+    tolerances: Tolerances | None = None,
 ) -> Plan:
     """Find light [angle, r, z] ≥ 0 whose dose prints a target, on the operator's device.
 
     The plan holds the best light that the run evaluated, not its last; see `Plan`.
 
     Args:
-        operator: The projector.
+        operator: The projector, or any object that is a `vamgpu.operators.protocol.Operator`.
         target: A `Target`, or fractions [x, y, z] (NumPy or on the device).
         method: A name of `METHODS`, an instance, or a `vamgpu.losses.Loss` that `Descent` lowers.
-        iterations: In all, those of ``resume`` included; None takes the method's own, or what ``pairs`` allows.
+        iterations: In all, those of ``resume`` included; None takes the method's own, or what ``evaluations`` allows.
         tolerance: Stop once the loss has fallen below this share of the first one (0: only when nothing is left to
             gain).
-        progress: True shows a bar, a function gets every `Step`.
+        progress: A function gets every `Step`; True shows a bar with the time left, False none. By default a bar is
+            shown where somebody looks: on a terminal and in a notebook.
         cancel: Asked before each iteration.
         resume: A plan of the same operator and method to go on from; it stays as it is.
-        pairs: Projector pairs that may be spent in all, those of ``resume`` included: stop before the iteration that
-            would exceed them. Compares methods at equal cost. The first iteration is always made; what every method
-            spends alike before and after (see `Plan.pairs`) is not counted.
+        evaluations: Projector evaluations that may be spent in all, those of ``resume`` included: stop before the
+            iteration that would exceed them. Compares methods at equal cost. The first iteration is always made; what
+            every method spends alike before and after (see `Plan.evaluations`) is not counted.
+        start: Light to begin with, a plan or [angle, r, z] ≥ 0 of any library, in units of the dose the part should
+            get; scaled where the part gets less than half or more than twice that. Not with ``resume``, and not for
+            methods that begin with the target.
+        tolerances: How far machine and resin may be off: one light for all corners, with one threshold. Loss, window
+            and bound are then those of all corners together; see `Tolerances` and `Plan.corners`.
+
+    Returns:
+        The plan with the best light that the run evaluated.
 
     Raises:
         BadInput: For a target, a method or a number that cannot be used (also as `ShapeMismatch`, `EmptyMesh`,
             `TargetTooLarge`).
+        ToleranceError: A tolerance contradicts the print, or leaves a part of it without light; says which.
         OutOfMemory: Where the device is too small.
         Cancelled: When ``cancel`` says so or on Ctrl-C; carries the plan reached so far.
         Diverged: When the loss is no finite number any more; carries the plan of the best light before.
@@ -87,14 +108,27 @@ def optimize(
     Warns:
         DivergenceWarning: When more than half of what the loss had fallen is lost again, with the iteration from which
             it rose. A loss that exceeds a thousand times its first value ends the run.
+        ToleranceWarning: When the light found does not print at every corner, with the corners that hold it.
     """
     how = chosen(resume.method if resume is not None and method == "default" else method)
-    limit = _limit(how, iterations, pairs)
+    limit = _limit(how, iterations, evaluations)
     tolerance = positive("tolerance", tolerance, zero=True)
     field_ = fractions_of(operator, target)
-    work = Work(operator, field_, _memory(operator, how, resume), how.criterion)
-    work.most_pairs = inf if pairs is None else positive("pairs", pairs)
-    run = _Run(operator, how, work, _name(target), resume)
+    limits = getattr(target, "limits", None)
+    asked = operator if limits is None else limited(operator, limits)
+    memory = _memory(operator, how, resume, tolerances)
+    scenarios = None
+    if tolerances is not None:
+        scenarios = asked = tolerances.scenarios(asked)
+        check_lit(scenarios, tolerances, field_)
+        field_ = scenarios.stacked([field_] * len(scenarios))
+        limits = None if limits is None else limits.stacked(len(scenarios))
+    state = OptimizerState(asked, field_, memory, how.criterion, limits)
+    state.most_evaluations = inf if evaluations is None else positive("evaluations", evaluations)
+    state.budget = min(limit * how.cost, state.most_evaluations)
+    if start is not None:
+        begin(state, how, start, resume)
+    run = _Run(operator, how, state, target, resume, tolerances=tolerances)
     with _reporting(progress, limit) as report:
         run.go(limit, tolerance, report, cancel or (lambda: False))
     return run.plan()
@@ -106,50 +140,51 @@ class _Run:
 
     operator: Projector
     method: Method
-    work: Work
-    name: str
+    state: OptimizerState
+    target: Any
     resumed: Plan | None
     history: list[Step] = field(default_factory=list)
     started: float = field(default_factory=time.perf_counter)
+    tolerances: Tolerances | None = None
 
     def __post_init__(self) -> None:
         if self.resumed is not None:
             self.history = list(self.resumed.history)
 
     def go(self, limit: int, tolerance: float, report: Progress, cancel: Callable[[], bool]) -> None:
-        steps, work = self.method.steps(self.work), self.work
+        steps, state = self.method.steps(self.state), self.state
         try:
-            while len(self.history) < limit and (not self.history or work.affords(self.method.cost)):
+            while len(self.history) < limit and (not self.history or state.affords(self.method.cost)):
                 if cancel():
                     raise self._cancelled("cancelled by the caller")
-                work.iteration = len(self.history)
+                state.iteration = len(self.history)
                 record = next(steps, None)
                 if record is None:
                     break
-                self.history.append(Step(len(self.history) + 1, work.pairs, *record))
-                work.iteration = len(self.history)
+                self.history.append(Step(len(self.history) + 1, state.evaluations, *record))
+                state.iteration = len(self.history)
                 report(self.history[-1])
-                course = self._course()
-                if course.lost:
-                    raise Diverged(course.message(), self._plan_of_best(), course.began)
-                if course.blown or record[0] <= tolerance * course.losses[0]:
+                trajectory = self._trajectory()
+                if trajectory.lost:
+                    raise Diverged(trajectory.message(), self._plan_of_best(), trajectory.began)
+                if trajectory.blown or record[0] <= tolerance * trajectory.losses[0]:
                     break
         except KeyboardInterrupt:
             raise self._cancelled("interrupted") from None
         finally:
             steps.close()
-        if self.history and self._course().risen:
-            warnings.warn(self._course().message(), DivergenceWarning, stacklevel=3)
+        if self.history and self._trajectory().risen:
+            warnings.warn(self._trajectory().message(), DivergenceWarning, stacklevel=4)
 
-    def _course(self) -> Course:
+    def _trajectory(self) -> LossTrajectory:
         """Losses since they mean the same."""
-        start = min(int(self.work.number("stage")), len(self.history) - 1)
-        return Course([step.loss for step in self.history[start:]], start)
+        start = min(int(self.state.number("stage")), len(self.history) - 1)
+        return LossTrajectory([step.loss for step in self.history[start:]], start)
 
     def _plan_of_best(self) -> Plan | None:
         """The plan of a run whose last light is of no use; None without any other."""
-        self.work.best.unseen = None
-        return self.plan() if "best" in self.work.memory else None
+        self.state.best.unseen = None
+        return self.plan() if "best" in self.state.memory else None
 
     def _cancelled(self, why: str) -> Cancelled:
         plan = self.plan() if self.history else None
@@ -158,10 +193,12 @@ class _Run:
         )
 
     def plan(self) -> Plan:
-        work, before = self.work, self.resumed
+        state, before = self.state, self.resumed
         if before is not None and len(self.history) == len(before.history):
             return before
-        light, window, iteration = work.best.choose(work)
+        light, window, iteration = state.best.choose(state)
+        certify = getattr(self.method, "certify", None)
+        bound = None if certify is None else certify(state)
         seconds = (before.seconds if before else 0.0) + time.perf_counter() - self.started
         return Plan(
             light,
@@ -169,13 +206,32 @@ class _Run:
             self.method,
             tuple(self.history),
             window,
-            work.pairs,
+            state.evaluations,
             self.method.papers,
             seconds,
-            self.name,
-            dict(work.memory),
+            _name(self.target),
+            dict(state.memory),
             iteration,
+            bound,
+            self.target,
+            self.tolerances,
+            self._corners(light),
         )
+
+    def _corners(self, light: DeviceArray) -> CornerDoses | None:
+        """What the light gives at every corner; warns where it does not print at all of them."""
+        if self.tolerances is None:
+            return None
+        scenarios = self.state.operator
+        told = doses_of(scenarios, self.tolerances, light, scenarios.taken(self.state.target, 0))
+        if told.window <= 0.0:
+            warnings.warn(
+                f"the light does not print at every corner of its tolerances: {told.statement()}; take smaller ones, "
+                "or more iterations where the bound leaves room",
+                ToleranceWarning,
+                stacklevel=5,
+            )
+        return told
 
 
 def chosen(method: str | Method | Loss) -> Method:
@@ -188,16 +244,18 @@ def chosen(method: str | Method | Loss) -> Method:
         return METHODS[method]()
     if isinstance(method, type) or not hasattr(method, "steps"):
         raise BadInput(
-            f"got {method!r} as method; wanted a name ({', '.join(METHODS)}), a loss, or an instance such as OSMO()"
+            f"got {method!r} as method; expected a name ({', '.join(METHODS)}), a loss, or an instance such as OSMO()"
         )
     return method
 
 
-def _limit(method: Method, iterations: int | None, pairs: float | None) -> int:
+def _limit(method: Method, iterations: int | None, evaluations: float | None) -> int:
     """Iterations at most."""
     if iterations is not None:
         return _count(iterations)
-    return method.iterations if pairs is None else ceil(positive("pairs", pairs))  # none takes less than one pair
+    if evaluations is None:
+        return method.iterations
+    return ceil(positive("evaluations", evaluations))  # an iteration takes at least one
 
 
 def _count(iterations: int) -> int:
@@ -210,13 +268,15 @@ def _name(target: Any) -> str:
     return str(getattr(target, "name", "target"))
 
 
-def _memory(operator: Projector, method: Method, resume: Plan | None) -> dict[str, Any]:
+def _memory(
+    operator: Projector, method: Method, resume: Plan | None, tolerances: Tolerances | None
+) -> dict[str, Any]:  # fmt: skip
     """A copy of what a plan remembers, so that the plan stays what it is."""
     if resume is None:
         return {}
     if resume.operator.device is not operator.device or resume.sinogram.shape != operator.range.shape:
         raise BadInput(
-            f"the plan to resume has light {resume.sinogram.shape} on {resume.operator.device}; wanted "
+            f"the plan to resume has light {resume.sinogram.shape} on {resume.operator.device}; expected "
             f"{operator.range.shape} on {operator.device}: resume with the operator that made it"
         )
     motion, poses = (getattr(one, "motion", None) for one in (resume.operator, operator))
@@ -224,29 +284,37 @@ def _memory(operator: Projector, method: Method, resume: Plan | None) -> dict[st
         raise BadInput(f"the plan to resume is for {motion!r}, the operator has {poses!r}; resume at the same angles")
     if resume.method != method:
         raise BadInput(f"the plan to resume is by {resume.method!r}, not by {method!r}; resume with the same method")
-    return _copied(operator, resume.state)
+    if resume.tolerances != tolerances:
+        raise BadInput(f"the plan to resume has {resume.tolerances!r}, not {tolerances!r}; resume with the same ones, "
+                       "or give its light as start")  # fmt: skip
+    return copied(resume.state)
 
 
-def _copied(operator: Projector, value: Any) -> Any:
-    if isinstance(value, DeviceArray):
-        return combine(1.0, value, 0.0, value, operator.device.empty(value.shape))
-    if isinstance(value, dict):
-        return {name: _copied(operator, part) for name, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return type(value)(_copied(operator, part) for part in value)
-    return value
+def watched() -> bool:
+    """Whether somebody looks: a person at a terminal, or at a notebook.
+
+    Returns:
+        False where output goes to a file or a pipe.
+    """
+    shell = sys.modules.get("IPython")
+    if shell is not None and type(shell.get_ipython()).__name__ == "ZMQInteractiveShell":
+        return find_spec("ipywidgets") is not None  # what draws bars there
+    return bool(getattr(sys.stdout, "isatty", bool)())
 
 
 @contextmanager
 def _reporting(progress: bool | Progress | None, limit: int) -> Iterator[Progress]:
-    """Where steps are reported: nowhere, to a function, or to a bar on the terminal."""
+    """Where steps are reported: nowhere, to a function, or to a bar on the terminal or in a notebook."""
     if callable(progress):
         yield progress
-    elif progress:
+    elif progress or (progress is None and watched()):
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
 
-        with Bars() as bars:
+        left = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
+        with Bars(TextColumn("{task.description}"), *left, transient=progress is None) as bars:
             task = bars.add_task("optimizing", total=limit)
+            bars.refresh()  # a run may end before the bar's own clock ticks
             yield lambda step: bars.update(
                 task, completed=step.iteration, description=f"loss {step.loss:.3g}, window {step.window:+.3f}"
             )

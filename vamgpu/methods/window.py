@@ -8,29 +8,38 @@ from typing import ClassVar
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import MOST, Band
 from vamgpu.losses.loss import Loss
-from vamgpu.methods.exposure import Exposure
-from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.exposure import DoseObjective
+from vamgpu.methods.fbp import filtered_light
+from vamgpu.methods.method import Criterion, Method, Steps
 from vamgpu.methods.minimize import Channel, Pace, minimize
 from vamgpu.methods.papers import AUTOMATIC_EXPOSURE, NESTEROV, RAMP, RESTART, THRESHOLDS, TWO_METRIC
 from vamgpu.methods.ramp import capped_ramp
 from vamgpu.methods.recipe import Recipe
-from vamgpu.methods.work import Work
+from vamgpu.methods.state import OptimizerState
 
 SPAN = 0.25
 """Share of the columns that the preconditioner reaches over."""
 
 
 @dataclass(frozen=True)
-class ProcessWindow:
-    """Recipe passes, then accelerated two-threshold steps preconditioned by a ramp; one projector pair an iteration.
+class ProcessWindow(Method):
+    """Recipe passes, then accelerated two-threshold steps preconditioned by a ramp.
 
-    The ramp undoes the blur of projecting and back projecting, so that a step reaches coarse and fine detail alike.
-    Light that is dark and should stay so is left out before the ramp spreads it: without that the fixed point is no
-    minimum.
+    The ramp undoes the blur of projecting and back projecting, so that a step reaches coarse and fine detail alike. An
+    iteration is one projector evaluation. Light that is dark and should stay so is left out before the ramp spreads it:
+    without that the fixed point is no minimum.
 
-    outside, inside, most: thresholds in units of the part's dose.  passes: of the recipe, over ``background``.
-    cap: frequency [cycles per column] beyond which the ramp is level.  step: 1 is exact for a full inversion.
-    Raises `BadInput`.
+    Args:
+        outside: Greatest dose outside the part, in units of the part's dose.
+        inside: Least dose in the part, in units of the part's dose.
+        most: Greatest dose in the part, in units of the part's dose.
+        background: Dose around the part that the recipe aims at, over that of the part.
+        passes: Passes of the recipe that come before the accelerated steps.
+        cap: Frequency [cycles per column] beyond which the ramp is level.
+        step: Length of a step, a factor; 1 is exact for a full inversion.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
     outside: float = 0.78
@@ -44,32 +53,25 @@ class ProcessWindow:
     iterations: ClassVar[int] = 40
     cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "window"
+    takes_start: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         Band.thresholds(self.outside, self.inside, self.most)
         Recipe(self.background)
         if self.passes < 1 or not 0.0 < self.cap <= 0.5 or not 0.0 < self.step < MOST:
-            raise BadInput(f"{self!r}: wanted passes ≥ 1, 0 < cap ≤ 0.5 and step > 0")
+            raise BadInput(f"{self!r}: expected passes ≥ 1, 0 < cap ≤ 0.5 and step > 0")
 
     @property
     def loss(self) -> Loss:
         """That of the accelerated steps."""
         return Band.thresholds(self.outside, self.inside, self.most)
 
-    def steps(self, work: Work) -> Steps:
-        yield from self._warm(work)
-        work.memory.setdefault("stage", work.iteration)  # from here on the loss is another one
-        pace = Pace(self.step / work.number("gain", 1.0), soon=1.0)
-        channel = Channel(work, capped_ramp(work.operator, self.cap, SPAN))
-        yield from minimize(Exposure(work, self.loss, pace), (channel,), pace)
-
-    def _warm(self, work: Work) -> Steps:
-        recipe = Recipe(self.background).steps(work)
-        while work.number("warm") < self.passes:
-            record = next(recipe)
-            work.memory["warm"] = work.number("warm") + 1.0
-            if work.number("warm") == self.passes:
-                work.memory.pop("model")
-                work.scale(0.5 * (self.inside + self.most), work.held("light"), work.held("light"))
-            yield record
-        recipe.close()
+    def steps(self, state: OptimizerState) -> Steps:
+        yield from Recipe(self.background).first(state, self.passes, 0.5 * (self.inside + self.most))
+        if "gain" not in state.memory:
+            light = state.buffer("light")
+            state.memory["gain"] = filtered_light(state, state.volume())
+            state.memory["light"] = light
+        pace = Pace(self.step / state.number("gain"), soon=1.0)
+        channel = Channel(state, capped_ramp(state.operator, self.cap, SPAN))
+        yield from minimize(DoseObjective(state, self.loss, pace), (channel,), pace)

@@ -3,49 +3,65 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.deprecated import Renamed, renamed_arguments
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.operators.compose import combine
 from vamgpu.operators.linear import LinearOperator
 
 
+@renamed_arguments(painter="projector")
 @dataclass(frozen=True, eq=False)
 class Colors:
     """One volume, seen by light that cures (visible) and by light that undoes it (UV).
 
-    visible, uv: operators of the two colors on one grid, one set of poses and one device, each with the absorption of
-    its color: light of the color → dose is ``.T``, their exact transposes.  painter: what turns a pattern of dose into
-    light in the rules of passes, e.g. one without absorption; None for each color's own operator.  strength: visible
-    dose that one unit of UV dose undoes.  whole: every voxel of the grid counts, as in a square slice whose diagonal
-    is the diameter; otherwise only the inscribed cylinder does, where a method knows it.
-    Raises `BadInput`, `ShapeMismatch`.
+    Args:
+        visible, uv: Operators of the two colors on one grid, one set of angles and one device, each with the absorption
+            of its color: light of the color → dose is ``.T``, their exact transposes.
+        projector: What turns a pattern of dose into light in the rules of passes, e.g. one without absorption; None for
+            each color's own operator.
+        strength: Visible dose that one unit of UV dose undoes.
+        whole: Every voxel of the grid counts, as in a square slice whose diagonal is the diameter; otherwise only the
+            inscribed cylinder does, where a method knows it.
+
+    Raises:
+        BadInput: A value is out of its range.
+        ShapeMismatch: Shapes do not fit.
     """
 
     visible: LinearOperator
     uv: LinearOperator
-    painter: LinearOperator | None = None
+    projector: LinearOperator | None = None
     strength: float = 1.0
     whole: bool = False
+    painter: ClassVar[Renamed] = Renamed("projector")
 
     def __post_init__(self) -> None:
-        for name, other in (("uv", self.uv), ("painter", self.painter or self.visible)):
+        for name, other in (("uv", self.uv), ("projector", self.projector or self.visible)):
             if (other.domain.shape, other.range.shape) != (self.visible.domain.shape, self.visible.range.shape):
                 raise ShapeMismatch(
                     f"{name} maps {other.domain.shape} to {other.range.shape}, visible {self.visible.domain.shape} to "
-                    f"{self.visible.range.shape}; wanted the same: build both on one grid, beam and motion"
+                    f"{self.visible.range.shape}; expected the same: build both on one grid, beam and motion"
                 )
             motion, poses = (getattr(one, "motion", None) for one in (other, self.visible))
             if motion != poses:
-                raise BadInput(f"{name} has {motion!r}, visible {poses!r}; wanted the same poses for both colors")
+                raise BadInput(f"{name} has {motion!r}, visible {poses!r}; expected the same angles for both colors")
             if other.device is not self.visible.device:
-                raise BadInput(f"{name} is on {other.device}, visible on {self.visible.device}; wanted one device")
+                raise BadInput(f"{name} is on {other.device}, visible on {self.visible.device}; expected one device")
         if not 0.0 < self.strength < float("inf"):
-            raise BadInput(f"strength is {self.strength!r}; wanted a finite number > 0")
+            raise BadInput(f"strength is {self.strength!r}; expected a finite number > 0")
 
     def dose(self, visible: DeviceArray, uv: DeviceArray | None) -> DeviceArray:
-        """Visible dose − strength · UV dose [x, y, z], on the device."""
+        """Visible dose − strength · UV dose [x, y, z], on the device.
+
+        Args:
+            visible, uv: Sinograms [angle, r, z] on the device; None for no UV light.
+
+        Returns:
+            Visible dose − strength · UV dose [x, y, z], on the device.
+        """
         dose = self.visible.T(visible)
         if uv is not None:
             combine(1.0, dose, -self.strength, self.uv.T(uv), dose)
@@ -54,15 +70,19 @@ class Colors:
 
 @dataclass(frozen=True)
 class Pass:
-    """One record of a run: undersupply and oversupply are root mean squares over all voxels, in units of the design.
+    """One record of a run.
 
-    number: counted from 1.  pairs: projector pairs so far, both colors.
+    Args:
+        number: Counted from 1.
+        evaluations: Projector evaluations so far, both colors.
+        undersupply, oversupply: Root mean squares over all voxels, a dose in units of the design.
     """
 
     number: int
-    pairs: float
+    evaluations: float
     undersupply: float
     oversupply: float
+    pairs: ClassVar[Renamed] = Renamed("evaluations")
 
     @property
     def error(self) -> float:
@@ -74,9 +94,13 @@ class Pass:
 class DualPlan:
     """Light of two colors for one design.
 
-    visible, uv: sinograms [angle, r, z] ≥ 0 on the device, scaled so that the buildup is in units of the design; uv is
-    None for methods of one color.  colors, method: what made it.  history: one `Pass` a pass.  seconds: of the run.
-    papers: what the method relies on.
+    Args:
+        visible, uv: Sinograms [angle, r, z] ≥ 0 on the device, scaled so that the buildup is in units of the design; uv
+            is None for methods of one color.
+        colors, method: What made it.
+        history: One `Pass` a pass.
+        seconds: How long the run took [s].
+        papers: What the method relies on.
     """
 
     visible: DeviceArray

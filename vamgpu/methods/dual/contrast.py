@@ -15,9 +15,12 @@ from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
 class Contrast:
     """Doses in the part (design ≥ ½) and out of it, all over the greatest dose in the part, D_in,max.
 
-    in_least, in_mean, in_spread: least, mean and standard deviation in the part.  out_least, out_mean, out_most: out
-    of it.  undersupply, oversupply: root mean square of what lacks and of what exceeds the design, all voxels.
-    half, three_quarters: intersection over union of design and print where the print is what has at least 0.5 or 0.75.
+    Args:
+        in_least, in_mean, in_spread: Least and mean dose and its standard deviation in the part.
+        out_least, out_mean, out_most: Least, mean and greatest dose out of it.
+        undersupply, oversupply: Root mean square of what lacks and of what exceeds the design, all voxels.
+        half, three_quarters: Ratio of the intersection to the union of design and print, where the print is what has at
+            least 0.5 or 0.75.
     """
 
     in_least: float
@@ -43,14 +46,23 @@ class Contrast:
 
     @classmethod
     def of(cls, dose: Any, design: Any, counted: npt.ArrayLike | None = None) -> Contrast:
-        """Of a dose [x, y, z] and a design of gray values 0..1 (arrays, NumPy or on a device).
+        """Compare a dose with a design.
 
-        counted: boolean, broadcast to the dose; None for every voxel.  Raises `ShapeMismatch`, `EmptyMesh` (nothing in
-        the part, or nothing out of it), `BadInput` (no dose in the part).
+        Args:
+            dose, design: Dose and gray values 0..1, both [x, y, z], NumPy or on a device.
+            counted: Boolean [x, y, z] or broadcast to it; None for every voxel.
+
+        Returns:
+            The contrast.
+
+        Raises:
+            ShapeMismatch: The shapes differ.
+            EmptyMesh: Nothing is in the part, or nothing out of it.
+            BadInput: There is no dose in the part.
         """
         got, wanted = (np.asarray(v.numpy() if hasattr(v, "numpy") else v, np.float64) for v in (dose, design))
         if got.shape != wanted.shape:
-            raise ShapeMismatch(f"the dose has shape {got.shape}, the design {wanted.shape}; wanted the same")
+            raise ShapeMismatch(f"the dose has shape {got.shape}, the design {wanted.shape}; expected the same")
         chosen = np.ones(got.shape, bool) if counted is None else np.broadcast_to(np.asarray(counted, bool), got.shape)
         got, wanted = got[chosen], wanted[chosen]
         inside = wanted >= 0.5
@@ -58,7 +70,7 @@ class Contrast:
             raise EmptyMesh("no voxel is in the part, or none is out of it; contrast needs both")
         most = got[inside].max()
         if not most > 0:
-            raise BadInput(f"the greatest dose in the part is {most:g}; wanted one above 0")
+            raise BadInput(f"the greatest dose in the part is {most:g}; expected one above 0")
         got = got / most
         gap = got - wanted / wanted.max()
         part, rest = got[inside], got[~inside]

@@ -24,9 +24,15 @@ _CHUNK = 4096
 class Slice:
     """A square slice of points whose diagonal is the diameter of the curing volume, and the light around it.
 
-    pixels: points along x and y.  angles: equal poses of a full turn.  width: of a bin along r, in pixels of the
-    slice.  extinction, subtraction: Beer–Lambert extinction of positive and of negative light, times the radius (μR,
-    dimensionless; None for ``subtraction`` takes the same).  Lengths are in pixels.  Raises `BadInput`.
+    Args:
+        pixels: Points along x and y.
+        angles: How many, even over a full turn.
+        width: Of a bin along r, in pixels of the slice.
+        extinction, subtraction: Beer–Lambert extinction of positive and of negative light, times the radius (μR,
+            dimensionless; None for ``subtraction`` takes the same). Lengths are in pixels.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
     pixels: int
@@ -63,13 +69,27 @@ class Slice:
         return 2.0 * pi / self.angles
 
     def points(self, factor: int = 1) -> tuple[Floats, Floats]:
-        """x and y [pixels] of the points, raster order; with a factor, of the middles of factor² parts of each."""
+        """List the points in raster order.
+
+        Args:
+            factor: Points along each side of a pixel.
+
+        Returns:
+            Coordinates x and y [pixels], each (points,).
+        """
         place = centers(self.pixels * factor, 1.0 / factor)
         x, y = np.meshgrid(place, place, indexing="ij")
         return x.ravel(), y.ravel()
 
     def rays(self, x: Floats, y: Floats) -> tuple[npt.NDArray[np.intp], Floats]:
-        """Bin of each point at each angle, and the path l [pixels] of the light to it; shapes (points, angles)."""
+        """Find the bin of each point at each angle, and the path of the light to it.
+
+        Args:
+            x, y: Coordinates [pixels], (points,).
+
+        Returns:
+            Bins and paths [pixels], both (points, angles).
+        """
         theta = self.step * np.arange(self.angles)
         cosine, sine = np.cos(theta), np.sin(theta)
         across = y[:, None] * cosine - x[:, None] * sine
@@ -83,8 +103,11 @@ class Slice:
 class ExactPlan:
     """Light of the exact reconstruction and what became of the points.
 
-    slice: its geometry.  light: I′ [angle, bin], dose per rad at the wall of the curing volume, negative where dose is
-    subtracted; units of the design.  blocked: boolean [x, y], points left without a free angle.
+    Args:
+        slice: Its geometry.
+        light: I′ [angle, bin], dose per rad at the wall of the curing volume, negative where dose is subtracted; units
+            of the design.
+        blocked: Boolean [x, y], points left without a free angle.
     """
 
     slice: Slice
@@ -102,7 +125,14 @@ class ExactPlan:
         return np.maximum(-self.light, 0.0)
 
     def buildup(self, factor: int = 1) -> Floats:
-        """Absolute dose [x, y] at the points, or at factor² places in each pixel; never rescaled."""
+        """Compute the absolute dose at the points, never rescaled.
+
+        Args:
+            factor: Places along each side of a pixel.
+
+        Returns:
+            Dose [x, y].
+        """
         at, angle = self.slice, np.arange(self.slice.angles)
         x, y = at.points(factor)
         dose = np.empty(x.size, self.light.dtype)
@@ -113,7 +143,15 @@ class ExactPlan:
         return dose.reshape(at.pixels * factor, -1)
 
     def error(self, design: npt.ArrayLike, factor: int = 1) -> float:
-        """Root mean square of buildup − design; with a factor, between the points too (design constant in a pixel)."""
+        """Compare the buildup with the design, with a factor between the points too.
+
+        Args:
+            design: Gray values [x, y].
+            factor: Places along each side of a pixel.
+
+        Returns:
+            Root mean square of the difference, a dose in units of the design.
+        """
         wanted = np.kron(np.asarray(design, np.float64), np.ones((factor, factor)))
         return float(np.sqrt(np.mean((self.buildup(factor).astype(np.float64) - wanted) ** 2)))
 
@@ -128,20 +166,30 @@ def reconstruct(
     dtype: npt.DTypeLike = np.float64,
     progress: Callable[[float], None] | None = None,
 ) -> ExactPlan:
-    """Light, positive and negative, whose buildup is the design at every point that keeps a free angle.
+    """Find light, positive and negative, whose buildup is the design at every point that keeps a free angle.
 
-    design: grey values [x, y], square.  Points go in raster order; each gets what it lacks, or loses what it has too
-    much, spread evenly over all angles at which no earlier point shares its bin: I′ = I·e^{μl}, μ by the sign of I.
-    Bins an earlier point passes stay as they are, lit or not, so its dose never changes again. A point without a free
-    angle keeps its error. Exact up to rounding where none is left without: only narrow bins do that.
-    angles, width, extinction, subtraction: as for `Slice`.  dtype: float64 or float32, of the light and all sums.
-    progress: called with the share done.  Raises `BadInput`.
+    Points go in raster order; each gets what it lacks, or loses what it has too much, spread evenly over all angles at
+    which no earlier point shares its bin: I′ = I·e^{μl}, μ by the sign of I. Bins that an earlier point passes stay as
+    they are, lit or not, so its dose never changes again. A point without a free angle keeps its error. Exact up to
+    rounding where none is left without: only narrow bins do that.
+
+    Args:
+        design: Gray values [x, y], square.
+        angles, width, extinction, subtraction: As for `Slice`; the width in pixels, the others dimensionless.
+        dtype: float64 or float32, of the light and all sums.
+        progress: Notified of the share done.
+
+    Returns:
+        The light and what became of the points.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
     wanted = np.asarray(design, dtype)
     if wanted.ndim != 2 or wanted.shape[0] != wanted.shape[1] or not np.isfinite(wanted).all():
-        raise BadInput(f"the design has shape {wanted.shape}; wanted a square of finite grey values [x, y]")
+        raise BadInput(f"the design has shape {wanted.shape}; expected a square of finite grey values [x, y]")
     if wanted.dtype not in (np.float32, np.float64):
-        raise BadInput(f"dtype is {wanted.dtype}; wanted float64 or float32")
+        raise BadInput(f"dtype is {wanted.dtype}; expected float64 or float32")
     at = Slice(wanted.shape[0], angles, width, extinction, subtraction)
     light, taken = np.zeros((at.angles, at.bins), wanted.dtype), np.zeros((at.angles, at.bins), bool)
     blocked, (x, y), angle = np.zeros(wanted.size, bool), at.points(), np.arange(at.angles)
@@ -173,11 +221,20 @@ def _spread(at: Slice, light: Floats, angle: npt.NDArray[np.intp], bins: npt.NDA
 
 
 def sufficient(pixels: int, spacing: float = 1.0) -> tuple[int, float]:
-    """Angles, and the width of a bin [pixels], with which every point surely keeps a free angle; far fewer can do.
+    """Tell how many angles, and what width of a bin, surely leave every point a free angle; far fewer can do.
 
     More than 2N angles, N = pixels² points, since two trajectories cross twice; and bins narrower than spacing·sin Δθ,
-    so that neighbors ``spacing`` [pixels] apart part within one angle. Source: "Angular Resolution".
-    Raises `BadInput`.
+    so that neighbors part within one angle. Source: "Angular Resolution".
+
+    Args:
+        pixels: Points along x and y.
+        spacing: Distance of neighbors [pixels].
+
+    Returns:
+        Angles, and the width of a bin [pixels].
+
+    Raises:
+        BadInput: A value is out of its range.
     """
     (across,) = counts("pixels", (pixels,), 1)
     angles = 2 * across**2 + 1

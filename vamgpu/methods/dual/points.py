@@ -14,9 +14,10 @@ import numpy.typing as npt
 
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable, positive
-from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
 
 
@@ -26,32 +27,36 @@ class PointProjection(LinearOperator):
 
     ``A(slice)`` [angle, bin, 1] sums the points in each bin, ``A.T(light)`` [x, y, 1] is what reaches each point; both
     weigh a point by exp(−absorption·l), l the path [mm] from the wall of a volume whose diameter is the diagonal, and
-    by the pose's time over the mean.
-    Bins narrower than a pixel may stay empty between points, as in the paper.
+    by the angle's time over the mean. Bins narrower than a pixel may stay empty between points, as in the paper.
 
-    grid: a slice, one voxel along z.  motion: the angles.  width: of a bin, in pixels of the slice.  absorption: of the
-    light [1/mm].  Raises `BadInput`.
+    Args:
+        grid: A slice, one voxel along z.
+        motion: The angles.
+        width: Of a bin, in pixels of the slice.
+        absorption: Of the light [1/mm].
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
+    grid: Grid
+    motion: Turntable
+    beam: Beam
     domain: VolumeSpace
     range: SinogramSpace
     vessel = None
 
     def __init__(self, grid: Grid, motion: Turntable, width: float = 1.0, absorption: float = 0.0) -> None:
         if grid.shape[2] != 1:
-            raise BadInput(f"{grid!r} has {grid.shape[2]} slices; wanted one: use Projection for volumes")
-        self.width = positive("width [pixels]", width) * grid.pitch
-        self.absorption = positive("absorption [1/mm]", absorption, zero=True)
-        self.radius = 0.5 * hypot(*grid.shape[:2]) * grid.pitch
+            raise BadInput(f"{grid!r} has {grid.shape[2]} slices; expected one: use Projection for volumes")
+        self.width: float = positive("width [pixels]", width) * grid.pitch
+        self.absorption: float = positive("absorption [1/mm]", absorption, zero=True)
+        self.radius: float = 0.5 * hypot(*grid.shape[:2]) * grid.pitch
         bins = ceil(2.0 * self.radius / self.width * (1.0 - 1e-12))
         self.grid, self.motion, self.beam = grid, motion, Beam((bins, 1), self.width)
-        self.domain, self.range = VolumeSpace(grid), SinogramSpace(self.beam, motion)
-        self.device = open_device("numpy")
-        self._transpose = Transposed(self)
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
+        self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.range = SinogramSpace(self.beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.device: Device = open_device("numpy")
 
     def _rays(self) -> Iterator[tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]]:
         """Bins and weights of all points, an angle at a time."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from typing import Any, ClassVar, Protocol
+from collections.abc import Callable
+from typing import Any
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, EmptyMesh
 from vamgpu.methods.dual.colors import Colors, DualPlan, Pass
 from vamgpu.methods.dual.least import LeastSquares
-from vamgpu.methods.dual.passes import Bench, DualColor, SingleColor, Tolerant
-from vamgpu.methods.part import on_device
+from vamgpu.methods.dual.passes import DualColor, DualState, Rule, SingleColor, Tolerant
+from vamgpu.methods.part import on_device, one_limit
 from vamgpu.operators.reductions import extent
 
 METHODS: dict[str, Callable[[], Any]] = {
@@ -24,16 +24,6 @@ METHODS: dict[str, Callable[[], Any]] = {
 """Names a rule can be chosen by, with default parameters."""
 
 
-class Rule(Protocol):
-    """A way to find light of two colors."""
-
-    papers: ClassVar[tuple[str, ...]]
-
-    def steps(self, bench: Bench) -> Iterator[Pass]:
-        """Improve ``bench.light`` and ``bench.uv``; both are in units of the design whenever it yields."""
-        ...
-
-
 def superpose(
     colors: Colors,
     design: Any,
@@ -44,32 +34,45 @@ def superpose(
 ) -> DualPlan:
     """Find visible and UV light [angle, r, z] ≥ 0 whose difference of doses is the design, on the colors' device.
 
-    design: a `Target`, or gray values 0..1 [x, y, z] (NumPy or on the device).  method: a name of `METHODS` or an
-    instance.  progress: gets every `Pass`.  cancel: asked after each pass; the plan reached so far is returned then.
     Doses add linearly and UV dose undoes visible dose, ``colors.strength`` to one: no chemistry is asked here.
-    Raises `BadInput`, `ShapeMismatch`, `EmptyMesh`, `DeviceError`.
+
+    Args:
+        colors: Operators of both colors.
+        design: A `Target`, or gray values 0..1 [x, y, z] (NumPy or on the device).
+        method: A name of `METHODS` or an instance.
+        progress: Gets every `Pass`.
+        cancel: Asked after each pass; the plan reached so far is returned then.
+
+    Returns:
+        The plan.
+
+    Raises:
+        BadInput: A value is out of its range.
+        ShapeMismatch: Shapes do not fit.
+        EmptyMesh: Nothing is in the part, or nothing out of it.
+        DeviceError: Arrays are on different devices.
     """
     rule = _rule(method)
     started = time.perf_counter()
-    bench, history = Bench(colors, _checked(colors, design)), []
-    for record in rule.steps(bench):
+    state, history = DualState(colors, _checked(colors, design)), []
+    for record in rule.steps(state):
         history.append(record)
         if progress is not None:
             progress(record)
         if cancel is not None and cancel():
             break
     seconds = time.perf_counter() - started
-    return DualPlan(bench.light, bench.uv, colors, rule, tuple(history), seconds, rule.papers)
+    return DualPlan(state.light, state.uv, colors, rule, tuple(history), seconds, rule.papers)
 
 
 def _checked(colors: Colors, design: Any) -> DeviceArray:
     projector: Any = colors.visible
-    values = on_device(projector, design)
+    values = on_device(projector, one_limit(design))
     low, high = extent(values)
     if not (low >= 0.0 and high <= 1.0):
-        raise BadInput(f"the design reaches from {low:g} to {high:g}; wanted gray values in 0..1: scale it")
+        raise BadInput(f"the design reaches from {low:g} to {high:g}; expected gray values in 0..1: scale it")
     if high == 0.0:
-        raise EmptyMesh("every voxel of the design is 0; wanted some that are filled")
+        raise EmptyMesh("every voxel of the design is 0; expected some that are filled")
     return values
 
 
@@ -79,5 +82,5 @@ def _rule(method: str | Rule) -> Rule:
             raise BadInput(f"no rule {method!r}; there are {', '.join(METHODS)}, or give an instance")
         return METHODS[method]()
     if isinstance(method, type) or not hasattr(method, "steps"):
-        raise BadInput(f"got {method!r} as rule; wanted a name ({', '.join(METHODS)}) or e.g. Tolerant()")
+        raise BadInput(f"got {method!r} as rule; expected a name ({', '.join(METHODS)}) or e.g. Tolerant()")
     return method

@@ -14,8 +14,11 @@ from vamgpu.errors import EmptyMesh
 class EffectiveContrast:
     """Effective doses, 1 at the end of the induction, in the part (fraction ≥ ½) and out of it.
 
-    in_least, in_most, out_most: extremes.  in_low, out_high: the fifth percentile in the part and the ninety-fifth out
-    of it.  uncured: share of the part below 1.  overcured: share of the rest at 1 or above.
+    Args:
+        in_least, in_most, out_most: Least and greatest dose in the part, and the greatest out of it.
+        in_low, out_high: Dose at the fifth percentile in the part, and at the ninety-fifth out of it.
+        uncured: Share of the part below 1.
+        overcured: Share of the rest at 1 or above.
     """
 
     in_least: float
@@ -38,9 +41,17 @@ class EffectiveContrast:
 
     @classmethod
     def of(cls, dose: Any, target: Any, counted: np.ndarray | None = None) -> EffectiveContrast:
-        """Of a dose and a target [x, y, z], NumPy or on a device; counted: boolean, None for all voxels.
+        """Compare a dose with a target.
 
-        Raises `EmptyMesh` where nothing is in the part, or nothing out of it.
+        Args:
+            dose, target: Effective dose and fractions [x, y, z], NumPy or on a device.
+            counted: Boolean [x, y, z]; None for all voxels.
+
+        Returns:
+            The contrast.
+
+        Raises:
+            EmptyMesh: Where nothing is in the part, or nothing out of it.
         """
         got, wanted = (np.asarray(value, np.float64) for value in (dose, target))
         chosen = np.ones(got.shape, bool) if counted is None else np.broadcast_to(counted, got.shape)

@@ -2,25 +2,58 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
 from vamgpu.kernels.inhibition import inhibition_adjoint, inhibition_step
-from vamgpu.kernels.update import paint
+from vamgpu.kernels.update import fill_background
 from vamgpu.methods.joint.poses import PoseRuns
 from vamgpu.methods.joint.resin import TwoColorResin
 from vamgpu.operators.compose import combine, same_device
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import EVERYWHERE
+from vamgpu.operators.space import require
 
 
 class Pair(NamedTuple):
-    """Something of each color."""
+    """Something of each color.
+
+    Args:
+        visible, ultraviolet: Sinograms [angle, r, z], or volumes [x, y, z].
+    """
 
     visible: DeviceArray
     ultraviolet: DeviceArray
+
+
+class SpeciesFields(NamedTuple):
+    """The state of every voxel between turns, in shares of [A]₀.
+
+    Args:
+        oxygen, lophyl, supply: [A], [B] and [C], volumes [x, y, z].
+        exposure: 1 + X, where X is what went to the monomer, [x, y, z].
+    """
+
+    oxygen: DeviceArray
+    lophyl: DeviceArray
+    supply: DeviceArray
+    exposure: DeviceArray
+
+    def effective_dose(self, resin: TwoColorResin) -> DeviceArray:
+        """Compute 1 + X − [A] − [B]/α.
+
+        Args:
+            resin: Of these species.
+
+        Returns:
+            Effective dose [x, y, z].
+        """
+        dose = combine(1.0, self.exposure, -1.0, self.oxygen, self.exposure.device.empty(self.exposure.shape))
+        return combine(1.0, dose, -1.0 / resin.alpha, self.lophyl, dose)
 
 
 class Model(Protocol):
@@ -31,18 +64,35 @@ class Model(Protocol):
     turns: int
 
     def expose(self, light: Pair) -> DeviceArray:
-        """Effective dose [x, y, z] after the last turn."""
+        """Compute the effective dose after the last turn.
+
+        Args:
+            light: Sinograms [angle, r, z] of both colors.
+
+        Returns:
+            Effective dose [x, y, z].
+        """
         ...
 
     def gradient(self, slope: DeviceArray) -> Pair:
-        """Derivatives by the light [angle, r, z] last exposed, from those by its effective dose."""
+        """Compute derivatives by the light last exposed from those by its effective dose.
+
+        Args:
+            slope: Derivatives by the effective dose [x, y, z].
+
+        Returns:
+            Derivatives by the light [angle, r, z] of both colors.
+
+        Raises:
+            BadInput: No light was exposed before.
+        """
         ...
 
 
 def _checked(visible: Projection, ultraviolet: Projection, turns: int) -> int:
     for operator in (visible, ultraviolet):
         if not isinstance(operator, Projection):
-            raise BadInput(f"got {operator!r} as operator of a color; wanted a Projection")
+            raise BadInput(f"got {operator!r} as operator of a color; expected a Projection")
     same_device(visible, ultraviolet)
     if visible.grid != ultraviolet.grid or visible.motion != ultraviolet.motion:
         raise BadInput(f"visible light has {visible.grid!r} and {visible.motion!r}, ultraviolet {ultraviolet.grid!r} "
@@ -50,11 +100,21 @@ def _checked(visible: Projection, ultraviolet: Projection, turns: int) -> int:
     return counts("turns", (turns,), 1)[0]
 
 
-class LinearModel:
-    """turns·(visible·A_visᵀ light − k·A_uvᵀ light), k the resin's `subtraction`: no order, no depletion, no decay."""
+class LinearModel(Model):
+    """turns·(visible·A_visᵀ light − k·A_uvᵀ light), k the resin's `subtraction`: no order, no depletion, no decay.
+
+    Args:
+        visible, ultraviolet: Operators of both colors.
+        resin: What the light does to the resin.
+        turns: How often the light of a turn is shown.
+    """
+
+    resin: TwoColorResin
+    turns: int
+    device: Device
 
     def __init__(self, visible: Projection, ultraviolet: Projection, resin: TwoColorResin, turns: int = 3) -> None:
-        self.operators = (visible, ultraviolet)
+        self.operators: tuple[Projection, Projection] = (visible, ultraviolet)
         self.resin, self.turns, self.device = resin, _checked(visible, ultraviolet, turns), visible.device
 
     def expose(self, light: Pair) -> DeviceArray:
@@ -68,39 +128,99 @@ class LinearModel:
         return Pair(*(combine(gain, values, 0.0, values, values) for gain, values in zip(gains, slopes, strict=True)))
 
 
-class KineticModel:
+class KineticModel(Model):
     """The state of every voxel through all turns, light arriving in the order of rotation.
 
     Effective dose = 1 + X − [A] − [B]/α in shares of the induction: the visible exposure so far, less what it takes to
     be rid of the inhibitors that ultraviolet made. Below 1 nothing polymerizes but what ε lets pass, beyond it X does.
 
-    visible, ultraviolet: operators of both colors on one grid, turntable and device; vessels that absorb attenuate
-    each color by itself.  turns: N_R.  period: of a turn [s], which pairing needs.  runs: of poses a turn whose light
-    arrives at once.  steps: of the kinetics within a run.
-
     Memory, in volumes: 4·runs for light and slopes, 3·turns for the states at the beginnings of turns, 3·runs·steps for
-    those of the turn that is recomputed, and about 10.  Raises `BadInput`, `DeviceError`.
+    those of the turn that is recomputed, and about 10.
+
+    Args:
+        visible, ultraviolet: Operators of both colors on one grid, turntable and device; vessels that absorb attenuate
+            each color by itself.
+        resin: What the light does to the resin.
+        turns: How often the light of a turn is shown.
+        period: Of a turn [s], which pairing needs.
+        runs: Runs of poses a turn; the light of a run arrives at once.
+        steps: Depletion substeps within a run.
+        start: The state before the first of these turns; None for fresh resin.
+
+    Raises:
+        BadInput: A value is out of its range.
+        DeviceError: Arrays are on different devices.
     """
+
+    resin: TwoColorResin
+    turns: int
+    device: Device
 
     def __init__(
         self, visible: Projection, ultraviolet: Projection, resin: TwoColorResin, turns: int = 3, *,
-        period: float = 0.0, runs: int = 12, steps: int = 1,
+        period: float = 0.0, runs: int = 12, steps: int = 1, start: SpeciesFields | None = None,
     ) -> None:  # fmt: skip
-        self.operators = (visible, ultraviolet)
+        self.operators: tuple[Projection, Projection] = (visible, ultraviolet)
         self.resin, self.turns, self.device = resin, _checked(visible, ultraviolet, turns), visible.device
-        self.period = positive("period [s]", period, zero=True)
+        self.period: float = positive("period [s]", period, zero=True)
         if resin.pairing and not self.period:
-            raise BadInput("the resin's B pairs up, so the period of a turn [s] counts; wanted period > 0")
+            raise BadInput("the resin's B pairs up, so the period of a turn [s] counts; expected period > 0")
         if resin.pairing and visible.motion.dwell is not None:
             raise BadInput(f"the resin's B pairs up while {visible.motion} angles are lit for unequal times; expected "
                            "equal times, as runs of poses last alike: leave dwell out of Turntable")  # fmt: skip
-        self.steps = counts("steps", (steps,), 1)[0]
-        self.runs = tuple(PoseRuns(A, runs) for A in self.operators)
-        self.shape = visible.domain.shape
+        self.steps: int = counts("steps", (steps,), 1)[0]
+        self.runs: tuple[PoseRuns, ...] = tuple(PoseRuns(A, runs) for A in self.operators)
+        self.shape: tuple[int, int, int] = visible.domain.shape
+        self.start: SpeciesFields | None = start
         self._doses: list[Pair] = []
         self._starts: list[tuple[DeviceArray, ...]] = []
 
+    def going_on(
+        self, turns: int, start: SpeciesFields | None = None, *, visible: float = 1.0, ultraviolet: float = 1.0,
+        operators: tuple[Projection, Projection] | None = None,
+    ) -> KineticModel:  # fmt: skip
+        """The same resin for other turns, with lamps that may have changed.
+
+        Args:
+            turns: How often the light of a turn is shown.
+            start: The state before; None for fresh resin.
+            visible, ultraviolet: Light of each lamp over that of this model, dimensionless.
+            operators: Of both colors, where these have changed; None for this model's.
+
+        Returns:
+            The model.
+
+        Raises:
+            BadInput: A value is out of its range.
+            ShapeMismatch: The state is of another grid.
+        """
+        for name, values in zip(SpeciesFields._fields, () if start is None else start, strict=False):
+            require(self.operators[0].domain, values, f"the {name}")
+        gains = positive("light of the visible lamp", visible), positive("light of the ultraviolet lamp", ultraviolet)
+        resin = self.resin
+        resin = replace(resin, visible=gains[0] * resin.visible, ultraviolet=gains[1] * resin.ultraviolet,
+                        cross=gains[1] * resin.cross)  # fmt: skip
+        return KineticModel(*(operators or self.operators), resin, turns, period=self.period, runs=len(self.runs[0]),
+                            steps=self.steps, start=start)  # fmt: skip
+
+    def state(self, light: Pair) -> SpeciesFields:
+        """Compute the state after the last turn.
+
+        Args:
+            light: Sinograms [angle, r, z] of both colors.
+
+        Returns:
+            The state of every voxel.
+        """
+        return SpeciesFields(*self._through(light))
+
     def expose(self, light: Pair) -> DeviceArray:
+        a, b, _, x = self._through(light)
+        combine(1.0, x, -1.0, a, x)
+        combine(1.0, x, -1.0 / self.resin.alpha, b, x)
+        return x
+
+    def _through(self, light: Pair) -> tuple[DeviceArray, ...]:
         self._light_up(light)
         state, spare = self._rest(), self._volumes(4)
         for turn in range(self.turns):
@@ -108,10 +228,7 @@ class KineticModel:
             for sub in range(len(self._doses) * self.steps):
                 self._step(sub, state, spare)
                 state, spare = spare, state
-        a, b, _, x = state
-        combine(1.0, x, -1.0, a, x)
-        combine(1.0, x, -1.0 / self.resin.alpha, b, x)
-        return x
+        return state
 
     def gradient(self, slope: DeviceArray) -> Pair:
         if not self._starts:
@@ -173,7 +290,9 @@ class KineticModel:
         self.device.launch(inhibition_adjoint, **self._given(sub), **states, **ends, **by_light)
 
     def _rest(self) -> tuple[DeviceArray, ...]:
-        """The state before any light; x begins at the 1 that the effective dose adds."""
+        """The state before the first turn; x of fresh resin begins at the 1 that the effective dose adds."""
+        if self.start is not None:
+            return tuple(combine(1.0, part, 0.0, part, self.device.empty(self.shape)) for part in self.start)
         return tuple(self._constant(value) for value in (1.0, 0.0, self.resin.supply, 1.0))
 
     def _keep(self, turn: int, state: tuple[DeviceArray, ...]) -> None:
@@ -187,7 +306,7 @@ class KineticModel:
 
     def _constant(self, value: float) -> DeviceArray:
         filled, finite = self.device.empty(self.shape), self._finite()
-        self.device.launch(paint, target=finite, low=value, high=value, reach=EVERYWHERE, model=filled)
+        self.device.launch(fill_background, target=finite, low=value, high=value, reach=EVERYWHERE, model=filled)
         return filled
 
     def _finite(self) -> DeviceArray:

@@ -6,52 +6,68 @@ from dataclasses import dataclass
 
 from vamgpu.chemistry.species import Rates
 from vamgpu.errors import BadInput
-from vamgpu.geometry import positive
 from vamgpu.operators.projection import Projection
+from vamgpu.schema import check
+from vamgpu.schema.quantities import NonNegative, Positive
 
 
 @dataclass(frozen=True)
 class TwoColorResin:
     """Oxygen A, lophyl radicals B and o-Cl-HABI C after eqs 5-7, concentrations as shares of [A]₀.
 
-    visible: share of the induction that a unit of visible dose takes (k_A/[A]₀).  ultraviolet: a unit of ultraviolet
-    dose splits 1 − exp(−ultraviolet) of C, of first order (k_C/[C]₀).  supply: [C]₀/[A]₀.  alpha: k_B/k_A, visible
-    light's taste for B.  pairing: k₂·[A]₀ [1/s], B's way back to C.  cross: share of the induction that a unit of
-    ultraviolet dose takes by starting chains itself.  floor: ε, the share of [A]₀ as which the monomer competes for
-    radicals; eqs 5-7 are its limit 0, and smooth because of it.  Doses are in the unit that the operators give.
+    Extinction stays as it is: neither color follows the depletion of C. Doses are in the unit that the operators give.
 
-    Extinction stays as it is: neither color follows the depletion of C.  Raises `BadInput`.
+    Args:
+        visible: Share of the induction that a unit of visible dose takes (k_A/[A]₀).
+        ultraviolet: Exponent: a unit of ultraviolet dose splits 1 − exp(−ultraviolet) of C, of first order (k_C/[C]₀).
+        supply: [C]₀/[A]₀.
+        alpha: Ratio k_B/k_A, visible light's preference for B.
+        pairing: k₂·[A]₀ [1/s], B's way back to C.
+        cross: Share of the induction that a unit of ultraviolet dose takes by starting chains itself.
+        floor: ε, the share of [A]₀ as which the monomer competes for radicals; eqs 5-7 are its limit 0, and smooth
+            because of it.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
-    visible: float
-    ultraviolet: float
-    supply: float
-    alpha: float
-    pairing: float = 0.0
-    cross: float = 0.0
-    floor: float = 0.02
+    visible: Positive
+    ultraviolet: Positive
+    supply: Positive
+    alpha: Positive
+    pairing: NonNegative = 0.0
+    cross: NonNegative = 0.0
+    floor: Positive = 0.02
 
     def __post_init__(self) -> None:
-        for name in ("visible", "ultraviolet", "supply", "alpha", "floor"):
-            object.__setattr__(self, name, positive(f"TwoColorResin {name}", getattr(self, name)))
-        for name in ("pairing", "cross"):
-            object.__setattr__(self, name, positive(f"TwoColorResin {name}", getattr(self, name), zero=True))
+        check(self)
         if self.floor > 0.5:
-            raise BadInput(f"floor is {self.floor:g}; wanted at most 0.5: A and B would hardly inhibit")
+            raise BadInput(f"floor is {self.floor:g}; expected at most 0.5: A and B would hardly inhibit")
 
     @classmethod
     def of(
         cls, rates: Rates, visible: Projection, ultraviolet: Projection, *, cross: float = 0.0, floor: float = 0.02
     ) -> TwoColorResin:  # fmt: skip
-        """From rate constants, for light in mJ/mm² of every pose, measured in air.
+        """Convert rate constants, for light in mJ/mm² of every pose, measured in air.
 
-        cross: radicals that ultraviolet light starts, over those of as much visible light, as in `Reaction`.
-        Raises `BadInput`, also for rates of order 0 in [C]: they would need an end of the supply within a step.
+        Args:
+            rates: Rate constants, of order 1 in [C].
+            visible, ultraviolet: Operators of both colors.
+            cross: Ratio of the radicals that ultraviolet light starts to those of as much visible light, as in
+                `Reaction`.
+            floor: ε, a share; see the class.
+
+        Returns:
+            The resin.
+
+        Raises:
+            BadInput: The rates are of order 0 in [C], which would need an end of the supply within a step, or C is
+                missing.
         """
         if not rates.supply:
-            raise BadInput("the resin has a supply of 0; wanted [C] > 0, or nothing answers the ultraviolet")
+            raise BadInput("the resin has a supply of 0; expected [C] > 0, or nothing answers the ultraviolet")
         if rates.order != 1:
-            raise BadInput("the rates are of order 0 in [C]; wanted order 1, which equals it while [C] is the supply")
+            raise BadInput("the rates are of order 0 in [C]; expected order 1, which equals it while [C] is the supply")
         a, seen = rates.oxygen, (_fluence(visible), _fluence(ultraviolet))
         return cls(rates.k_a * seen[0] / a, rates.k_c * seen[1] / rates.supply, rates.supply / a, rates.alpha,
                    rates.k_2 * a, cross * rates.k_a * seen[1] / a, floor)  # fmt: skip

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.chemistry.species import PAPER
+from vamgpu.deprecated import Renamed, renamed_arguments
 from vamgpu.errors import BadInput, Cancelled
 from vamgpu.losses.band import Band
 from vamgpu.methods.joint.contrast import EffectiveContrast
@@ -18,8 +19,8 @@ from vamgpu.methods.joint.descent import ColorDescent
 from vamgpu.methods.joint.models import LinearModel, Model, Pair
 from vamgpu.methods.joint.resin import TwoColorResin
 from vamgpu.methods.papers import NESTEROV, RAMP, RESTART, TWO_METRIC
-from vamgpu.methods.part import fractions_of
-from vamgpu.methods.plan import Step
+from vamgpu.methods.part import fractions_of, one_limit
+from vamgpu.methods.plan import Step, copied
 from vamgpu.methods.run import optimize
 from vamgpu.operators.compose import combine
 from vamgpu.operators.space import require
@@ -29,11 +30,16 @@ LINEAR = 4
 
 
 @dataclass(frozen=True)
-class Aims:
+class LossWeights:
     """Effective doses that are asked for, where 1 is the end of the induction, T_opt.
 
-    outside: at most, out of the part.  inside, most: in the part; inside is T_mec/T_opt or more.  share: of a step
-    that ultraviolet takes over, 0 … 1.  Raises `BadInput` unless 0 < outside < 1 < inside ≤ most.
+    Args:
+        outside: Greatest effective dose out of the part.
+        inside, most: Least and greatest effective dose in the part; inside is T_mec/T_opt or more.
+        share: Share of a step that ultraviolet takes over, 0 … 1.
+
+    Raises:
+        BadInput: Unless 0 < outside < 1 < inside ≤ most.
     """
 
     outside: float = 0.85
@@ -44,10 +50,17 @@ class Aims:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.outside < 1.0 < self.inside <= self.most < float("inf") or not 0.0 <= self.share <= 1.0:
-            raise BadInput(f"{self!r}: wanted 0 < outside < 1 < inside ≤ most and a share of 0 to 1")
+            raise BadInput(f"{self!r}: expected 0 < outside < 1 < inside ≤ most and a share of 0 to 1")
 
     def band(self, resin: TwoColorResin) -> Band:
-        """Out of the part less is never wrong, however far below 0 B takes it."""
+        """Make the loss of a voxel.
+
+        Args:
+            resin: Whose effective dose is judged.
+
+        Returns:
+            The loss. Out of the part less is never wrong, however far below 0 B takes it.
+        """
         depth = 0.5 * (self.outside - min(resin.lowest, 0.0)) + 1.0
         middle, half = 0.5 * (self.inside + self.most), 0.5 * (self.most - self.inside)
         return Band((self.outside - depth, middle), (depth, half), (0.5, 0.5), 2.0, binary=True)
@@ -57,27 +70,43 @@ class Aims:
 class ColorPlan:
     """Light of both colors for one turn, repeated ``model.turns`` times: that of least loss, not the last.
 
-    visible, ultraviolet: [angle, r, z] ≥ 0 on the device.  model, aims: what made it.  history: one `Step` an
-    iteration; a pair is one forward and one back projection of both colors.  seconds: of the run.  best_iteration: that
-    which looked at this light, counted from 1; 0 where none looked at any.
+    Args:
+        visible, ultraviolet: Light [angle, r, z] ≥ 0 on the device.
+        model, weights: What made it.
+        target: Fractions [x, y, z].
+        history: One `Step` an iteration; an evaluation is one forward and one back projection of both colors.
+        papers: What the method relies on.
+        seconds: How long the run took [s].
+        best_iteration: That which looked at this light, counted from 1; 0 where none looked at any.
+        state: What resuming needs, by color; a resumed run goes on from its last light, not from the best.
     """
 
     visible: DeviceArray
     ultraviolet: DeviceArray
     model: Model
-    aims: Aims
+    weights: LossWeights
     target: DeviceArray
     history: tuple[Step, ...]
     papers: tuple[str, ...]
     seconds: float
     best_iteration: int = 0
+    state: tuple[dict[str, Any], ...] = field(default=(), repr=False)
+    aims: ClassVar[Renamed] = Renamed("weights")
 
     @property
     def light(self) -> Pair:
+        """Light of both colors."""
         return Pair(self.visible, self.ultraviolet)
 
     def effective_dose(self, model: Model | None = None) -> DeviceArray:
-        """Effective dose [x, y, z] after the last turn; another model judges the same light."""
+        """Compute the effective dose after the last turn.
+
+        Args:
+            model: Another model that judges the same light; that of the plan by default.
+
+        Returns:
+            Effective dose [x, y, z].
+        """
         return (model or self.model).expose(self.light)
 
     def linear_dose(self) -> DeviceArray:
@@ -86,64 +115,119 @@ class ColorPlan:
         return LinearModel(*model.operators, model.resin, model.turns).expose(self.light)
 
     def contrast(self, model: Model | None = None) -> EffectiveContrast:
-        """Of the effective dose; another model judges the same light."""
+        """Tell the contrast of the effective dose.
+
+        Args:
+            model: Another model that judges the same light; that of the plan by default.
+
+        Returns:
+            The contrast.
+        """
         reach = self.model.operators[0].grid.cylinder()
         return EffectiveContrast.of(self.effective_dose(model), self.target, reach[:, :, None])
 
 
+@renamed_arguments(aims="weights")
 def optimize_colors(
-    model: Model, target: Any, aims: Aims = Aims(), iterations: int | None = None, *,
+    model: Model, target: Any, weights: LossWeights = LossWeights(), iterations: int | None = None, *,
     start: Pair | ColorPlan | None = None, warm: int = 10, progress: Callable[[Step], None] | None = None,
+    cancel: Callable[[], bool] | None = None, resume: ColorPlan | None = None,
 ) -> ColorPlan:  # fmt: skip
-    """Light of both colors, never negative, whose effective dose prints the target.
+    """Find light of both colors, never negative, whose effective dose prints the target.
 
-    model: `KineticModel`, or `LinearModel` to compare with.  target: a `Target`, or fractions [x, y, z].  start: light
-    to begin with, copied; by default what the linear model finds in 4·``warm`` iterations, from the visible light of
-    ``warm`` iterations for that color alone.
-    progress: gets every `Step`.  Raises `BadInput`, `ShapeMismatch`; `Cancelled` with the plan so far on Ctrl-C.
+    Args:
+        model: `KineticModel`, or `LinearModel` to compare with.
+        target: A `Target`, or fractions [x, y, z].
+        weights: Effective doses that are asked for.
+        iterations: In all, those of ``resume`` included.
+        start: Light to begin with, copied; by default what the linear model finds.
+        warm: Iterations for the visible light alone; four times as many follow for both colors by the linear model.
+        progress: Gets every `Step`.
+        cancel: Asked before each one.
+        resume: A plan of the same model and weights to go on from, bit by bit; it stays as it is.
+
+    Returns:
+        The plan with the light of least loss.
+
+    Raises:
+        BadInput: A value is out of its range.
+        ShapeMismatch: Shapes do not fit.
+        Cancelled: ``cancel`` says so, or Ctrl-C; carries the plan so far.
     """
-    begun, count = time.perf_counter(), _whole("iterations", Aims.iterations if iterations is None else iterations)
-    fractions = fractions_of(model.operators[0], target)
-    light = _warm(model, fractions, aims, _whole("warm", warm)) if start is None else _copied(model, start)
-    descent, history = ColorDescent(model, fractions, aims.band(model.resin), light, aims.share), []
+    begun = time.perf_counter()
+    count = _whole("iterations", LossWeights.iterations if iterations is None else iterations)
+    fractions = fractions_of(model.operators[0], one_limit(target))
+    if resume is not None:
+        memories, history = _resumed(model, weights, start, resume), list(resume.history)
+        begun -= resume.seconds
+    else:
+        light = _warm(model, fractions, weights, _whole("warm", warm)) if start is None else _copied(model, start)
+        memories, history = _memories(light), []
+    descent = ColorDescent(model, fractions, weights.band(model.resin), memories, weights.share)
+    descent.state.iteration = len(history)
 
     def plan() -> ColorPlan:
         papers = (PAPER, NESTEROV, RESTART, RAMP, TWO_METRIC)
         seconds = time.perf_counter() - begun
         found = descent.light
         return ColorPlan(
-            *found, model, aims, fractions, tuple(history), papers, seconds, descent.best_iteration)  # fmt: skip
+            *found, model, weights, fractions, tuple(history), papers, seconds, descent.best_iteration,
+            tuple(dict(memory) for memory in memories),
+        )  # fmt: skip
 
+    def cancelled(why: str) -> Cancelled:
+        return Cancelled(f"{why} after {len(history)} iterations; pass the error's plan as resume= to go on", plan())
+
+    steps = descent.steps()
     try:
-        for number, record in zip(range(1, count + 1), descent.steps()):  # noqa: B905 - whichever ends first
-            history.append(Step(number, float(number), *record))
+        while len(history) < count:
+            if cancel is not None and cancel():
+                raise cancelled("cancelled by the caller")
+            record = next(steps, None)
+            if record is None:
+                break
+            history.append(Step(len(history) + 1, len(history) + 1.0, *record))
             if progress:
                 progress(history[-1])
     except KeyboardInterrupt:
-        raise Cancelled(f"interrupted after {len(history)} iterations; pass the error's plan as start= to go on",
-                        plan()) from None  # type: ignore[arg-type]  # fmt: skip
+        raise cancelled("interrupted") from None
     return plan()
+
+
+def _memories(light: Pair) -> tuple[dict[str, Any], ...]:
+    """Of the colors, before any step."""
+    return tuple({"light": part} for part in light)
+
+
+def _resumed(model: Model, weights: LossWeights, start: Any, plan: ColorPlan) -> tuple[dict[str, Any], ...]:
+    """Copies of the memories of a plan. Raises `BadInput` where it is of another run."""
+    if start is not None:
+        raise BadInput("both start and resume were given; expected one: start begins anew, resume goes on")
+    if plan.model is not model or plan.weights != weights or not plan.state:
+        raise BadInput(f"the plan to resume is by {plan.model!r} for {plan.weights!r}; expected one of this very "
+                       f"model, for {weights!r}: give start= to begin anew from its light")  # fmt: skip
+    return copied(plan.state)
 
 
 def _whole(name: str, value: Any) -> int:
     if isinstance(value, bool) or int(value) != value or value < 1:
-        raise BadInput(f"{name} is {value!r}; wanted a whole number ≥ 1")
+        raise BadInput(f"{name} is {value!r}; expected a whole number ≥ 1")
     return int(value)
 
 
-def _warm(model: Model, target: DeviceArray, aims: Aims, iterations: int) -> Pair:
+def _warm(model: Model, target: DeviceArray, weights: LossWeights, iterations: int) -> Pair:
     """Visible light that brings the part to the middle of what is wanted, and what the linear model makes of it."""
     visible, ultraviolet = model.operators
-    found = optimize(visible, target, iterations=iterations)
+    found = optimize(visible, target, iterations=iterations, progress=False)
     device, light = visible.device, found.sinogram
     dose = found.dose().numpy()[target.numpy() >= 0.5]
-    scale = 0.5 * (aims.inside + aims.most) / max(float(dose.mean()) * model.turns * model.resin.visible, 1e-30)
+    scale = 0.5 * (weights.inside + weights.most) / max(float(dose.mean()) * model.turns * model.resin.visible, 1e-30)
     combine(scale, light, 0.0, light, light)
     pair = Pair(light, device.upload(np.zeros(ultraviolet.range.shape, np.float32)))
     if isinstance(model, LinearModel):
         return pair
     line = LinearModel(visible, ultraviolet, model.resin, model.turns)
-    descent = ColorDescent(line, target, aims.band(model.resin), pair, aims.share)
+    descent = ColorDescent(line, target, weights.band(model.resin), _memories(pair), weights.share)
     for _ in zip(range(LINEAR * iterations), descent.steps()):  # noqa: B905 - whichever ends first
         pass
     return descent.light

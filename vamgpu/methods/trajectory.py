@@ -15,7 +15,7 @@ SWING = 0.05
 
 
 @dataclass(frozen=True)
-class Course:
+class LossTrajectory:
     """Losses of one meaning, one an iteration.
 
     Attributes:

@@ -1,16 +1,20 @@
-"""The bench an optimizer works on: operator, target, memory of the run, and the launches all methods share."""
+"""What an optimizer works on: operator, target, memory of the run, and the launches all methods share."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from math import inf, isfinite
 from typing import Any
 
+import numpy as np
+
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.kernels.filter import filter_rows, filtered_step
-from vamgpu.kernels.update import free_gradient, paint
+from vamgpu.kernels.update import apply_penalty, fill_background, multiply
 from vamgpu.losses.band import MOST
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.best import Best
@@ -21,21 +25,40 @@ from vamgpu.methods.ramp import Taps
 from vamgpu.operators.compose import NO_FLOOR, combine
 from vamgpu.operators.reductions import dot, extent, folded, parts_for, window
 from vamgpu.operators.space import require
+from vamgpu.targets.limits import Limits
 
 
-class Work:
+class OptimizerState:
     """One run: everything a method may use. ``memory`` outlives the run and is enough to resume it."""
 
+    operator: Projector
+    target: DeviceArray
+    memory: dict[str, Any]
+
     def __init__(
-        self, operator: Projector, target: DeviceArray, memory: dict[str, Any], criterion: Criterion = "window"
-    ) -> None:
+        self, operator: Projector, target: DeviceArray, memory: dict[str, Any], criterion: Criterion = "window",
+        limits: Limits | None = None,
+    ) -> None:  # fmt: skip
         self.operator, self.target, self.memory = operator, target, memory
-        self.best = Best(memory, criterion)
+        self.best: Best = Best(memory, criterion)
         self.iteration = 0  # iterations done so far, of this run and those it resumes
-        self.most_pairs = inf
-        self.device = operator.device
-        self.reach = reach_of(operator.grid)
-        self.pairs = float(memory.get("pairs", 0.0))
+        self.most_evaluations = inf
+        self.budget = inf  # evaluations that the run will make in all, where it is not stopped before
+        self.device: Device = operator.device
+        self.reach: float = reach_of(operator.grid)
+        self.evaluations: float = float(memory.get("evaluations", 0.0))
+        self.limits = limits  # which the operator's doses are scaled by already
+        weighted = limits is not None and limits.weighted
+        self.weight: DeviceArray | None = self.field(limits.weight) if limits is not None and weighted else None
+
+    @cached_property
+    def goal(self) -> DeviceArray:
+        """What to project so that each voxel of the part is sent the dose it asks for."""
+        if self.limits is None:
+            return self.target
+        goal = self.device.upload((self.limits.dose**2).astype(np.float32))  # the operator divides by one of the two
+        self.device.launch(multiply, x=goal, y=self.target, out=goal)
+        return goal
 
     def volume(self) -> DeviceArray:
         """An uninitialized volume."""
@@ -58,8 +81,8 @@ class Work:
             )
         return field
 
-    def held(self, name: str) -> DeviceArray:
-        """A sinogram of the run's memory."""
+    def buffer(self, name: str) -> DeviceArray:
+        """A field of the run's memory."""
         return self.memory[name]
 
     def number(self, name: str, default: float = 0.0) -> float:
@@ -68,22 +91,23 @@ class Work:
 
     # ---- projecting, counted ---------------------------------------------------------------------------------
     def project(self, volume: DeviceArray, out: DeviceArray) -> None:
-        """out = A volume; half a pair."""
-        self.operator(volume, out=out)
-        self._count()
+        """out = A volume; half an evaluation."""
+        self._count(lambda: self.operator(volume, out=out))
 
     def expose(self, light: DeviceArray, out: DeviceArray) -> None:
-        """out = Aᵀ light, the dose; half a pair."""
-        self.operator.T(light, out=out)
-        self._count()
+        """out = Aᵀ light, the dose; half an evaluation."""
+        self._count(lambda: self.operator.T(light, out=out))
 
-    def _count(self) -> None:
-        self.pairs += 0.5
-        self.memory["pairs"] = self.pairs
+    def _count(self, half: Callable[[], Any]) -> None:
+        """Do half an evaluation; of several scenarios it is what their operator really made."""
+        before = getattr(self.operator, "projections", None)
+        half()
+        self.evaluations += 0.5 if before is None else self.operator.projections - before
+        self.memory["evaluations"] = self.evaluations
 
-    def affords(self, pairs: float) -> bool:
-        """Whether so many more projector pairs stay within what the run may spend."""
-        return self.pairs + pairs <= self.most_pairs
+    def affords(self, evaluations: float) -> bool:
+        """Whether so many more projector evaluations stay within what the run may spend."""
+        return self.evaluations + evaluations * getattr(self.operator, "cost", 1.0) <= self.most_evaluations
 
     def offer(self, loss: float, window: float, made: int) -> bool:
         """Keep ``light`` in memory if it is the best so far.
@@ -93,7 +117,7 @@ class Work:
             window: Strict window of the light's dose.
             made: 1 where the iteration in progress made this light, 0 where an earlier one did.
         """
-        return self.best.offer(self.held("light"), loss, window, self.iteration + made)
+        return self.best.offer(self.buffer("light"), loss, window, self.iteration + made)
 
     # ---- numbers ---------------------------------------------------------------------------------------------
     def window(self, dose: DeviceArray) -> tuple[float, float]:
@@ -117,6 +141,7 @@ class Work:
 
     def loss(self, dose: DeviceArray, loss: Loss) -> float:
         """The loss of a dose, which becomes its gradient."""
+        loss = loss if self.weight is None else loss.weighted(self.weight)
         return loss.value_and_gradient(dose, self.target, dose, self.reach)
 
     # ---- elementwise -----------------------------------------------------------------------------------------
@@ -130,12 +155,12 @@ class Work:
         """out = factor·x."""
         self.combine(factor, x, 0.0, x, out)
 
-    def paint(self, background: float, out: DeviceArray) -> None:
+    def fill_background(self, background: float, out: DeviceArray) -> None:
         """out = the target over a background that fills the cylinder."""
-        self.device.launch(paint, target=self.target, low=background, high=1.0, reach=self.reach, model=out)
+        self.device.launch(fill_background, target=self.target, low=background, high=1.0, reach=self.reach, model=out)
 
     def filter(self, sinogram: DeviceArray, taps: Taps, out: DeviceArray, floor: float = NO_FLOOR) -> None:
-        """out = max(floor, sinogram filtered along r), times the balance of its pose."""
+        """out = max(floor, sinogram filtered along r), times the balance of its angle."""
         self.device.launch(
             filter_rows, sinogram=sinogram, taps=taps.table, stride=taps.stride, floor=floor, filtered=out
         )
@@ -145,13 +170,13 @@ class Work:
         if taps.balance is not None:
             self.device.launch(weigh_poses, light=images, times=taps.balance, weighted=images)
 
-    def free(
+    def apply_penalty(
         self, light: DeviceArray, gradient: DeviceArray, weight: float = 0.0, power: float = 1.0, hold: bool = True
     ) -> float:
         """Add a penalty weight·Σ light^power to a gradient, then hold dark light if asked; returns the penalty."""
-        parts = parts_for(free_gradient, gradient)
+        parts = parts_for(apply_penalty, gradient)
         how = {"weight": weight, "power": power, "hold": int(hold)}
-        self.device.launch(free_gradient, light=light, **how, gradient=gradient, parts=parts)
+        self.device.launch(apply_penalty, light=light, **how, gradient=gradient, parts=parts)
         return folded(parts) if weight else 0.0
 
     def step(self, gradient: DeviceArray, taps: Taps, step: float, momentum: float) -> None:
@@ -164,6 +189,6 @@ class Work:
             stride=taps.stride,
             step=step,
             momentum=momentum,
-            light=self.held("light"),
-            ahead=self.held("ahead"),
+            light=self.buffer("light"),
+            ahead=self.buffer("ahead"),
         )

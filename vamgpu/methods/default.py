@@ -1,0 +1,65 @@
+"""The default: the widest process window that the evaluations a run may spend buy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from vamgpu.errors import OutOfMemory
+from vamgpu.methods.certificate import Bound
+from vamgpu.methods.method import Criterion, Method, Steps
+from vamgpu.methods.state import OptimizerState
+from vamgpu.methods.widest import WidestWindow
+from vamgpu.methods.window import ProcessWindow
+
+MANY = 64.0
+"""Evaluations from which on prices lead to a wider window than thresholds."""
+VOLUMES, SINOGRAMS = 12, 6
+"""Memory that prices take."""
+
+
+@dataclass(frozen=True)
+class BestWindow(Method):
+    """`ProcessWindow` where a run may spend fewer than 64 evaluations, else `WidestWindow`; nothing to choose.
+
+    A plan that is resumed with so many more goes on by prices, from its best light. Where the device lacks the memory
+    for prices it stays with thresholds.
+    """
+
+    papers: ClassVar[tuple[str, ...]] = tuple(dict.fromkeys((*ProcessWindow.papers, *WidestWindow.papers)))
+    iterations: ClassVar[int] = ProcessWindow.iterations
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "window"
+    takes_start: ClassVar[bool] = True
+
+    def steps(self, state: OptimizerState) -> Steps:
+        memory = state.memory
+        if not memory.get("priced") and state.budget - state.evaluations >= MANY and _fits(state):
+            memory["priced"] = 1.0
+            if "best" in memory:
+                state.scale(1.0, state.buffer("best"), state.buffer("light"))
+                memory["stage"] = state.iteration
+                for name in ("ahead", "dose"):
+                    memory.pop(name, None)
+        yield from (WidestWindow() if memory.get("priced") else ProcessWindow()).steps(state)
+
+    def certify(self, state: OptimizerState) -> Bound | None:
+        """That of `WidestWindow`.
+
+        Args:
+            state: Of the run.
+
+        Returns:
+            The bound; None where thresholds led, or few prices.
+        """
+        return WidestWindow().certify(state)
+
+
+def _fits(state: OptimizerState) -> bool:
+    """Whether the device has the memory for prices."""
+    try:
+        fields = [state.volume() for _ in range(VOLUMES)] + [state.sinogram() for _ in range(SINOGRAMS)]
+    except OutOfMemory:
+        return False
+    del fields
+    return True

@@ -1,0 +1,451 @@
+"""Plans in job folders: light, operator, target, and all that a run needs to go on."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from math import isfinite, prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, OpticsWarning, OutOfMemory, StorageError
+from vamgpu.geometry import Grid
+from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.tolerances import CornerDose, CornerDoses, Tolerances
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.projection import Projection
+from vamgpu.schema import write
+from vamgpu.schema.read import read
+from vamgpu.storage.folder import Entry, Folder, write_folder
+from vamgpu.storage.memory import afford
+from vamgpu.storage.turntable import described, turntable_from
+from vamgpu.targets.limits import Asked, Limits
+from vamgpu.targets.solid import Solid
+from vamgpu.targets.target import Target
+
+if TYPE_CHECKING:
+    from vamgpu.methods.plan import Plan
+
+OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0, "footprint": "exact"}
+"""What beams were taken for by folders that do not say it."""
+LIMITS = "dose", "weight", "body"
+"""Arrays of a target's limits."""
+
+
+@dataclass(frozen=True)
+class PlanRecord:
+    """A plan without its light: method as text, history as plain records, citations, seconds, strict window, bound."""
+
+    method: str
+    history: tuple[Mapping[str, float], ...]
+    papers: tuple[str, ...]
+    seconds: float
+    window: float
+    bound: float | None = None
+    corners: tuple[Mapping[str, Any], ...] = ()
+
+    @classmethod
+    def of(cls, plan: Any, window: float | None = None) -> PlanRecord:
+        """The record of a `Plan`, or of another with a window of its own."""
+        history = tuple(asdict(step) for step in plan.history)
+        window = float(plan.window if window is None else window)
+        bound = getattr(getattr(plan, "bound", None), "value", None)
+        told = getattr(plan, "corners", None)
+        corners = () if told is None else tuple(asdict(corner) for corner in told.corners)
+        return cls(
+            repr(plan.method), history, tuple(map(str, plan.papers)), float(plan.seconds), window, bound, corners
+        )
+
+    @classmethod
+    def read(cls, data: Any) -> PlanRecord:
+        """From a manifest; raises `StorageError` for what is no record."""
+        try:
+            return cls(
+                str(data["method"]), tuple(data["history"]), tuple(data["papers"]), data["seconds"], data["window"],
+                data.get("bound"), tuple(data.get("corners") or ()),
+            )  # fmt: skip
+        except (KeyError, TypeError) as error:
+            raise StorageError(f"the manifest garbles its plan: {error}; write the job again") from error
+
+
+def describe(A: LinearOperator, arrays: dict[str, np.ndarray] | None = None) -> dict[str, Any]:
+    """An operator in plain values, for a manifest.
+
+    Args:
+        A: the operator.
+        arrays: where its arrays are put, such as an index on a grid, under the names that the description has for them;
+            a job folder keeps them as `entries_of` says. None refuses operators that have any.
+
+    Raises:
+        BadInput: what only Python can describe.
+    """
+    if not isinstance(A, Projection):
+        return write(A, arrays=arrays)
+    return {
+        "grid": write(A.grid),
+        "beam": {**write(A.beam), "footprint": A.footprint},
+        "turntable": described(A.motion),
+        "vessel": None if A.vessel is None else write(A.vessel, arrays=arrays),
+    }
+
+
+def entries_of(arrays: Mapping[str, np.ndarray]) -> dict[str, Entry]:
+    """The arrays of a description, as a job folder takes them."""
+    return {name: Entry(values, tuple("ijklm"[: values.ndim])) for name, values in arrays.items()}
+
+
+def projection_from(description: Any, device: Device, arrays: Callable[[str], np.ndarray] | None = None) -> Any:
+    """The operator that `describe` described. Raises `StorageError` for a description that is not one.
+
+    arrays: those kept beside it, by name: `Folder.array` of its job folder, which proves them by their hashes.
+
+    Warns:
+        OpticsWarning: the description is older than the beam's optics, and means light without any.
+    """
+    try:
+        table = dict(description)
+        _weigh(table)
+        if "kind" in table:
+            return read("operator", table, units=False, device=device, arrays=arrays)
+        beam, vessel = _with_optics(table["beam"]), table["vessel"]
+        footprint, motion = beam.pop("footprint"), turntable_from(table["turntable"])
+        grid, light = (read(name, part, units=False) for name, part in (("grid", table["grid"]), ("beam", beam)))
+        around = None if vessel is None else read("vessel", vessel, units=False, arrays=arrays)
+    except StorageError:
+        raise
+    except (KeyError, TypeError, ValueError, BadInput) as error:
+        raise StorageError(f"the manifest garbles its geometry: {error}; write the job again") from error
+    return Projection(grid, light, motion, around, device, footprint=footprint)
+
+
+def _weigh(description: Any) -> None:
+    """Refuse grids and beams of more voxels and pixels than memory holds, before operators make tables of them."""
+    for key, value in description.items() if isinstance(description, Mapping) else ():
+        if key in ("shape", "pixels") and isinstance(value, list) and all(isinstance(n, (int, float)) for n in value):
+            afford(np.dtype(np.float64).itemsize * prod(map(abs, value)), f"a manifest's geometry of {key} {value}")
+        if key == "angles" and isinstance(value, (int, float)):
+            afford(np.dtype(np.float64).itemsize * abs(value), f"a manifest's turntable of {value:g} angles")
+        _weigh(value)
+
+
+def _with_optics(beam: Mapping[str, Any]) -> dict[str, Any]:
+    """A described beam with all its fields. Folders without optics were solved for a perfect lens and single rays."""
+    if set(OPTICS) <= set(beam):
+        return dict(beam)
+    warnings.warn(
+        "the folder says nothing of the beam's fill and point spread: it was solved for pixels lit all over and a "
+        "perfect lens, and is read so (fill 1, spread 0); solve it again for the light that a lens makes",
+        OpticsWarning, stacklevel=3,
+    )  # fmt: skip
+    return OPTICS | dict(beam)
+
+
+def light_of(sinogram: DeviceArray) -> np.ndarray:
+    """A sinogram [angle, r, z] as a folder keeps it, [angle, row, column]: row 0 the largest z. Floats, as wide as
+    the device counts in: nothing is rounded."""
+    return np.ascontiguousarray(sinogram.numpy().transpose(0, 2, 1)[:, ::-1])
+
+
+def sinogram_of(light: np.ndarray, device: Device) -> DeviceArray:
+    """What `light_of` made, back on a device. Raises `StorageError` for what is no light."""
+    if light.ndim != 3 or light.dtype.kind != "f":
+        raise StorageError(f"its frames are {light.dtype} {light.shape}, a projector's bytes; expected plain light, "
+                           "floats [angle, row, column]: write the job again")  # fmt: skip
+    return device.upload(np.ascontiguousarray(light[:, ::-1].transpose(0, 2, 1)))
+
+
+def inputs_of(plan: Any) -> tuple[dict[str, Any], dict[str, Entry]]:
+    """What a folder keeps of a plan beside its light, so that it can be proven: inputs of its manifest, and arrays.
+
+    Args:
+        plan: A `Plan`, or anything with an ``operator`` and perhaps a ``target``.
+
+    Raises:
+        BadInput: Nothing but Python can describe the operator.
+    """
+    kept: dict[str, np.ndarray] = {}
+    inputs: dict[str, Any] = {"job": {}, "geometry": describe(plan.operator, kept), "print": None}
+    entries = entries_of(kept)
+    target = target_of(plan)
+    if target is not None:
+        inputs["target"] = {key: getattr(target, key) for key in FACTS} | {"limits": limits_described(target)}
+        entries["target"] = Entry(target.fraction, ("x", "y", "z"), spacing=target.grid.pitch)
+        entries |= limits_entries(target)
+        if target.solid is not None:
+            inputs["target"]["solid"] = {"name": target.solid.name, "mended": list(target.solid.mended)}
+            entries["vertices"] = Entry(target.solid.vertices[None], ("mesh", "vertex", "xyz"))  # one chunk
+            entries["faces"] = Entry(target.solid.faces[None], ("mesh", "face", "corner"))
+    tolerances = getattr(plan, "tolerances", None)
+    if tolerances is not None:
+        inputs["tolerances"] = write(tolerances)
+    inputs["plan"] = asdict(PlanRecord.of(plan)) if hasattr(plan, "history") else None
+    return inputs, entries
+
+
+INTERRUPTED = "interrupted"
+"""Among the inputs of a folder: the run was stopped before its end."""
+FACTS = ("name", "radius", "volume", "height")
+"""What a manifest says of a target, beside its fractions."""
+
+
+def pixel_pitch(plan: Any) -> float | None:
+    """Distance of a plan's pixels [mm]; None where nobody knows it."""
+    return getattr(getattr(getattr(plan, "operator", None), "beam", None), "pitch", None)
+
+
+def target_of(plan: Any) -> Target | None:
+    """The target of a plan; one of fractions alone is told from them. None where nobody knows it, or of a web."""
+    target, grid = getattr(plan, "target", None), getattr(plan.operator, "grid", None)
+    if target is None or isinstance(target, Target) or not isinstance(grid, Grid):
+        return target if isinstance(target, Target) else None
+    values = target.numpy() if isinstance(target, DeviceArray) else np.asarray(target)
+    return Target.from_array(values, grid.pitch, getattr(plan, "target_name", "target"))
+
+
+def target_from(folder: Folder, grid: Grid, *, solid: bool = True) -> Target | None:
+    """The target that a job folder keeps, with its mesh or without; None where it keeps none. Raises `StorageError`."""
+    if "target" not in folder.manifest.arrays:
+        return None
+    try:
+        said = folder.manifest.inputs["target"]
+        name, (radius, volume, height) = str(said["name"]), (float(said[key]) for key in FACTS[1:])
+        mesh = said.get("solid") if solid else None
+        surface = None
+        if tuple(grid.shape) != folder.record("target").shape:
+            raise ValueError(f"a grid of {grid.shape} for a target of {folder.record('target').shape}")
+        if mesh is not None:
+            mended = tuple(map(str, mesh["mended"]))
+            surface = Solid(folder.array("vertices")[0], folder.array("faces")[0], str(mesh["name"]), mended)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise StorageError(f"{str(folder.path)!r} lacks or garbles its target: {error}; write it again") from error
+    limits = limits_from(said.get("limits"), folder.array, tuple(grid.shape))
+    return Target(grid, name, folder.array("target"), radius, volume, height, surface, limits=limits)
+
+
+def limits_entries(target: Target) -> dict[str, Entry]:
+    """What single voxels are asked for, as a job folder keeps it; nothing for a part alone."""
+    if target.limits is None:
+        return {}
+    fields = {name: getattr(target.limits, name) for name in LIMITS}
+    return {
+        f"target_{name}": Entry(values, ("x", "y", "z"), spacing=target.grid.pitch) for name, values in fields.items()
+    }
+
+
+def limits_described(target: Target) -> dict[str, Any] | None:
+    """The bodies of a target, for a manifest."""
+    if target.limits is None:
+        return None
+    return {"void": target.limits.void, "bodies": [body.described() for body in target.limits.bodies]}
+
+
+def limits_from(described: Any, array: Callable[[str], np.ndarray], shape: tuple[int, ...]) -> Limits | None:
+    """What `limits_described` described; array: those of the folder by name. Raises `StorageError`."""
+    if described is None:
+        return None
+    try:
+        bodies = tuple(Asked(**body) for body in described["bodies"])
+        fields = {name: array(f"target_{name}") for name in LIMITS}
+        found = Limits(**fields, bodies=bodies, void=float(described["void"]))
+        if found.dose.shape != shape:
+            raise ValueError(f"limits of {found.dose.shape} voxels for a target of {shape}")
+        return found
+    except StorageError:
+        raise
+    except (KeyError, TypeError, ValueError) as error:
+        raise StorageError(f"the manifest garbles its bodies: {error}; write the job again") from error
+
+
+def operator_from(folder: Folder, device: Device) -> Any:
+    """The operator that a job folder describes. Raises `StorageError`."""
+    inputs = folder.manifest.inputs
+    if "geometry" not in inputs:
+        why = inputs.get("undescribed", "it was written without the plan that its frames show")
+        raise StorageError(f"{str(folder.path)!r} has no geometry to simulate: {why}; save the plan, or write the job "
+                           "with `vam solve`")  # fmt: skip
+    try:
+        return projection_from(inputs["geometry"], device, folder.array)
+    except MemoryError as error:
+        raise OutOfMemory(f"the light of {str(folder.path)!r} takes more memory than there is: {error}; check its "
+                          "manifest, or take a larger machine") from error  # fmt: skip
+
+
+def save_plan(
+    plan: Plan, path: str | Path, *, state: bool = True, overwrite: bool = False,
+    inputs: Mapping[str, Any] | None = None,
+) -> Path:  # fmt: skip
+    """Write a plan, see `Plan.save`; ``inputs`` are further ones of its manifest."""
+    own, entries = inputs_of(plan)
+    kept: dict[str, Entry] = {}
+    arrays: dict[str, np.ndarray] = {}
+    motion = getattr(plan.operator, "motion", None)
+    try:
+        noun: dict[str, Any] | None = {**write(plan.method, arrays=arrays)}
+        kept |= {f"method_{name}": entry for name, entry in entries_of(arrays).items()}
+    except BadInput:
+        noun = None  # of one's own: only Python can make it again
+    details = {
+        "saved": "plan",
+        "frames": {} if motion is None else {"turntable": described(motion)},
+        "plan": {
+            "method": noun,
+            "evaluations": plan.evaluations,
+            "best_iteration": plan.best_iteration,
+            "target_name": plan.target_name,
+            "state": _packed(plan.state, kept, {}) if state else None,
+        },
+    }
+    light = Entry(light_of(plan.sinogram), ("angle", "row", "column"), spacing=pixel_pitch(plan))
+    every = {"frames": light, **entries, **kept}
+    device = plan.sinogram.device
+    write_folder(
+        path,
+        every,
+        inputs={**own, **(inputs or {})},
+        details=details,
+        device=f"{device.name} ({device.description})",
+        overwrite=overwrite,
+    )
+    return Path(path)
+
+
+def load_plan(path: str | Path, device: str | Device | None = None) -> Plan:
+    """The plan that `Plan.save`, or ``vam solve``, wrote to a folder.
+
+    Args:
+        path: The folder.
+        device: Where to put it; the best device here by default.
+
+    Returns:
+        The plan, with its operator and target. One that was saved without its state, or whose method only Python can
+        make, holds light to start from, and cannot be resumed.
+
+    Raises:
+        StorageError: The folder is missing, damaged or holds no plan.
+    """
+    from vamgpu.methods.plan import Plan, Step
+
+    folder, place = Folder.open(path), open_device(device)
+    operator = operator_from(folder, place)
+    details = folder.manifest.details.get("plan") or {}
+    record = PlanRecord.read(folder.manifest.inputs.get("plan") or IMPORTED)
+    grid = getattr(operator, "grid", None)
+    target = target_from(folder, grid) if isinstance(grid, Grid) else None
+    try:
+        history = tuple(Step(**dict(step)) for step in record.history)  # type: ignore[arg-type]
+        spent = history[-1].evaluations if history else 0.0
+        return Plan(
+            sinogram_of(folder.array("frames"), place),
+            operator,
+            _method_from(details.get("method"), record, folder),
+            history,
+            float(record.window),
+            float(details.get("evaluations", spent)),
+            tuple(map(str, record.papers)),
+            float(record.seconds),
+            str(details.get("target_name", target.name if target else "target")),
+            _unpacked(details.get("state") or {}, folder, place),
+            int(details.get("best_iteration", 0)),
+            target=target,
+            tolerances=tolerances_from(folder),
+            corners=CornerDoses(tuple(CornerDose(**dict(one)) for one in record.corners)) if record.corners else None,
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        if isinstance(error, StorageError):
+            raise
+        raise StorageError(f"{str(path)!r} lacks or garbles its plan: {error}; write it again") from error
+
+
+def tolerances_from(folder: Folder) -> Tolerances | None:
+    """Those that a job folder's light was sought for; None without any. Raises `StorageError`."""
+    said = folder.manifest.inputs.get("tolerances")
+    if said is None:
+        return None
+    try:
+        return read("tolerances", dict(said), units=False)
+    except (TypeError, ValueError) as error:
+        raise StorageError(f"{str(folder.path)!r} garbles its tolerances: {error}; write it again") from error
+
+
+IMPORTED: dict[str, Any] = {
+    "method": "not by this library",
+    "history": [],
+    "papers": [],
+    "seconds": 0.0,
+    "window": -1.0,
+}
+"""What is known of light that nobody here solved for."""
+
+
+@dataclass(frozen=True)
+class RecordedMethod:
+    """A method that only its text is known of: it cannot go on.
+
+    Args:
+        text: What it was.
+    """
+
+    text: str
+    papers: ClassVar[tuple[str, ...]] = ()
+    iterations: ClassVar[int] = 0
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "window"
+
+    def steps(self, state: Any) -> Steps:
+        """Refuse to go on.
+
+        Args:
+            state: Of the run.
+
+        Raises:
+            BadInput: Always.
+        """
+        raise BadInput(f"the plan is by {self.text}, of which its folder keeps the name alone; give a method, and the "
+                       "plan's light as its start")  # fmt: skip
+
+
+def _method_from(noun: Any, record: PlanRecord, folder: Folder) -> Any:
+    if noun is None:
+        return RecordedMethod(record.method)
+    try:
+        return read("method", noun, units=False, arrays=lambda name: folder.array(f"method_{name}"))
+    except BadInput:  # of a package that is not here
+        return RecordedMethod(record.method)
+
+
+def _packed(value: Any, kept: dict[str, Entry], seen: dict[int, str]) -> Any:
+    """A run's memory in plain values; its arrays go to ``kept``, one that is there twice once."""
+    if isinstance(value, (DeviceArray, np.ndarray)):
+        name = seen.get(id(value))
+        if name is None:
+            name = seen[id(value)] = f"state_{len(seen)}"
+            kept[name] = Entry(value, tuple("ijklm"[: len(value.shape)]))
+        return {"array": name, "host": isinstance(value, np.ndarray)}
+    if isinstance(value, Mapping):
+        return {"table": [[key, _packed(part, kept, seen)] for key, part in value.items()]}
+    if isinstance(value, (list, tuple)):
+        return {"tuple" if isinstance(value, tuple) else "list": [_packed(part, kept, seen) for part in value]}
+    if isinstance(value, (float, np.floating)) and not isfinite(value):
+        return {"number": repr(float(value))}
+    return value
+
+
+def _unpacked(value: Any, folder: Folder, device: Device) -> Any:
+    """What `_packed` packed. Raises `KeyError`, `TypeError`, `ValueError`, `StorageError` for what is none of it."""
+    if not isinstance(value, Mapping):
+        return value
+    if "array" in value:
+        array = folder.array(str(value["array"]))
+        return array if value.get("host") else device.upload(array)
+    if "number" in value:
+        return float(value["number"])
+    ((kind, parts),) = value.items() or (("table", []),)
+    if kind == "table":
+        return {str(key): _unpacked(part, folder, device) for key, part in parts}
+    return {"tuple": tuple, "list": list}[kind](_unpacked(part, folder, device) for part in parts)

@@ -1,0 +1,418 @@
+"""How far a machine and a resin may be off, and what a light prints wherever they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from math import hypot, inf, sqrt
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.calibration.pointspread import PointSpread
+from vamgpu.calibration.runout import Runout
+from vamgpu.errors import BadInput, ToleranceError
+from vamgpu.methods.part import LOST, fractions_of, limited, reach_of
+from vamgpu.operators.compose import Composed, Sum
+from vamgpu.operators.moves import Tiles, Wobbled
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.reductions import window
+from vamgpu.operators.scenarios import Scenarios
+from vamgpu.operators.wobble import Wobble
+from vamgpu.optics.beams import Misaligned
+from vamgpu.quantity import positive
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Deviation, Quantity, Thickness
+
+Judged = Literal["worst", "mean + spread"]
+Widths = tuple[Thickness, Thickness]
+QUARTERS = 4
+"""Directions in which a vial may stand off its axis."""
+
+
+@dataclass(frozen=True)
+class Corner:
+    """One way in which all tolerances are used up at once; all zero is nominal.
+
+    Args:
+        axis: Of rotation, towards +r [mm].
+        spread: Standard deviation of the point spread [mm]; None for the beam's own.
+        absorption: Share by which the resin absorbs more.
+        index: Of the resin, by so much greater.
+        wobble: Of the vial from its axis, along x and y [mm].
+        dose: Share by which every dose is greater.
+    """
+
+    axis: float = 0.0
+    spread: float | None = None
+    absorption: float = 0.0
+    index: float = 0.0
+    wobble: tuple[float, float] = (0.0, 0.0)
+    dose: float = 0.0
+
+    @property
+    def optics(self) -> Corner:
+        """The corner at its nominal dose."""
+        return replace(self, dose=0.0)
+
+    def __str__(self) -> str:
+        named = {
+            "axis": f"{1e3 * self.axis:+.4g} µm" if self.axis else "",
+            "spread": "" if self.spread is None else f"{1e3 * self.spread:.4g} µm",
+            "absorption": f"{100 * self.absorption:+.3g} %" if self.absorption else "",
+            "index": f"{self.index:+.3g}" if self.index else "",
+            "wobble": "{:+.4g} {:+.4g} µm".format(*(1e3 * part for part in self.wobble)) if any(self.wobble) else "",
+            "dose": f"{100 * self.dose:+.3g} %" if self.dose else "",
+        }
+        return ", ".join(f"{name} {value}" for name, value in named.items() if value) or "nominal"
+
+
+@dataclass(frozen=True)
+class CornerDose:
+    """What one light gives at a corner, in units of the light.
+
+    Attributes:
+        name: Of the corner.
+        least: Dose inside the part.
+        leak: Greatest dose outside it.
+        greatest: Dose anywhere.
+    """
+
+    name: str
+    least: float
+    leak: float
+    greatest: float
+
+    @property
+    def window(self) -> float:
+        """Strict process window at this corner alone, with a threshold of its own; −1 where it is dark."""
+        return (self.least - max(self.leak, 0.0)) / self.greatest if self.greatest > 0.0 else -1.0
+
+
+@dataclass(frozen=True)
+class CornerDoses:
+    """What one light gives at every corner, the nominal one first.
+
+    Attributes:
+        corners: All of them.
+    """
+
+    corners: tuple[CornerDose, ...]
+
+    @property
+    def nominal(self) -> float:
+        """Strict process window where nothing is off."""
+        return self.corners[0].window
+
+    @property
+    def darkest(self) -> CornerDose:
+        """The corner whose part has the least dose."""
+        return min(self.corners, key=lambda corner: corner.least)
+
+    @property
+    def leakiest(self) -> CornerDose:
+        """The corner whose voids have the greatest dose."""
+        return max(self.corners, key=lambda corner: corner.leak)
+
+    @property
+    def window(self) -> float:
+        """Strict process window with one threshold for all corners, a share of the greatest dose of any."""
+        greatest = max(corner.greatest for corner in self.corners)
+        return (self.darkest.least - max(self.leakiest.leak, 0.0)) / greatest if greatest > 0.0 else -1.0
+
+    def statement(self) -> str:
+        """The window in words, and the two corners that hold it.
+
+        Returns:
+            One sentence.
+        """
+        return (
+            f"strict window {self.window:+.3f} with one threshold for {len(self.corners)} corners, {self.nominal:+.3f} "
+            f"nominal; least dose in the part at {self.darkest.name}, most outside at {self.leakiest.name}"
+        )
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How far a machine and its resin may be off: light is sought that prints wherever they are, with one threshold.
+
+    Every tolerance goes to both of its ends, in all combinations; these corners and the nominal print are scenarios.
+    Each has an operator of its own, made anew with the beam, vessel or axis that it says; only a wobble moves images by
+    linear interpolation, and an axis where the light is not that of a `Projection` about a round vessel or in air.
+
+    Args:
+        axis: Place of the axis of rotation across the light, ± [mm].
+        spread: Least and greatest standard deviation of the point spread [mm]; None for the beam's alone.
+        absorption: Of the resin, ± a share of it: 0.05 in Python, "5 %" in a file.
+        dose: Of the whole exposure, ± a share of it.
+        index: Refractive index of the resin, ±.
+        wobble: How far the vial stands off the axis, in any direction [mm]; four are looked at.
+        judged: "worst" for the least dose of any corner and the greatest of any; "mean + spread" for the mean dose of
+            all corners, and corners brought nearer to it by the square root of how many tolerances there are, which is
+            the standard deviation where each does alike.
+
+    Raises:
+        ToleranceError: The least point spread exceeds the greatest.
+        BadInput: A value is out of its range.
+    """
+
+    axis: Thickness = 0.0
+    spread: Widths | None = None
+    absorption: Deviation = 0.0
+    dose: Deviation = 0.0
+    index: Annotated[float, Quantity(least=0.0, most=1.0, hint="± a refractive index, 0 to 1")] = 0.0
+    wobble: Thickness = 0.0
+    judged: Judged = "worst"
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.judged not in ("worst", "mean + spread"):
+            raise BadInput(f"Tolerances judged is {self.judged!r}; expected 'worst' or 'mean + spread'")
+        if self.spread is not None:
+            if not isinstance(self.spread, (tuple, list)) or len(self.spread) != 2:
+                raise BadInput(f"Tolerances spread is {self.spread!r}; expected the least and the greatest one [mm]")
+            least, greatest = (Quantity("a length", least=0.0).check("Tolerances spread [mm]", w) for w in self.spread)
+            if least > greatest:
+                raise ToleranceError(
+                    "spread", f"goes from {least:g} to {greatest:g} mm; expected the least one first: swap them"
+                )
+            object.__setattr__(self, "spread", (least, greatest))
+
+    @classmethod
+    def from_calibration(
+        cls, pitch: float, *, mtf: str | Path | None = None, runout: Runout | str | Path | None = None,
+        fill: float = 1.0, reach: float = inf, followed: bool = True, sure: float = 2.0, **more: Any,
+    ) -> Tolerances:  # fmt: skip
+        """What `vam calibrate` measured of a machine, as tolerances.
+
+        Args:
+            pitch: Edge of the projector's pixel at the axis [mm].
+            mtf: Result of ``vam calibrate mtf``: the least and the greatest point spread along the light.
+            runout: Result of ``vam calibrate runout``: the axis is off by its standard error and by what the bearing
+                adds, and the vial by its eccentricity.
+            fill: Share of a pixel's area that is lit.
+            reach: Of the part before and behind the axis [mm]: spreads measured farther away do not count.
+            followed: Whether frames follow the measured runout, as `vam print` moves them; its error alone is left.
+            sure: Standard errors that a tolerance spans.
+            more: Further tolerances, by name.
+
+        Returns:
+            The tolerances.
+
+        Raises:
+            StorageError: A result cannot be read.
+            BadInput: A result is of another kind, or a number is out of its range.
+        """
+        pitch, sure = positive("pitch [mm]", pitch), positive("sure", sure)
+        given: dict[str, Any] = {}
+        if mtf is not None:
+            given["spread"] = PointSpread.between(mtf, pitch, fill, reach)
+        if runout is not None:
+            seen = runout if isinstance(runout, Runout) else Runout.load(runout)
+            given["axis"] = sure * hypot(seen.axis_error, seen.left) * pitch
+            given["wobble"] = (sure * seen.across_error + (0.0 if followed else seen.eccentricity)) * pitch
+        return cls(**{**given, **more})
+
+    @property
+    def count(self) -> int:
+        """How many tolerances there are."""
+        given = (self.axis, self.spread is not None, self.absorption, self.dose, self.index, self.wobble)
+        return sum(map(bool, given))
+
+    def corners(self) -> tuple[Corner, ...]:
+        """The nominal print, and every combination of ends.
+
+        Returns:
+            Corners, the nominal one first.
+        """
+
+        def ends(most: float) -> tuple[float, ...]:
+            return (-most, most) if most else (0.0,)
+
+        turns = [0.5 * np.pi * quarter for quarter in range(QUARTERS)]
+        off = [(round(np.cos(t)) * self.wobble, round(np.sin(t)) * self.wobble) for t in turns]
+        spreads: tuple[float | None, ...] = (None,) if self.spread is None else tuple(dict.fromkeys(self.spread))
+        every = product(
+            ends(self.axis), spreads, ends(self.absorption), ends(self.index), off if self.wobble else [(0.0, 0.0)],
+            ends(self.dose),
+        )  # fmt: skip
+        return tuple(dict.fromkeys((Corner(), *(Corner(*one) for one in every))))
+
+    def scenarios(self, operator: Any, *, judged: Judged | None = None) -> Scenarios:
+        """The operator at every corner, as one.
+
+        Args:
+            operator: The nominal projector.
+            judged: As for the class; None takes the tolerances' own.
+
+        Returns:
+            The operators, in the order of `corners`.
+
+        Raises:
+            ToleranceError: A tolerance contradicts the operator, or there is nothing that it could be of.
+        """
+        corners = self.corners()
+        optics = list(dict.fromkeys(corner.optics for corner in corners))
+        operators = [at(operator, corner) for corner in optics]
+        mix = np.zeros((len(corners), len(optics)))
+        for row, corner in zip(mix, corners, strict=True):
+            row[optics.index(corner.optics)] = 1.0 + corner.dose
+        if (judged or self.judged) == "mean + spread" and len(corners) > 1:
+            mean = mix[1:].mean(axis=0)
+            mix = mean + (mix - mean) / sqrt(self.count)
+        return Scenarios(operators, mix)
+
+    def doses(self, operator: Any, light: Any, target: Any) -> CornerDoses:
+        """What a light gives at every corner, by the operators themselves.
+
+        Args:
+            operator: The nominal projector.
+            light: Of its pixels [angle, r, z] ≥ 0, or a plan.
+            target: A `Target`, or fractions [x, y, z].
+
+        Returns:
+            The doses.
+
+        Raises:
+            ToleranceError: As for `scenarios`.
+            BadInput: The target does not fit the operator.
+        """
+        limits = getattr(target, "limits", None)
+        asked = operator if limits is None else limited(operator, limits)
+        light = getattr(light, "sinogram", light)
+        light = light if isinstance(light, DeviceArray) else operator.device.upload(np.asarray(light, np.float32))
+        return doses_of(self.scenarios(asked, judged="worst"), self, light, fractions_of(operator, target))
+
+
+def doses_of(scenarios: Scenarios, tolerances: Tolerances, light: DeviceArray, target: DeviceArray) -> CornerDoses:
+    """The doses at the corners of tolerances, whatever their operators are mixed by.
+
+    target: of one scenario.
+    """
+    corners = tolerances.corners()
+    optics = list(dict.fromkeys(corner.optics for corner in corners))
+    dose, reach, found = target.device.empty(target.shape), reach_of(scenarios.each), {}
+    for corner, operator in zip(optics, scenarios.operators, strict=True):
+        operator.T(light, out=dose)
+        found[corner] = window(dose, target, reach)
+    told = []
+    for corner in corners:
+        least, leak, greatest = (value * (1.0 + corner.dose) for value in found[corner.optics])
+        told.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
+    return CornerDoses(tuple(told))
+
+
+def check_lit(scenarios: Scenarios, tolerances: Tolerances, target: DeviceArray) -> None:
+    """Raise `ToleranceError` where even light leaves a voxel of the part dark at a corner."""
+    light = target.device.upload(np.ones(scenarios.range.shape, np.float32))
+    told = doses_of(scenarios, tolerances, light, target)
+    for corner, found in zip(tolerances.corners(), told.corners, strict=True):
+        if not found.least >= LOST * found.greatest:
+            blamed = next((name for name in BLAMED if getattr(corner, name) not in (0.0, None, (0.0, 0.0))), "axis")
+            raise ToleranceError(
+                blamed,
+                f"leaves part of the target dark ({corner}): even light gives its darkest voxel "
+                f"{found.least / max(found.greatest, 1e-30):.2g} of the greatest dose; take a smaller tolerance or a "
+                "beam of more pixels",
+            )
+
+
+BLAMED = ("wobble", "axis", "index", "absorption")
+"""Tolerances that can leave a part dark, the likeliest first."""
+
+
+# ---- operators at corners --------------------------------------------------------------------------------------------
+def at(operator: Any, corner: Corner) -> Any:
+    """The operator as it is at a corner, but for the dose. Raises `ToleranceError`."""
+    if corner.optics == Corner():
+        return operator
+    changed = _rebuilt(operator, replace(corner, wobble=(0.0, 0.0), dose=0.0))
+    if not any(corner.wobble):
+        return changed
+    x, y = corner.wobble
+    poses = operator.motion.poses
+    try:
+        return Wobbled(changed, Wobble(y * np.cos(poses) - x * np.sin(poses)))
+    except BadInput as error:
+        raise ToleranceError("wobble", f"cannot be taken up: {error}") from error
+
+
+def _rebuilt(operator: Any, corner: Corner) -> Any:
+    if corner == Corner():
+        return operator
+    if isinstance(operator, Projection):
+        return _projected(operator, corner)
+    if isinstance(operator, Composed):
+        return Composed(_rebuilt(operator.outer, corner), operator.inner)
+    if isinstance(operator, Wobbled):
+        return Wobbled(_rebuilt(operator.operator, corner), operator.wobble)
+    if isinstance(operator, Tiles):
+        return Tiles(_rebuilt(operator.operator, corner), operator.range.beam.pixels[1], centers=operator.centers)
+    if isinstance(operator, Sum):
+        return Sum([_rebuilt(term, corner) for term in operator.terms], operator.weights)
+    for name in ("spread", "absorption", "index"):
+        if getattr(corner, name):
+            raise ToleranceError(
+                name, f"has nothing to change in {operator!r}; expected a Projection, or one composed, wobbled or "
+                "tiled: leave it out"
+            )  # fmt: skip
+    return _moved(operator, corner.axis)
+
+
+def _projected(A: Projection, corner: Corner) -> Any:
+    beam, vessel, moved = A.beam, A.vessel, corner.axis
+    half = 0.5 * beam.pixels[0] * beam.pitch
+    if abs(moved) >= half:
+        raise ToleranceError("axis", f"is {abs(moved):g} mm, beyond the beam of {half:g} mm either side; expected "
+                             "less: check its unit, mm")  # fmt: skip
+    if corner.spread is not None:
+        if A.footprint != "exact":
+            raise ToleranceError("spread", "has no meaning for footprint='joseph'; take footprint='exact'")
+        beam = replace(beam, spread=corner.spread)
+    if corner.absorption or corner.index:
+        vessel = _resin(vessel, corner)
+    if moved and A.footprint == "exact":
+        try:
+            given = isinstance(vessel, Misaligned) and type(vessel) is Misaligned
+            vessel = replace(vessel, offset=vessel.offset + moved) if given else Misaligned(vessel, offset=moved)  # type: ignore[union-attr]
+            moved = 0.0
+        except BadInput:  # no round vessel: the image moves as a whole
+            pass
+    built = A
+    if (beam, vessel) != (A.beam, A.vessel):
+        built = Projection(A.grid, beam, A.motion, vessel, A.device, footprint=A.footprint)
+    return _moved(built, moved)
+
+
+def _moved(operator: Any, axis: float) -> Any:
+    if not axis:
+        return operator
+    try:
+        return Wobbled(operator, Wobble(axis))
+    except BadInput as error:
+        raise ToleranceError("axis", f"cannot be taken up: {error}") from error
+
+
+def _resin(vessel: Any, corner: Corner) -> Any:
+    """The vessel with another resin."""
+    inner = getattr(vessel, "vessel", None)
+    if inner is not None and hasattr(vessel, "inner"):
+        return replace(vessel, vessel=_resin(inner, corner))
+    given: dict[str, float] = {}
+    if corner.absorption:
+        absorption = float(getattr(vessel, "absorption", 0.0))
+        if not absorption:
+            raise ToleranceError("absorption", f"is given, but {vessel!r} absorbs nothing: leave it out, or give the "
+                                 "vessel's resin an absorption")  # fmt: skip
+        given["absorption"] = absorption * (1.0 + corner.absorption)
+    if corner.index:
+        index = getattr(vessel, "resin_index", None)
+        if index is None:
+            raise ToleranceError("index", f"is given, but {vessel!r} has no resin of one index: leave it out")
+        given["resin_index"] = float(index) + corner.index
+    try:
+        return replace(vessel, **given)
+    except (BadInput, TypeError) as error:
+        raise ToleranceError("index" if corner.index else "absorption", f"cannot be taken up: {error}") from error
