@@ -19,7 +19,12 @@ from vamgpu.geometry import Beam, centers, counts, positive
 class WebGrid:
     """Voxels of a film laid flat.
 
-    shape: voxels along l, rho, z.  pitch: voxel edges [mm] along l, rho, z; one number for cubes.  Raises `BadInput`.
+    Args:
+        shape: Voxels along l, rho, z.
+        pitch: Voxel edges [mm] along l, rho, z; one number for cubes.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
     shape: tuple[int, int, int]
@@ -28,7 +33,7 @@ class WebGrid:
     def __post_init__(self) -> None:
         pitch = (self.pitch,) * 3 if isinstance(self.pitch, (int, float)) else tuple(self.pitch)
         if len(pitch) != 3:
-            raise BadInput(f"WebGrid pitch is {self.pitch!r}; wanted one length or three, along l, rho and z [mm]")
+            raise BadInput(f"WebGrid pitch is {self.pitch!r}; expected one length or three, along l, rho and z [mm]")
         object.__setattr__(self, "shape", counts("WebGrid shape", self.shape, 3))
         object.__setattr__(self, "pitch", tuple(positive("WebGrid pitch [mm]", p) for p in pitch))
 
@@ -49,7 +54,11 @@ class WebGrid:
         return along, deep, across
 
     def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Voxel centers [mm]: l from the web's beginning, rho from the roller, z about the middle of the web."""
+        """Voxel centers: l from the web's beginning, rho from the roller, z about the middle of the web.
+
+        Returns:
+            Places [mm] along l (nl,), rho (nrho,) and z (nz,).
+        """
         (n_l, n_rho, n_z), (dl, drho, dz) = self.shape, self.edges
         return (np.arange(n_l) + 0.5) * dl, (np.arange(n_rho) + 0.5) * drho, centers(n_z, dz)
 
@@ -87,6 +96,34 @@ class Propagation:
         matrix = np.zeros(self.shape)
         matrix[self.r, self.rho, self.l] = self.weight
         return matrix
+
+
+@dataclass(frozen=True)
+class WebRays:
+    """Light of one pose ray by ray, where a sum over rays will not do: things in the film shade what is behind them.
+
+    shape: (columns r, layers rho, window columns l).  ray: of every piece, in the order of the rays, and the pieces of
+    one in the order in which it runs.  r, rho, l: the column that sent it, the voxel it crosses.  length: of the way
+    in it [mm].  weight: what it leaves there, as in `Propagation`.  absorption: of the film [1/mm].  middle: as there.
+    """
+
+    shape: tuple[int, int, int]
+    ray: np.ndarray
+    r: np.ndarray
+    rho: np.ndarray
+    l: np.ndarray  # noqa: E741 - the web's axis
+    length: np.ndarray
+    weight: np.ndarray
+    absorption: float = 0.0
+    middle: float = 0.0
+
+    def summed(self) -> Propagation:
+        """The light that all rays of a column leave in a voxel of a film with nothing in it.
+
+        Returns:
+            The sparse matrix P[r, rho, l].
+        """
+        return Propagation.gathered(self.shape, self.r, self.rho, self.l, self.weight, self.middle)
 
 
 @runtime_checkable

@@ -10,7 +10,7 @@ HELD = 3
 """References to an array that only its list knows: the list's, the loop's, and that of the call that counts them."""
 
 
-class Buffers:
+class SliceBuffers:
     """Arrays of bytes that are handed out again once nobody holds them, or a view of them, any more."""
 
     def __init__(self, most: int = 6) -> None:

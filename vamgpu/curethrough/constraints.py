@@ -48,10 +48,3 @@ def build_up_slices(dose_0: float, phi: float, eta: float, critical: float = 1.0
     if dose_0 >= critical:
         return 0.0
     return log10((phi - dose_0) / (phi - critical)) / eta if phi > critical else float("inf")
-
-
-def die_down_slices(dose_0: float, phi_min: float, eta: float, critical: float = 1.0) -> float:
-    """Slices of least light in which Ω_0 falls to Ω_c; infinite where it never does."""
-    if dose_0 <= critical:
-        return 0.0
-    return log10((dose_0 - phi_min) / (critical - phi_min)) / eta if phi_min < critical else float("inf")

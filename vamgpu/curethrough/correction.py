@@ -18,7 +18,8 @@ from vamgpu.curethrough.dose import Stack, blocks, lent, strips
 from vamgpu.curethrough.machine import Machine
 from vamgpu.curethrough.profile import Flat, Profile
 from vamgpu.errors import BadInput, ShapeMismatch
-from vamgpu.kernels.curethrough import BITS, NEVER, correct_slices, pack_slices
+from vamgpu.kernels.curethrough import BITS, pack_slices
+from vamgpu.kernels.levels import NEVER, correct_slices
 
 BINS = 1024
 MOST_TAIL = 1 << 16
@@ -28,10 +29,17 @@ MOST_TAIL = 1 << 16
 class Correction:
     """What to correct for, and how.
 
-    machine: `Printer` or `LayerPrinter`.  profile: dose wanted inside features.  tail: slices added after the last, by
-    default as many as its back side needs.  threshold: gray level from which a pixel is solid.  platform: the first
-    slice sticks to the platform, so that nothing above it can be cured through.  dither: neighbors aim up to half a
-    level higher or lower.  open_dose: Ω to which voids must fall to count as open.  Raises `BadInput`.
+    Args:
+        machine: `Printer` or `LayerPrinter`.
+        profile: Dose inside features.
+        tail: Slices added after the last; None takes as many as its back side needs.
+        threshold: Gray level from which a pixel is solid.
+        platform: The first slice sticks to the platform, so that nothing above it can be cured through.
+        dither: Neighbors aim up to half a level higher or lower.
+        open_dose: Ω, a dose in critical doses, to which voids must fall to count as open; None takes the machine's.
+
+    Raises:
+        BadInput: A value is of another type or out of range, or the machine can correct nothing.
     """
 
     machine: Machine
@@ -44,11 +52,11 @@ class Correction:
 
     def __post_init__(self) -> None:
         if not isinstance(self.threshold, (int, np.integer)) or not 1 <= self.threshold <= 255:
-            raise BadInput(f"threshold is {self.threshold!r}; wanted a gray level from 1 to 255")
+            raise BadInput(f"threshold is {self.threshold!r}; expected a gray level from 1 to 255")
         if self.tail is not None and not (isinstance(self.tail, (int, np.integer)) and 0 <= self.tail <= MOST_TAIL):
-            raise BadInput(f"tail is {self.tail!r}; wanted a whole number of slices, 0 to {MOST_TAIL:,}")
+            raise BadInput(f"tail is {self.tail!r}; expected a whole number of slices, 0 to {MOST_TAIL:,}")
         if not hasattr(self.machine, "targets"):
-            raise BadInput(f"machine is {self.machine!r}; wanted a Printer or a LayerPrinter")
+            raise BadInput(f"machine is {self.machine!r}; expected a Printer or a LayerPrinter")
         self.machine.targets(self.profile)
 
     @property
@@ -90,11 +98,15 @@ class Corrector:
     shape: slices, y, x of the part; ``slices`` counts those to show, tail included.
     """
 
+    correction: Correction
+    shape: tuple[int, ...]
+    device: Device
+
     def __init__(self, correction: Correction, shape: tuple[int, ...], device: str | Device | None = None) -> None:
         if len(shape) != 3 or min(shape) < 1:
-            raise ShapeMismatch(f"the stack has shape {shape}; wanted [slices, y, x]")
+            raise ShapeMismatch(f"the stack has shape {shape}; expected [slices, y, x]")
         self.correction, self.shape, self.device = correction, shape, open_device(device)
-        self.slices = shape[0] + correction.added
+        self.slices: int = shape[0] + correction.added
         machine, put = correction.machine, self.device.table
         targets = machine.targets(correction.profile)
         self._tables = {"light": put(machine.doses), "inner": put(targets.inner), "back": put(targets.back),
@@ -102,7 +114,7 @@ class Corrector:
         plane = shape[1:]
         self._ring = self.device.table(np.zeros((1 + -(-targets.horizon // BITS), *plane)), "uint32")
         self._state = put(np.zeros((4, *plane), np.float32))
-        self.flaws = put(np.zeros((2, *plane), np.int32), "int32")
+        self.flaws: DeviceArray = put(np.zeros((2, *plane), np.int32), "int32")
         count = strips(self.device, plane[1])
         self._counts = put(np.zeros((plane[0], count)), "int32")
 
@@ -156,7 +168,7 @@ class Corrector:
 def correct(correction: Correction, levels: np.ndarray, device: str | Device | None = None) -> np.ndarray:
     """The slices to show for a whole stack in memory, uint8 [slice + tail, y, x]. Raises `BadInput`."""
     if not isinstance(levels, np.ndarray):
-        raise BadInput(f"slices are {type(levels).__name__}; wanted a NumPy array, uint8 [slice, y, x]")
+        raise BadInput(f"slices are {type(levels).__name__}; expected a NumPy array, uint8 [slice, y, x]")
     corrector = Corrector(correction, levels.shape, device)
     out = np.empty((corrector.slices, *levels.shape[1:]), np.uint8)
     for block in corrector.run(levels):

@@ -44,9 +44,9 @@ def checked(levels: Any, shape: tuple[int, int]) -> np.ndarray:
     """A block of slices as it should be, else `BadInput` or `ShapeMismatch`."""
     block = np.asarray(levels)
     if block.dtype != np.uint8:
-        raise BadInput(f"slices hold {block.dtype}; wanted 8-bit gray levels (uint8)")
+        raise BadInput(f"slices hold {block.dtype}; expected 8-bit gray levels (uint8)")
     if block.ndim != 3 or block.shape[1:] != shape or not 1 <= len(block) <= BITS:
-        raise ShapeMismatch(f"a block has shape {block.shape}; wanted [1 to {BITS} slices, {shape[0]}, {shape[1]}]")
+        raise ShapeMismatch(f"a block has shape {block.shape}; expected [1 to {BITS} slices, {shape[0]}, {shape[1]}]")
     return block
 
 
@@ -55,19 +55,22 @@ def lent(device: Device, levels: Any, shape: tuple[int, int]) -> DeviceArray:
     return levels if isinstance(levels, DeviceArray) else device.borrow(np.ascontiguousarray(checked(levels, shape)))
 
 
-class Exposure:
+class RunningDose:
     """The running dose of a stack that passes block by block, the last block first.
 
-    shape: pixels (y, x).  peak: greatest Ω at a border so far.
+    shape: pixels (y, x).
     """
+
+    machine: Machine
+    shape: tuple[int, int]
+    device: Device
 
     def __init__(self, machine: Machine, shape: tuple[int, int], device: str | Device | None = None) -> None:
         self.machine, self.shape, self.device = machine, shape, open_device(device)
-        self.light = self.device.table(machine.doses)
-        self.state = self.device.table(np.zeros((2, *shape), np.float32))
+        self.light: DeviceArray = self.device.table(machine.doses)
+        self.state: DeviceArray = self.device.table(np.zeros((2, *shape), np.float32))
         self._peaks = self.device.table(np.zeros((shape[0], strips(self.device, shape[1]))))
         self._doses: DeviceArray | None = None
-        self.peak = 0.0
 
     def step(self, levels: Any, fraction: float = 0.0, keep: int | None = None) -> DeviceArray:
         """Ω [slice, y, x] of a block that ends where the last one began; overwritten by the next step.
@@ -87,11 +90,6 @@ class Exposure:
         self.device.synchronize()  # the caller may want the block's memory back
         return self._doses
 
-    def note_peak(self) -> float:
-        """Bring ``peak`` up to the last block, and return it."""
-        self.peak = max(self.peak, float(self._peaks.numpy().max()))
-        return self.peak
-
     def dose(self) -> np.ndarray:
         """Ω at the border where the last block begins; [y, x]."""
         return self.state.numpy()[0]
@@ -101,7 +99,7 @@ def doses(
     machine: Machine, stack: Stack, device: str | Device | None = None, fraction: float = 0.0
 ) -> Iterator[tuple[int, np.ndarray]]:
     """(start, Ω [slice, y, x]) of every block, the last first. Raises `BadInput`."""
-    exposure = Exposure(machine, stack.shape[1:], device)  # type: ignore[arg-type]
+    exposure = RunningDose(machine, stack.shape[1:], device)  # type: ignore[arg-type]
     for start, stop in blocks(stack.shape[0]):
         yield start, exposure.step(stack[start:stop], fraction).numpy()
 
@@ -109,11 +107,18 @@ def doses(
 class Judge:
     """Cured height of the void and uncured height of the part, summed over a stack that passes last block first."""
 
+    machine: Machine
+    shape: tuple[int, int]
+    device: Device
+    critical: float
+    state: DeviceArray
+    heights: DeviceArray
+
     def __init__(
         self, machine: Machine, shape: tuple[int, int], device: str | Device | None = None, critical: float = 1.0
     ) -> None:
         self.machine, self.shape, self.device, self.critical = machine, shape, open_device(device), critical
-        self.light = self.device.table(machine.doses)
+        self.light: DeviceArray = self.device.table(machine.doses)
         self.state, self.heights = (self.device.table(np.zeros((2, *shape), np.float32)) for _ in range(2))
         count = strips(self.device, shape[1])
         self._peaks = self.device.table(np.zeros((shape[0], count)))

@@ -47,17 +47,17 @@ def header(data: bytes, name: str) -> Header:
     except Exception as error:  # noqa: BLE001 - damaged files raise whatever their reader stumbles over
         raise _damaged(name, error) from error
     if pages != 1:
-        raise SliceError(f"{name} holds {pages} pages; wanted one slice a file: split it")
+        raise SliceError(f"{name} holds {pages} pages; expected one slice a file: split it")
     bits = 1 if mode == "1" else 16 if mode in DEEP else 8
     return _promised(Header((height, width), f"{bits}-bit {'gray' if mode in ('1', 'L') else mode}"), bits, name)
 
 
 def _promised(found: Header, bits: int, name: str) -> Header:
     if bits > 8:
-        raise SliceError(f"{name} has {bits} bits a pixel; wanted 8: export the slices again with 8 bits")
+        raise SliceError(f"{name} has {bits} bits a pixel; expected 8: export the slices again with 8 bits")
     if min(found.shape) < 1 or found.shape[0] * found.shape[1] > MOST_PIXELS:
         size = f"{found.shape[1]} × {found.shape[0]}"
-        raise SliceError(f"{name} is {size} pixels; wanted 1 to {MOST_PIXELS:,} in all: check the file")
+        raise SliceError(f"{name} is {size} pixels; expected 1 to {MOST_PIXELS:,} in all: check the file")
     return found
 
 
@@ -83,16 +83,16 @@ def decode(data: bytes, name: str, out: np.ndarray) -> None:
     if values.shape != out.shape:
         raise SliceError(
             f"{name} is {values.shape[1]} × {values.shape[0]} pixels, others are {out.shape[1]} × {out.shape[0]}; "
-            "wanted one size: export the slices again"
+            "expected one size: export the slices again"
         )
     out[...] = values
 
 
 def _gray(values: np.ndarray, name: str) -> np.ndarray:
     if (values[..., 0] != values[..., 1]).any() or (values[..., 0] != values[..., 2]).any():
-        raise SliceError(f"{name} is colored; wanted shades of gray: export the slices as 8-bit gray")
+        raise SliceError(f"{name} is colored; expected shades of gray: export the slices as 8-bit gray")
     if (values[..., 3] != 255).any():
-        raise SliceError(f"{name} is partly transparent; wanted plain gray: export the slices as 8-bit gray")
+        raise SliceError(f"{name} is partly transparent; expected plain gray: export the slices as 8-bit gray")
     return values[..., 0]
 
 

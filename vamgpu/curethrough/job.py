@@ -12,14 +12,14 @@ import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
-from vamgpu.curethrough.buffers import Buffers
+from vamgpu.curethrough.buffers import SliceBuffers
 from vamgpu.curethrough.correction import Correction, Corrector
-from vamgpu.curethrough.dose import Exposure, Judge, Stack, blocks, lent
+from vamgpu.curethrough.dose import Judge, RunningDose, Stack, blocks, lent
 from vamgpu.curethrough.machine import Machine
 from vamgpu.curethrough.names import following
 from vamgpu.curethrough.output import check_place, writing
 from vamgpu.curethrough.score import Features, Sample, features, ratio, sample
-from vamgpu.curethrough.weighed import Told, weighed
+from vamgpu.curethrough.weighed import StageProgress, weighed
 from vamgpu.errors import SliceWarning
 from vamgpu.kernels.curethrough import BITS
 
@@ -44,7 +44,7 @@ class Heights:
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class PrintedStack:
     """What a stack prints as: heights of the whole, and the followed columns.
 
     levels: uint8 [slice, column] of the sample as shown.  features: of the sample's columns.
@@ -59,9 +59,18 @@ class Shown:
 class Outcome:
     """A modeled stack, and its correction where there is one.
 
-    machine: printer and resin.  shape: slices, y, x of the part.  threshold: gray level from which a pixel is solid.
-    sample: followed columns; ``solid`` [slice, column] is what they should be.  missed, closed: features that lack dose
-    at their back side and voids that stay cured, summed over pixels, of the correction.
+    Args:
+        machine: Printer and resin.
+        shape: Slices, y and x of the part.
+        threshold: Gray level from which a pixel is solid.
+        sample: Columns that are followed.
+        solid: What these should be, bool [slice, column].
+        before: The print of the slices as they are.
+        after: The print of the corrected slices.
+        correction: What was corrected for.
+        missed: Features that lack dose at their back side, summed over pixels [slice].
+        closed: Voids that stay cured, summed over pixels [slice].
+        written: Slices that were written.
     """
 
     machine: Machine
@@ -69,12 +78,17 @@ class Outcome:
     threshold: int
     sample: Sample
     solid: np.ndarray
-    before: Shown
-    after: Shown | None = None
+    before: PrintedStack
+    after: PrintedStack | None = None
     correction: Correction | None = None
     missed: np.ndarray | None = None
     closed: np.ndarray | None = None
     written: int = 0
+
+    def __repr__(self) -> str:
+        from vamgpu.curethrough.report import verdict
+
+        return f"Outcome({' × '.join(map(str, self.shape))} slices, y, x: {verdict(self)[1]})"
 
     @property
     def ratio(self) -> float | None:
@@ -91,12 +105,28 @@ class Outcome:
 
 def model(
     machine: Machine, stack: Stack, *, threshold: int = 128, doses: str | Path | None = None,
-    device: str | Device | None = None, overwrite: bool = False, told: Told = lambda stage, share: None,
+    device: str | Device | None = None, overwrite: bool = False, record: Mapping[str, Any] | None = None,
+    progress: StageProgress = lambda stage, share: None,
 ) -> Outcome:  # fmt: skip
     """What slices print as they are.
 
-    doses: a folder or zip for pictures of the dose, 51 gray levels a critical dose. Raises `BadInput`, `SliceError`,
-    `StorageError`.
+    Args:
+        machine: Printer and resin.
+        stack: The slices.
+        threshold: Gray level from which a pixel is solid.
+        doses: A folder or zip for images of the dose, 51 gray levels a critical dose.
+        device: Device, or its name; None takes the best one.
+        overwrite: Replace what stands at ``doses``.
+        record: Kept beside the doses.
+        progress: Is told the stage and its share that is done.
+
+    Returns:
+        The modeled stack.
+
+    Raises:
+        BadInput: A value is out of range.
+        SliceError: A slice cannot be read.
+        StorageError: The doses cannot be written.
     """
     warn_of(machine)
     place = open_device(device)
@@ -104,39 +134,54 @@ def model(
     if doses is None:
         for start, stop in blocks(stack.shape[0]):
             follow[start:stop]
-            told("model", 1.0 - start / stack.shape[0])
+            progress("model", 1.0 - start / stack.shape[0])
     else:
         names = getattr(stack, "names", tuple(f"dose_{k:05d}.png" for k in range(stack.shape[0])))
-        record = {"gray levels a critical dose": GRAY_PER_DOSE, "machine": _described(machine)}
-        with writing(doses, names, source=stack, overwrite=overwrite, record=record) as writer:
-            exposure = Exposure(machine, follow.shape[1:], place)
+        text = {"gray levels a critical dose": GRAY_PER_DOSE, "machine": _described(machine), **(record or {})}
+        with writing(doses, names, source=stack, overwrite=overwrite, record=text) as writer:
+            exposure = RunningDose(machine, follow.shape[1:], place)
             for start, stop in blocks(stack.shape[0]):
                 found = exposure.step(follow[start:stop]).numpy()
                 writer.write(start, np.minimum(np.rint(GRAY_PER_DOSE * found), 255.0).astype(np.uint8))
-                told("model", 1.0 - start / stack.shape[0])
+                progress("model", 1.0 - start / stack.shape[0])
     return Outcome(machine, follow.shape, threshold, follow.sample, follow.solid, follow.shown())
 
 
 def correct_stack(
     correction: Correction, stack: Stack, out: str | Path | None = None, *, device: str | Device | None = None,
     whole_columns: bool = False, overwrite: bool = False, record: Mapping[str, Any] | None = None,
-    told: Told = lambda stage, share: None,
+    progress: StageProgress = lambda stage, share: None,
 ) -> Outcome:  # fmt: skip
     """Correct a stack and score it before and after, from the bytes that are written to ``out``.
 
-    out: a folder or zip of slices with the same names, the tail's counted on; without it nothing is written.
-    whole_columns: where features or voids are out of reach, weigh the whole column by least squares; reads the stack
-    three times. Raises `BadInput`, `SliceError`, `StorageError`; a run that fails leaves nothing.
+    Args:
+        correction: What to correct for, and how.
+        stack: The slices.
+        out: A folder or zip of slices with the same names, the tail's counted on; None writes nothing.
+        device: Device, or its name; None takes the best one.
+        whole_columns: Where features or voids are out of reach, weigh the whole column by least squares; reads the
+            stack three times.
+        overwrite: Replace what stands at ``out``.
+        record: Facts to keep with the slices.
+        progress: Is told the stage and its share that is done.
+
+    Returns:
+        The stack before and after.
+
+    Raises:
+        BadInput: A value is out of range.
+        SliceError: A slice cannot be read.
+        StorageError: The slices cannot be written; a run that fails leaves nothing.
     """
     machine = correction.machine
     warn_of(machine)
     place = open_device(device)
     if out is not None:
         check_place(out, stack, overwrite=overwrite)
-    better = weighed(correction, stack, place, told) if whole_columns else None
+    better = weighed(correction, stack, place, progress) if whole_columns else None
     follow = _Follow(machine, stack, correction.threshold, place)
     corrector = Corrector(correction, follow.shape, place)
-    after, levels, buffers = Judge(machine, follow.shape[1:], place), [], Buffers()
+    after, levels, buffers = Judge(machine, follow.shape[1:], place), [], SliceBuffers()
 
     def run(write: Callable[[int, np.ndarray], None]) -> None:
         for block in corrector.run(follow):
@@ -148,7 +193,7 @@ def correct_stack(
             place.synchronize()  # the pictures' memory may be lent
             levels.append(follow.sample.of(pictures))
             write(block.start, pictures)
-            told("correct", 1.0 - block.start / corrector.slices)
+            progress("correct", 1.0 - block.start / corrector.slices)
 
     written = 0
     if out is None:
@@ -161,7 +206,7 @@ def correct_stack(
             run(writer.write)
         written = writer.written
     shown = np.concatenate(levels[::-1])
-    found = Shown(Heights(after.over(), after.under()), shown, features(machine, shown, follow.solid))
+    found = PrintedStack(Heights(after.over(), after.under()), shown, features(machine, shown, follow.solid))
     flaws = (corrector.missed, corrector.closed)
     return Outcome(machine, follow.shape, correction.threshold, follow.sample, follow.solid, follow.shown(), found,
                    correction, *flaws, written)  # fmt: skip
@@ -188,10 +233,10 @@ class _Follow:
     def solid(self) -> np.ndarray:
         return self._levels >= self._threshold
 
-    def shown(self) -> Shown:
+    def shown(self) -> PrintedStack:
         """What the slices print as, once all have passed."""
         found = features(self._machine, self._levels, self.solid)
-        return Shown(Heights(self._judge.over(), self._judge.under()), self._levels, found)
+        return PrintedStack(Heights(self._judge.over(), self._judge.under()), self._levels, found)
 
 
 def warn_of(machine: Machine) -> None:

@@ -11,13 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
-from vamgpu.curethrough.printer import check_eta, measured_levels
+from vamgpu.curethrough.printer import LN10, WindowPrinter
 from vamgpu.curethrough.profile import Flat, Profile
 from vamgpu.curethrough.targets import NEVER, Targets
 from vamgpu.errors import BadInput
-from vamgpu.geometry import positive
-
-LN10 = float(np.log(10.0))
+from vamgpu.schema.quantities import ExposureTime
 
 
 def exposure_of_layer(absorption_height: float, critical_dose: float, slice_height: float, full: float) -> float:
@@ -26,38 +24,33 @@ def exposure_of_layer(absorption_height: float, critical_dose: float, slice_heig
 
 
 @dataclass(frozen=True)
-class LayerPrinter:
-    """A printer that stops for every slice; fields as in `Printer`, with ``exposure``: t_e [s] of a slice.
+class LayerPrinter(WindowPrinter):
+    """A printer that stops for every slice.
 
-    Raises `BadInput`.
+    Args:
+        absorption_height: h_a [mm], over which light falls to a tenth.
+        critical_dose: D_c [mJ/mm³].
+        slice_height: h_s [mm].
+        exposure: t_e [s] of a slice.
+        light: Irradiance at the window [mW/mm²] of the gray levels 0 to 255.
+
+    Raises:
+        BadInput: A value is out of range.
     """
 
-    absorption_height: float
-    critical_dose: float
-    slice_height: float
-    exposure: float
+    exposure: ExposureTime
     light: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        for name, unit in (("absorption_height", "mm"), ("critical_dose", "mJ/mm³"), ("slice_height", "mm"),
-                           ("exposure", "s")):  # fmt: skip
-            object.__setattr__(self, name, positive(f"{name} [{unit}]", getattr(self, name)))
-        object.__setattr__(self, "light", measured_levels(self.light))
-        check_eta(self.slice_height, self.absorption_height)
+        self._check(self.light)
 
     layered = True
     tail = 0
-    opened = 1e30
 
     @property
-    def eta(self) -> float:
-        """η = h_s / h_a."""
-        return self.slice_height / self.absorption_height
-
-    @property
-    def decay(self) -> float:
-        """1 − 10^−η."""
-        return float(-np.expm1(-self.eta * LN10))
+    def opened(self) -> float:
+        """Without end: a void is open at any dose."""
+        return 1e30
 
     @cached_property
     def phi(self) -> np.ndarray:
@@ -70,29 +63,39 @@ class LayerPrinter:
         return self.phi
 
     @property
-    def fade_scale(self) -> float:
-        """Slices over which light fades e-fold, negative."""
-        return -1.0 / (self.eta * LN10)
-
-    @property
-    def tolerance(self) -> float:
-        """Half of the largest step of Ω from one level to the next."""
-        return 0.5 * float(np.diff(self.phi).max())
-
-    @property
     def reached(self) -> float:
         """Ω beyond a layer with which full light still cures its far edge."""
         fade = 1.0 - self.decay
         return (1.0 / fade - self.phi[-1] - self.tolerance - 1e-6) / fade
 
     def between(self, fraction: float) -> tuple[float, float]:
-        """Shares (part, fade) that give Ω at ζ = n − fraction, 0 ≤ fraction ≤ 1; at 1 the limit from below (S48)."""
+        """Shares that give Ω at ζ = n − fraction; at 1 the limit from below (S48).
+
+        Args:
+            fraction: Distance from the window, a fraction of the slice height from 0 to 1.
+
+        Returns:
+            Share of the slice's own dose, and factor by which the dose of earlier slices fades.
+
+        Raises:
+            BadInput: The fraction is out of range.
+        """
         if not 0.0 <= fraction <= 1.0:
-            raise BadInput(f"fraction is {fraction!r}; wanted 0 to 1, in slice heights from the window of the slice")
+            raise BadInput(f"fraction is {fraction!r}; expected 0 to 1, in slice heights from the window of the slice")
         return 1.0, 10.0 ** (-fraction * self.eta)
 
     def targets(self, profile: Profile = Flat()) -> Targets:
-        """Every layer's far edge gets the critical dose, and the void nothing (S49). Raises `BadInput`."""
+        """Every layer's far edge gets the critical dose, and the void nothing (S49).
+
+        Args:
+            profile: Dose inside features; layers know only the critical dose.
+
+        Returns:
+            The doses that the correction steers to.
+
+        Raises:
+            BadInput: Level 0 alone cures everything.
+        """
         floor = self.phi[0] / self.decay
         if floor >= 1.0:
             raise BadInput(

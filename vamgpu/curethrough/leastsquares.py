@@ -27,7 +27,7 @@ MARGINS = (2.0, 8.0, 30.0, 100.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class CorrectedColumns:
     """Corrected columns: levels uint8 [slice + tail, column]; over- and under-cured heights [mm] before and after."""
 
     levels: np.ndarray
@@ -39,13 +39,13 @@ class Columns:
     feasible: np.ndarray
 
 
-def least_squares(correction: Correction, columns: np.ndarray, iterations: int = 150) -> Columns:
+def least_squares(correction: Correction, columns: np.ndarray, iterations: int = 150) -> CorrectedColumns:
     """Correct columns of gray levels [slice, column]; like the sequential correction where that is feasible.
 
     Raises `BadInput` for what are no columns, or a printer that stops.
     """
     if columns.ndim != 2 or columns.dtype != np.uint8:
-        raise BadInput(f"columns have shape {columns.shape} of {columns.dtype}; wanted uint8 [slice, column]")
+        raise BadInput(f"columns have shape {columns.shape} of {columns.dtype}; expected uint8 [slice, column]")
     if correction.machine.layered:
         raise BadInput("layer by layer there is nothing to weigh: every layer has its own light; use the correction")
     stack = np.ascontiguousarray(columns[:, None, :])
@@ -66,7 +66,7 @@ def least_squares(correction: Correction, columns: np.ndarray, iterations: int =
             better = o + u < new_over[at] + new_under[at]
             chosen = at[better]
             levels[:, chosen], new_over[chosen], new_under[chosen] = found[:, better], o[better], u[better]
-    return Columns(levels, plain, new_over, new_under, over, under, feasible)
+    return CorrectedColumns(levels, plain, new_over, new_under, over, under, feasible)
 
 
 def refine(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import PurePosixPath
 
@@ -16,7 +17,7 @@ SHOWN = 5
 
 def natural(name: str) -> tuple[tuple[int, int | str], ...]:
     """A key that puts 9 before 10."""
-    return tuple((0, int(part)) if part.isdigit() else (1, part.casefold()) for part in DIGITS.split(name) if part)
+    return tuple((0, int(part)) if part.isdecimal() else (1, part.casefold()) for part in DIGITS.split(name) if part)
 
 
 def is_slice(name: str) -> bool:
@@ -34,12 +35,12 @@ def ordered(names: Iterable[str], place: str) -> tuple[str, ...]:
     """
     found = tuple(sorted(names, key=natural))
     if not found:
-        raise SliceError(f"{place} holds no slices; wanted pictures ending in {', '.join(ENDINGS)}")
+        raise SliceError(f"{place} holds no slices; expected pictures ending in {', '.join(ENDINGS)}")
     if len(found) == 1:
         return found
     numbers = _counted(found, place)
     low, high = min(numbers), max(numbers)
-    twice = sorted({n for n in numbers if numbers.count(n) > 1}) if len(set(numbers)) < len(numbers) else []
+    twice = sorted(n for n, count in Counter(numbers).items() if count > 1)
     if twice:
         alike = ", ".join([name for name, n in zip(found, numbers, strict=True) if n == twice[0]][:3])
         raise SliceError(f"{place}: number {twice[0]} is there more than once ({alike}); keep one of them")
@@ -65,7 +66,7 @@ def _counted(names: Sequence[str], place: str) -> list[int]:
     """What the first number that varies says, name by name."""
     parts = [DIGITS.split(PurePosixPath(name).stem) for name in names]
     texts = [tuple(part[::2]) for part in parts]
-    usual = max(set(texts), key=texts.count)
+    usual = Counter(texts).most_common(1)[0][0]
     for name, text in zip(names, texts, strict=True):
         if text != usual:
             example = names[texts.index(usual)]
@@ -75,7 +76,7 @@ def _counted(names: Sequence[str], place: str) -> list[int]:
         if len(set(numbers)) > 1:
             return numbers
     same = ", ".join(names[:2])
-    raise SliceError(f"{place}: names such as {same} are counted alike; wanted a number that counts them")
+    raise SliceError(f"{place}: names such as {same} are counted alike; expected a number that counts them")
 
 
 def following(name: str, count: int, taken: Sequence[str]) -> tuple[str, ...]:

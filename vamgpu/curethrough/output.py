@@ -6,6 +6,7 @@ import json
 import os
 import re
 import zipfile
+import zlib
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -21,6 +22,8 @@ from vamgpu.curethrough.stack import ARCHIVES, ZipStack, threads
 from vamgpu.errors import StorageError
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.manifest import plain
+from vamgpu.storage.reading import open_file, parse_json, read_text
+from vamgpu.storage.zipped import open_zip, unpacked
 
 RECORD = "curethrough.json"
 """Says in a folder of slices, or beside them in a zip, what they were made with."""
@@ -35,7 +38,7 @@ class Writer(ABC):
         self.names = names
         self._pool = ThreadPoolExecutor(threads(), "slices")
         self._coding: deque[tuple[str, Future[bytes]]] = deque()
-        self.written = 0
+        self.written: int = 0
 
     def write(self, start: int, levels: np.ndarray) -> None:
         """Slices from number ``start`` on, uint8 [slice, y, x], in any order of blocks.
@@ -127,6 +130,28 @@ def _finished(writer: Writer) -> Iterator[Writer]:
         writer.finish()
     finally:
         writer.drop()
+
+
+def made_with(path: str | Path, record: Mapping[str, Any]) -> bool:
+    """Tell whether slices were made with a record; those of an SL1 do not say.
+
+    Args:
+        path: Where `writing` put slices, a folder or a zip.
+        record: What it was given, or part of it.
+
+    Returns:
+        Whether there are slices whose record says the same.
+    """
+    place = Path(path)
+    try:
+        if place.suffix.lower() in ARCHIVES:
+            with open_file(place) as file, open_zip(file) as archive:
+                found = parse_json(unpacked(archive, RECORD))
+        else:
+            found = parse_json(read_text(place / RECORD))
+        return isinstance(found, dict) and all(found.get(key) == value for key, value in plain(record).items())
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile, zlib.error):
+        return False
 
 
 def check_place(path: str | Path, source: object = None, *, overwrite: bool = False) -> None:

@@ -15,9 +15,12 @@ from vamgpu.curethrough.profile import Flat, Profile
 from vamgpu.curethrough.targets import NEVER, Targets, sampled
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Dose, Length, Speed, Thickness
 
 LEVELS = 256
 MOST_ETA = 30
+LN10 = float(np.log(10.0))
 
 
 def measured_levels(light: Any) -> tuple[float, ...]:
@@ -25,18 +28,18 @@ def measured_levels(light: Any) -> tuple[float, ...]:
     try:
         values = np.array(light, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise BadInput(f"light is {light!r}; wanted {LEVELS} numbers [mW/mm²]") from error
+        raise BadInput(f"light is {light!r}; expected {LEVELS} numbers [mW/mm²]") from error
     if values.shape != (LEVELS,) or not np.isfinite(values).all() or (values < 0).any():
-        raise BadInput(f"light has shape {values.shape}; wanted {LEVELS} finite numbers ≥ 0, one a gray level")
+        raise BadInput(f"light has shape {values.shape}; expected {LEVELS} finite numbers ≥ 0, one a gray level")
     fall = np.flatnonzero(np.diff(values) < 0)
     if fall.size:
         at = int(fall[0])
         raise BadInput(
-            f"light falls from {values[at]:g} at level {at} to {values[at + 1]:g} at the next; wanted it to rise: "
+            f"light falls from {values[at]:g} at level {at} to {values[at + 1]:g} at the next; expected it to rise: "
             "fit the readings with fit_gray"
         )
     if values[-1] <= values[0]:
-        raise BadInput(f"light is {values[0]:g} mW/mm² at level 0 and {values[-1]:g} at 255; wanted more at 255")
+        raise BadInput(f"light is {values[0]:g} mW/mm² at level 0 and {values[-1]:g} at 255; expected more at 255")
     return tuple(values.tolist())
 
 
@@ -45,52 +48,46 @@ def check_eta(slice_height: float, absorption_height: float) -> None:
     eta = slice_height / absorption_height
     if eta > MOST_ETA:
         raise BadInput(
-            f"a slice is {slice_height:g} mm high, {eta:g} absorption heights; wanted {MOST_ETA} at the most: "
+            f"a slice is {slice_height:g} mm high, {eta:g} absorption heights; expected {MOST_ETA} at the most: "
             "check both and their units"
         )
 
 
 def levels_of(full: float, dark: float = 0.0, curve: Callable[[Any], Any] | None = None) -> tuple[float, ...]:
-    """Light [mW/mm²] of every level: from ``dark`` to ``full`` in proportion, or full · curve(level).
+    """Light of every gray level: in proportion, or as a curve says.
 
-    curve: relative light of gray levels, such as a `GrayCurve`; its own black level takes the place of ``dark``.
-    Raises `BadInput`.
+    Args:
+        full: Irradiance of level 255 [mW/mm²].
+        dark: Irradiance of level 0 [mW/mm²].
+        curve: Relative light of gray levels, such as a `GrayCurve`; its own black level takes the place of ``dark``.
+
+    Returns:
+        Irradiance of the levels 0 to 255 [mW/mm²].
+
+    Raises:
+        BadInput: Level 255 is no brighter than level 0.
     """
     top, floor = positive("full light [mW/mm²]", full), positive("dark light [mW/mm²]", dark, zero=True)
     numbers = np.arange(LEVELS)
     if curve is not None:
         return measured_levels(top * np.asarray(curve(numbers), dtype=np.float64))
     if floor >= top:
-        raise BadInput(f"light is {floor:g} mW/mm² at level 0 (dark) and {top:g} at 255; wanted more at 255")
+        raise BadInput(f"light is {floor:g} mW/mm² at level 0 (dark) and {top:g} at 255; expected more at 255")
     return measured_levels(floor + (top - floor) * numbers / (LEVELS - 1))
 
 
 @dataclass(frozen=True)
-class Printer:
-    """A continuous printer: slice n lights the window while that moves from ζ = n to n + 1.
+class WindowPrinter:
+    """What printers share that light a resin through a window; lengths along the print in slices, doses in D_c."""
 
-    absorption_height: h_a [mm], over which light falls to a tenth.  critical_dose: D_c [mJ/mm³].  slice_height: h_s
-    [mm].  speed: s [mm/s].  light: irradiance at the window [mW/mm²] of the gray levels 0 to 255; level 0 need not be
-    dark.  dead_zone: layer [mm] at the window kept liquid by a second color; it takes its share of the light, and
-    slices are counted from its far side. Raises `BadInput`.
-    """
+    absorption_height: Length
+    critical_dose: Dose
+    slice_height: Length
 
-    absorption_height: float
-    critical_dose: float
-    slice_height: float
-    speed: float
-    light: tuple[float, ...]
-    dead_zone: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, unit in (("absorption_height", "mm"), ("critical_dose", "mJ/mm³"), ("slice_height", "mm"),
-                           ("speed", "mm/s")):  # fmt: skip
-            object.__setattr__(self, name, positive(f"{name} [{unit}]", getattr(self, name)))
-        object.__setattr__(self, "dead_zone", positive("dead_zone [mm]", self.dead_zone, zero=True))
-        object.__setattr__(self, "light", measured_levels(self.light))
+    def _check(self, light: tuple[float, ...]) -> None:
+        check(self)
+        object.__setattr__(self, "light", measured_levels(light))
         check_eta(self.slice_height, self.absorption_height)
-
-    layered = False
 
     @property
     def eta(self) -> float:
@@ -100,7 +97,49 @@ class Printer:
     @property
     def decay(self) -> float:
         """1 − 10^−η: share of the dose that one slice up lacks."""
-        return float(-np.expm1(-self.eta * np.log(10.0)))
+        return float(-np.expm1(-self.eta * LN10))
+
+    @property
+    def fade_scale(self) -> float:
+        """Slices over which light fades e-fold, negative."""
+        return -1.0 / (self.eta * LN10)
+
+    @property
+    def doses(self) -> np.ndarray:
+        """Ω that one slice of each level adds at its border; float64 [256]."""
+        raise NotImplementedError
+
+    @property
+    def tolerance(self) -> float:
+        """Half of the largest step of Ω from one level to the next."""
+        return 0.5 * float(np.diff(self.doses).max())
+
+
+@dataclass(frozen=True)
+class Printer(WindowPrinter):
+    """A continuous printer: slice n lights the window while that moves from ζ = n to n + 1.
+
+    Args:
+        absorption_height: h_a [mm], over which light falls to a tenth.
+        critical_dose: D_c [mJ/mm³].
+        slice_height: h_s [mm].
+        speed: s [mm/s].
+        light: Irradiance at the window [mW/mm²] of the gray levels 0 to 255; level 0 need not be dark.
+        dead_zone: Layer [mm] at the window kept liquid by a second color; it takes its share of the light, and slices
+            are counted from its far side.
+
+    Raises:
+        BadInput: A value is out of range.
+    """
+
+    speed: Speed
+    light: tuple[float, ...]
+    dead_zone: Thickness = 0.0
+
+    def __post_init__(self) -> None:
+        self._check(self.light)
+
+    layered = False
 
     @property
     def critical_intensity(self) -> float:
@@ -128,23 +167,42 @@ class Printer:
         """Ω that one slice of each level adds where it begins; float64 [256]."""
         return self.phi * self.decay
 
-    @property
-    def fade_scale(self) -> float:
-        """Slices over which light fades e-fold, negative."""
-        return -1.0 / (self.eta * float(np.log(10.0)))
-
     def between(self, fraction: float) -> tuple[float, float]:
-        """Shares (part, fade) that give Ω at ζ = n + fraction, 0 ≤ fraction ≤ 1 (S22). Raises `BadInput`."""
+        """Shares that give Ω at ζ = n + fraction (S22).
+
+        Args:
+            fraction: Distance from the slice's border, a fraction of the slice height from 0 to 1.
+
+        Returns:
+            Share of the slice's own dose, and factor by which the dose of earlier slices fades.
+
+        Raises:
+            BadInput: The fraction is out of range.
+        """
         if not 0.0 <= fraction <= 1.0:
-            raise BadInput(f"fraction is {fraction!r}; wanted 0 to 1, in slice heights from the border of the slice")
-        return float(-np.expm1(-(1.0 - fraction) * self.eta * np.log(10.0))) / self.decay, 1.0
+            raise BadInput(f"fraction is {fraction!r}; expected 0 to 1, in slice heights from the border of the slice")
+        return float(-np.expm1(-(1.0 - fraction) * self.eta * LN10)) / self.decay, 1.0
 
     def at_speed(self, speed: float) -> Printer:
-        """The same printer at another speed [mm/s]."""
+        """The same printer at another speed.
+
+        Args:
+            speed: s [mm/s].
+
+        Returns:
+            The other printer.
+        """
         return replace(self, speed=speed)
 
     def build_up_height(self, dose: float = 0.0) -> float:
-        """Height [mm] of full light that brings Ω to the critical dose; infinite where it never does."""
+        """Height of full light that brings Ω to the critical dose.
+
+        Args:
+            dose: Ω before it, dimensionless: in critical doses.
+
+        Returns:
+            Height [mm]; infinite where full light never does.
+        """
         return self.slice_height * constraints.build_up_slices(dose, self.phi_max, self.eta)
 
     @property
@@ -153,18 +211,29 @@ class Printer:
         slices = constraints.build_up_slices(0.0, self.phi_max, self.eta)
         if not np.isfinite(slices):
             raise BadInput(
-                f"full light gives {self.phi_max:.3g} critical doses at the most; wanted more than 1: "
+                f"full light gives {self.phi_max:.3g} critical doses at the most; expected more than 1: "
                 f"print slower than {self.fastest():.3g} mm/s or with more light"
             )
         return ceil(slices - 1e-9)
 
     def fastest(self, height: float = float("inf")) -> float:
-        """Speed [mm/s] at which ``height`` [mm] of full light just reaches the critical dose from none."""
+        """Speed at which full light just reaches the critical dose from none.
+
+        Args:
+            height: Height of full light [mm].
+
+        Returns:
+            Speed [mm/s].
+        """
         share = 1.0 - 10.0 ** (-height / self.absorption_height)
         return self.phi_max * self.speed * share
 
     def check_correctable(self) -> None:
-        """Raise `BadInput` where full light cures nothing, or where even level 0 cures everything in its way."""
+        """Refuse a printer that no correction can help.
+
+        Raises:
+            BadInput: Full light cures nothing, or even level 0 cures everything in its way.
+        """
         if self.phi_min >= 1.0:
             raise BadInput(
                 f"level 0 leaves {self.phi_min * self.critical_dose * 1e3:.4g} mJ/cm³ behind, the critical dose is "
@@ -174,7 +243,14 @@ class Printer:
         self.tail  # noqa: B018 - raises
 
     def targets(self, profile: Profile = Flat()) -> Targets:
-        """Doses that the correction steers to, slice by slice (S37, S38 and the build-up in the void)."""
+        """Doses that the correction steers to, slice by slice (S37, S38 and the build-up in the void).
+
+        Args:
+            profile: Dose inside features.
+
+        Returns:
+            The doses.
+        """
         self.check_correctable()
         eta, low, high = self.eta, self.phi_min, self.phi_max
         back = constraints.build_up(-np.arange(0, -self.tail - 2, -1.0), 0.0, high, eta)
@@ -186,11 +262,6 @@ class Printer:
         bound[-1] = np.inf  # farther from the front than even full light asks for
         inner = np.minimum(np.maximum(wanted, 1.0), np.minimum(bound, 2.0 * high))
         return Targets(inner, back)
-
-    @property
-    def tolerance(self) -> float:
-        """Half of the largest step of Ω from one level to the next."""
-        return 0.5 * float(np.diff(self.doses).max())
 
     @property
     def reached(self) -> float:

@@ -16,13 +16,20 @@ Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Flat:
-    """One dose all over: Ω_max, in critical doses; infinite for as much as fits. Raises `BadInput`."""
+    """One dose all over.
+
+    Args:
+        most: Ω_max, a dose in critical doses; infinite for as much as fits.
+
+    Raises:
+        BadInput: Ω_max is below 1.
+    """
 
     most: float = float("inf")
 
     def __post_init__(self) -> None:
         if not self.most >= 1.0:
-            raise BadInput(f"Ω_max is {self.most!r}; wanted at least 1, the critical dose")
+            raise BadInput(f"Ω_max is {self.most!r}; expected at least 1, the critical dose")
 
     def __call__(self, back: np.ndarray, front: np.ndarray) -> np.ndarray:
         return np.full(np.broadcast_shapes(back.shape, front.shape), self.most)
@@ -30,9 +37,16 @@ class Flat:
 
 @dataclass(frozen=True)
 class Parallel:
-    """A share of the way from the critical dose to the constraint curve that is nearer. Raises `BadInput`.
+    """A share of the way from the critical dose to the constraint curve that is nearer.
 
-    absorption_height [mm]; least and most: Φ of level 0 and of level 255.
+    Args:
+        share: Share of the way, 0 to 1.
+        absorption_height: h_a [mm].
+        least: Φ of level 0, a dose in critical doses.
+        most: Φ of level 255, a dose in critical doses.
+
+    Raises:
+        BadInput: The share is out of range.
     """
 
     share: float
@@ -42,7 +56,7 @@ class Parallel:
 
     def __post_init__(self) -> None:
         if not (isfinite(self.share) and 0.0 <= self.share <= 1.0):
-            raise BadInput(f"the share is {self.share!r}; wanted a number from 0 to 1")
+            raise BadInput(f"the share is {self.share!r}; expected a number from 0 to 1")
 
     def __call__(self, back: np.ndarray, front: np.ndarray) -> np.ndarray:
         built = (self.most - 1.0) * (1.0 - 10.0 ** (-back / self.absorption_height))

@@ -29,7 +29,20 @@ LACKING = 0.1
 
 
 def write_report(outcome: Outcome, path: str | Path, *, title: str = "", facts: dict[str, str] | None = None) -> Path:
-    """Write the page. facts: more lines of the set-up. Raises `StorageError`."""
+    """Write the page.
+
+    Args:
+        outcome: A modeled stack, and its correction where there is one.
+        path: Where to, ending in .html.
+        title: What stands at its top; empty for the usual one.
+        facts: More lines of the set-up, name → value.
+
+    Returns:
+        The path written.
+
+    Raises:
+        StorageError: The page cannot be written.
+    """
     return page_of(outcome, title or Path(path).stem, facts or {}).write(path)
 
 
@@ -42,11 +55,11 @@ def page_of(outcome: Outcome, title: str, facts: dict[str, str]) -> Page:
     across = 4 if after is not None else 2
     sections = [Images(row, "panels", across) for row in pictures.sections(outcome)]
     features = Table([_row(group, outcome) for group in widest(groups, ROWS)], _header(after is not None))
-    good, verdict = _verdict(outcome)
+    good, said = verdict(outcome)
     return Page(
         "Cure-through",
         title,
-        verdict,
+        said,
         good,
         [Figure(value, name) for name, value, _ in lines(outcome)][:7],
         [
@@ -71,7 +84,14 @@ def _sections_note(outcome: Outcome) -> str:
 
 
 def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
-    """(name, value, meaning) of the numbers that a person looks at first."""
+    """The numbers that a person looks at first.
+
+    Args:
+        outcome: A modeled stack, and its correction where there is one.
+
+    Returns:
+        Name, value and meaning of each.
+    """
     found = []
     pixels = max(1, int((outcome.before.heights.over + outcome.before.heights.under > 0).sum()))
     for name, shown in (("uncorrected", outcome.before), ("corrected", outcome.after)):
@@ -96,7 +116,8 @@ def micro(millimeters: float) -> str:
     return f"{millimeters:.3g} mm" if abs(millimeters) >= 1.0 else f"{1e3 * millimeters:.3g} µm"
 
 
-def _verdict(outcome: Outcome) -> tuple[bool, str]:
+def verdict(outcome: Outcome) -> tuple[bool, str]:
+    """Whether all prints right, and a sentence or two on what does not."""
     if outcome.after is None:
         error = outcome.before.heights.error
         wrong = int((outcome.before.heights.over + outcome.before.heights.under > 0).sum())
@@ -146,8 +167,12 @@ def _table_note(outcome: Outcome, groups: tuple[Group, ...]) -> str:
         f"Runs of solid slices in {len(outcome.sample.rows):,} columns of pixels{more}. The error is the cured height "
         "of the void before a feature and the uncured height within it, a mean over its columns; lacking are columns "
         f"where more than {LACKING:g} of a slice height within the feature stay uncured."
-        + (" Fastest is the speed up to which a feature can get its dose, and the void behind it open, with the same "
-           "light." if outcome.after is not None else "")
+        + (
+            " Fastest is the speed up to which a feature can get its dose, and the void behind it open, with the same "
+            "light."
+            if outcome.after is not None
+            else ""
+        )
     )
 
 

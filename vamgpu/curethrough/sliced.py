@@ -21,9 +21,18 @@ SLACK = 1e-6
 class MeshStack:
     """Slices of a solid, uint8 [slice, y, x]: 255 where it fills a pixel, less where it fills a part of it.
 
-    solid: in mm; its lowest point lies on the platform.  pitch: pixel edge [mm].  slice_height [mm].  pixels: along x
-    and y, the solid's place being counted from their middle; by default as many as it needs.  Columns of a picture run
-    along +x, rows along −y.  Raises `BadInput`, `TargetTooLarge`.
+    Columns of a slice run along +x, rows along −y.
+
+    Args:
+        solid: The solid, in mm; its lowest point lies on the platform.
+        pitch: Pixel edge [mm].
+        slice_height: Height of a slice [mm].
+        pixels: Along x and y, the solid's place being counted from their middle; None takes as many as it needs.
+        device: Device, or its name; None takes the best one.
+
+    Raises:
+        BadInput: A value is out of range.
+        TargetTooLarge: The solid reaches beyond the pixels.
     """
 
     def __init__(
@@ -46,9 +55,9 @@ class MeshStack:
             )
         self._edges, self._origin = np.array([edge, edge, step]), np.array([*place, float(low[2])])
         slices = max(1, ceil((high[2] - low[2]) / step - SLACK))
-        self.shape = (slices, ny, nx)
+        self.shape: tuple[int, int, int] = (slices, ny, nx)
         digits = max(4, len(str(slices)))
-        self.names = tuple(f"slice_{k:0{digits}d}.png" for k in range(slices))
+        self.names: tuple[str, ...] = tuple(f"slice_{k:0{digits}d}.png" for k in range(slices))
 
     def __getitem__(self, key: slice, /) -> np.ndarray:
         """Slices, uint8 [slice, y, x]. Raises `OutOfMemory`, `DeviceError`."""

@@ -7,22 +7,33 @@ import re
 import stat
 import zipfile
 from abc import ABC, abstractmethod
+from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path, PurePosixPath
+from zipfile import ZipInfo
 
 import numpy as np
 
-from vamgpu.curethrough.buffers import Buffers
+from vamgpu.curethrough.buffers import SliceBuffers
 from vamgpu.curethrough.images import HEAD, Header, decode, header
 from vamgpu.curethrough.names import is_slice, ordered
 from vamgpu.errors import SliceError
 from vamgpu.storage.atomic import explained
+from vamgpu.storage.memory import afford
+from vamgpu.storage.reading import open_file, read_bytes
+from vamgpu.storage.zipped import open_zip, unpacked
 
 ARCHIVES = (".zip", ".sl1", ".sl1s")
 AHEAD = 32
 """Slices that are decoded while those after them are computed with."""
 MOST_BYTES = 1 << 28
 """A slice's file is never as large as that."""
+MOST_NAME = 1000
+"""Characters of the longest name in a zip."""
+BLOCKS_HELD = 6
+"""Blocks of slices in memory at once: two that are read, two on their way to the disk, and the device's."""
+PIXEL_HELD = 40
+"""Bytes a pixel that the state of a print takes beside."""
 
 
 def threads() -> int:
@@ -36,12 +47,17 @@ class FileStack(ABC):
     names: of the slices, from the platform on.  shape: slices, y, x.  A context manager: `close` lets the files go.
     """
 
+    place: Path
+    names: tuple[str, ...]
+
     def __init__(self, place: Path, names: tuple[str, ...]) -> None:
         self.place, self.names = place, names
         plane = self._plane()
-        self.shape = (len(names), *plane)
+        claim = (min(len(names), AHEAD) * BLOCKS_HELD + PIXEL_HELD) * plane[0] * plane[1]
+        afford(claim, f"{str(place)!r}, {len(names)} slices of {plane[1]} × {plane[0]} pixels,", SliceError)
+        self.shape: tuple[int, int, int] = (len(names), *plane)
         self._pool = ThreadPoolExecutor(threads(), "slices")
-        self._buffers = Buffers()
+        self._buffers = SliceBuffers()
         self._begun: dict[tuple[int, int], tuple[np.ndarray, list[Future[None]]]] = {}
 
     @abstractmethod
@@ -98,7 +114,7 @@ class FileStack(ABC):
             if found != first:
                 raise SliceError(
                     f"{self._told(name)} is {_worded(found)}, but {self.names[0]!r} is {_worded(first)}; "
-                    "wanted all slices alike: export them again"
+                    "expected all slices alike: export them again"
                 )
         assert first is not None
         return first.shape
@@ -130,8 +146,10 @@ class FolderStack(FileStack):
 
     def _bytes(self, name: str, most: int | None = None) -> bytes:
         try:
-            with open(self.place / name, "rb") as file:
-                return file.read(-1 if most is None else most)
+            if most is None:
+                return read_bytes(self.place / name, MOST_BYTES)
+            with open_file(self.place / name) as file:
+                return file.read(most)
         except OSError as error:
             raise explained("read", self.place / name, error) from error
 
@@ -145,13 +163,18 @@ class ZipStack(FileStack):
     def __init__(self, path: str | Path) -> None:
         place = Path(path)
         try:
-            self._zip = zipfile.ZipFile(place)
+            self._file = open_file(place)
+        except OSError as error:
+            raise SliceError(f"cannot read the zip {str(path)!r}: {error.strerror}; check the path") from error
+        try:
+            self._zip = open_zip(self._file)
         except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+            self._file.close()
             raise SliceError(
                 f"cannot read the zip {str(path)!r}: {error}; it is cut off or no zip: copy or export it again"
             ) from error
         try:
-            self.others = tuple(info for info in self._zip.infolist() if not info.is_dir())
+            self.others: tuple[ZipInfo, ...] = tuple(info for info in self._zip.infolist() if not info.is_dir())
             for info in self.others:
                 _check_entry(info, str(path))
             names = _pictures(self.others, str(path))
@@ -159,12 +182,12 @@ class ZipStack(FileStack):
             super().__init__(place, ordered(names, repr(str(path))))
         except BaseException:
             self._zip.close()
+            self._file.close()
             raise
 
     def _bytes(self, name: str, most: int | None = None) -> bytes:
         try:
-            with self._zip.open(name) as file:
-                return file.read(-1 if most is None else most)
+            return unpacked(self._zip, name, most)
         except Exception as error:  # noqa: BLE001 - zipfile and its codecs raise whatever they stumble over
             raise SliceError(f"cannot read {self._told(name)}: {error}; the zip is damaged: export it again") from error
 
@@ -176,22 +199,48 @@ class ZipStack(FileStack):
         """Stop reading and close the zip."""
         super().close()
         self._zip.close()
+        self._file.close()
 
 
 def open_stack(path: str | Path) -> FileStack:
-    """The slices of a folder, a zip or an SL1 file. Raises `SliceError`."""
+    """Open the slices of a folder, a zip or an SL1 file.
+
+    Args:
+        path: The folder or file.
+
+    Returns:
+        The slices, read one at a time.
+
+    Raises:
+        SliceError: There is nothing, or nothing of these.
+    """
     place = Path(path)
-    if place.is_dir():
+    if os.path.isdir(place):
         return FolderStack(place)
-    if not place.exists():
-        raise SliceError(f"there is nothing at {str(path)!r}; wanted a folder of slices or a zip: check the path")
-    if place.suffix.lower() in ARCHIVES or zipfile.is_zipfile(place):
+    if not os.path.lexists(place):
+        raise SliceError(f"there is nothing at {str(path)!r}; expected a folder of slices or a zip: check the path")
+    if place.suffix.lower() in ARCHIVES or _is_zip(place):
         return ZipStack(place)
     raise SliceError(f"{str(path)!r} is neither a folder nor a file ending in {', '.join(ARCHIVES)}; check the path")
 
 
+def _is_zip(place: Path) -> bool:
+    try:
+        with open_file(place) as file:
+            return zipfile.is_zipfile(file)
+    except OSError:
+        return False
+
+
 def layer_height(stack: object) -> float | None:
-    """What an SL1 file says its layers' height [mm] is; None where nothing does."""
+    """What an SL1 file says of its layers.
+
+    Args:
+        stack: The slices.
+
+    Returns:
+        Their height [mm]; None where nothing says.
+    """
     if not isinstance(stack, ZipStack) or all(info.filename != "config.ini" for info in stack.others):
         return None
     text = stack.entry("config.ini").decode("utf-8", "replace")
@@ -211,18 +260,18 @@ def _check_entry(info: zipfile.ZipInfo, place: str) -> None:
         why = "climbs out of the folder it would be unpacked in"
     elif stat.S_ISLNK(info.external_attr >> 16):
         why = "is a link"
-    elif info.flag_bits & 1:
-        why = "is encrypted"
+    elif len(name) > MOST_NAME:
+        why, name = f"has a name of {len(name)} characters", name[:MOST_NAME]
     elif info.file_size > MOST_BYTES:
         why = f"takes {info.file_size / 1e6:.0f} MB unpacked"
     if why:
-        raise SliceError(f"{place!r}: entry {info.orig_filename!r} {why}; nothing was read: pack the slices again")
+        raise SliceError(f"{place!r}: entry {name!r} {why}; nothing was read: pack the slices again")
 
 
 def _pictures(entries: tuple[zipfile.ZipInfo, ...], place: str) -> list[str]:
     """Names of the slices: all pictures of one folder."""
     every = [info.filename for info in entries]
-    twice = next((name for name in every if every.count(name) > 1), None) if len(set(every)) < len(every) else None
+    twice = next((name for name, count in Counter(every).items() if count > 1), None)
     if twice is not None:
         raise SliceError(f"{place!r} holds {twice!r} more than once; pack the slices again")
     names = [name for name in every if is_slice(name)]
@@ -230,7 +279,9 @@ def _pictures(entries: tuple[zipfile.ZipInfo, ...], place: str) -> list[str]:
         return [name for name in names if "/" not in name]
     folders = sorted({str(PurePosixPath(name).parent) for name in names})
     if len(folders) > 1:
-        raise SliceError(f"{place!r} holds pictures in {len(folders)} folders ({', '.join(folders[:3])}…); wanted one")
+        raise SliceError(
+            f"{place!r} holds pictures in {len(folders)} folders ({', '.join(folders[:3])}…); expected one"
+        )
     return names
 
 

@@ -38,6 +38,6 @@ def sampled(profile: Callable[[np.ndarray, np.ndarray], np.ndarray], back: np.nd
     grid = np.broadcast_arrays(back[:, None] + step, front[None, :])
     values = np.asarray(profile(*grid), dtype=np.float64)
     if values.shape != grid[0].shape or np.isnan(values).any():
-        raise BadInput(f"the profile gave shape {values.shape}; wanted a dose for each of {grid[0].shape} places")
+        raise BadInput(f"the profile gave shape {values.shape}; expected a dose for each of {grid[0].shape} places")
     alike = (values == values[0]).all()
     return values[:1] if alike else values

@@ -12,8 +12,8 @@ from vamgpu.curethrough.correction import Correction, Corrector
 from vamgpu.curethrough.dose import Stack, blocks
 from vamgpu.errors import BadInput
 
-Told = Callable[[str, float], None]
-"""Told of progress: what is being done, and how much of it is done, 0..1."""
+StageProgress = Callable[[str, float], None]
+"""Notified of progress: what is being done, and how much of it is done, 0..1."""
 MOST_WEIGHED = 1 << 27
 """Bytes of columns that are weighed as wholes."""
 WEIGHED_AT_ONCE = 1024
@@ -28,7 +28,7 @@ class Weighed:
     levels: np.ndarray
 
 
-def weighed(correction: Correction, stack: Stack, device: Device, told: Told) -> Weighed | None:
+def weighed(correction: Correction, stack: Stack, device: Device, progress: StageProgress) -> Weighed | None:
     """Better levels where the correction from slice to slice finds no way; None where it finds one everywhere.
 
     Raises `BadInput` for a printer that stops, and where so many columns are out of reach that they fill the memory.
@@ -37,13 +37,13 @@ def weighed(correction: Correction, stack: Stack, device: Device, told: Told) ->
 
     corrector = Corrector(correction, stack.shape, device)
     for block in corrector.run(stack):
-        told("survey", 1.0 - block.start / corrector.slices)
+        progress("survey", 1.0 - block.start / corrector.slices)
     rows, columns = np.nonzero(corrector.missed + corrector.closed)
     if not len(rows):
         return None
     if len(rows) * stack.shape[0] > MOST_WEIGHED:
         raise BadInput(
-            f"{len(rows):,} columns of {stack.shape[0]:,} slices have features or voids out of reach; wanted at most "
+            f"{len(rows):,} columns of {stack.shape[0]:,} slices have features or voids out of reach; expected at most "
             f"{MOST_WEIGHED // stack.shape[0]:,} to weigh: print slower or with more light, or do without least squares"
         )
     wanted = np.empty((stack.shape[0], len(rows)), np.uint8)
@@ -52,6 +52,6 @@ def weighed(correction: Correction, stack: Stack, device: Device, told: Told) ->
     levels = np.empty((corrector.slices, len(rows)), np.uint8)
     for first in range(0, len(rows), WEIGHED_AT_ONCE):
         part = slice(first, first + WEIGHED_AT_ONCE)
-        told("columns", first / len(rows))
+        progress("columns", first / len(rows))
         levels[:, part] = least_squares(correction, np.ascontiguousarray(wanted[:, part])).levels
     return Weighed(rows, columns, levels)

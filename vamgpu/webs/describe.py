@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
+from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass
 from typing import Any
 
 import numpy as np
 
+from vamgpu.errors import StorageError
 from vamgpu.printing.focus import FocusMasks
+from vamgpu.schema.read import read
+from vamgpu.storage.folder import digest
 from vamgpu.targets.stream import Repeated
+from vamgpu.web import Wrap
 
 
 def described(value: Any) -> dict[str, Any]:
@@ -22,19 +26,15 @@ def described_target(tiles: Any) -> dict[str, Any] | None:
     """What a target says of itself, to tell it from another; None for tiles that come and go."""
     if isinstance(tiles, Repeated):
         return {"kind": "Repeated", "solid": tiles.solid.name, "period": tiles.period,
-                "sha256": _digest(tiles.solid.vertices)}  # fmt: skip
+                "sha256": digest(tiles.solid.vertices)}  # fmt: skip
     if isinstance(tiles, np.ndarray):
-        return {"kind": "array", "shape": list(tiles.shape), "sha256": _digest(tiles)}
+        return {"kind": "array", "shape": list(tiles.shape), "sha256": digest(tiles)}
     return described(tiles) if is_dataclass(tiles) else None
 
 
 def described_focus(masks: FocusMasks | None) -> dict[str, Any] | None:
     """Depths [mm] of the focus planes and the plane of every column of the beam."""
     return None if masks is None else {"planes": list(masks.planes), "bin": np.argmax(masks.masks, axis=0).tolist()}
-
-
-def _digest(values: np.ndarray) -> str:
-    return hashlib.sha256(np.ascontiguousarray(values).data).hexdigest()
 
 
 def _simple(value: Any) -> Any:
@@ -45,3 +45,14 @@ def _simple(value: Any) -> Any:
     if callable(value) and hasattr(value, "__qualname__"):  # its repr tells where it lies in this process's memory
         return f"{value.__module__}.{value.__qualname__}"
     return value if isinstance(value, (int, float, str, bool, type(None))) else repr(value)
+
+
+def wrap_from(description: Mapping[str, Any]) -> Wrap:
+    """The machine that a folder describes. Raises `StorageError` for one this library cannot rebuild."""
+    kind = description.get("kind")
+    if kind not in ("Roller", "roller"):
+        raise StorageError(f"the web was carried by a {kind}; expected a Roller: simulate it with its own wrap=")
+    try:
+        return read("wrap", {**description, "kind": "roller"}, units=False)
+    except (TypeError, ValueError) as error:
+        raise StorageError(f"the description of a Roller is garbled: {error}; write the web again") from error

@@ -14,13 +14,14 @@ from vamgpu.schema.quantities import DataRate, Length, Rate, Time
 
 @dataclass(frozen=True)
 class Display:
-    """The mirrors that show pictures, and the wires to them and to the lens.
+    """The mirrors that show frames, and the wires to them and to the lens.
 
-    rate: most pictures a second of this many ``bits``.  bits: of a pixel.  pixels: columns, rows.  pitch: pixel edge in
+    rate: most frames a second of this many ``bits``.  bits: of a pixel.  pixels: columns, rows.  pitch: pixel edge in
     the bath [mm].  wire: seconds that the command for a lens power takes.  link: most bytes a second that reach the
-    mirrors from the host; inf where all pictures are loaded before.  turning: the order of the focus planes turns at
-    every pose, so that the lens moves one time less.  Defaults: 8 bits on 1080p mirrors, ten bytes at 38,400 baud.
-    Raises `BadInput`.
+    mirrors from the host; no limit where it is left out, as when all frames are loaded before the print.  turning: the
+    order of the focus planes turns at every pose, so that the lens moves one time less.
+
+    The defaults are 8 bits on 1080p mirrors, and a lens command of ten bytes at 38,400 baud. Raises `BadInput`.
     """
 
     rate: Rate = 266.0
@@ -35,10 +36,10 @@ class Display:
         check(self)
         object.__setattr__(self, "pixels", counts("pixels", self.pixels, 2))
         if self.bits not in (1, 8):
-            raise BadInput(f"bits is {self.bits!r}; wanted 1 or 8")
+            raise BadInput(f"bits is {self.bits!r}; expected 1 or 8")
 
     @property
     def nbytes(self) -> int:
-        """Bytes of a picture."""
+        """Bytes of a frame."""
         columns, rows = self.pixels
         return rows * (columns if self.bits == 8 else -(-columns // 8))

@@ -34,7 +34,7 @@ class Layout:
         if exact <= 0 or abs(float(exact) / step - 1.0) > 1e-9:
             near = float(exact) or 1.0 / DENOMINATOR
             raise BadInput(
-                f"the web moves {step:.9g} columns a pose; wanted a ratio of whole numbers up to {DENOMINATOR}, "
+                f"the web moves {step:.9g} columns a pose; expected a ratio of whole numbers up to {DENOMINATOR}, "
                 f"so that segments begin at whole columns: take a pitch along l of {step / near:.14g} times this one"
             )
         overlap = positive("overlap [windows]", overlap, zero=True)

@@ -15,6 +15,8 @@ from vamgpu.geometry import Beam, positive
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller
 from vamgpu.printing.focus import FocusMasks, bins_needed
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Density, Length, Speed, Viscosity
 from vamgpu.units import kg_m3
 from vamgpu.webs.display import Display
 
@@ -32,7 +34,7 @@ class SpeedLimit:
 
 
 @dataclass(frozen=True)
-class Limits:
+class WebLimits:
     """A web machine at a speed, and what limits it.
 
     roller: with its film.  lens: with its depth bins and settling time.  display: the mirrors.  speed: of the web's
@@ -45,17 +47,14 @@ class Limits:
     roller: Roller
     lens: TunableLens = TunableLens()
     display: Display = Display()
-    speed: float = 0.8
-    length: float = 600.0
-    depth_of_focus: float = 3.8
-    density: float = 1100.0 * kg_m3
-    viscosity: float | None = None
+    speed: Speed = 0.8
+    length: Length = 600.0
+    depth_of_focus: Length = 3.8
+    density: Density = 1100.0 * kg_m3
+    viscosity: Viscosity | None = None
 
     def __post_init__(self) -> None:
-        for name in ("speed", "length", "depth_of_focus", "density"):
-            positive(name, getattr(self, name))
-        if self.viscosity is not None:
-            positive("viscosity", self.viscosity)
+        check(self)
         self.lens.power(np.array(self.masks.planes))
 
     @cached_property
@@ -86,19 +85,19 @@ class Limits:
         return self.speed / self.advance
 
     @property
-    def picture_rate(self) -> float:
+    def frame_rate(self) -> float:
         """Pictures a second: every pose has one for each depth bin."""
         return self.lens.bins * self.pose_rate
 
     @property
     def slot(self) -> float:
-        """Seconds from one picture to the next."""
-        return 1.0 / self.picture_rate
+        """Seconds from one frame to the next."""
+        return 1.0 / self.frame_rate
 
     @property
     def data_rate(self) -> float:
         """Bytes a second."""
-        return self.picture_rate * self.display.nbytes
+        return self.frame_rate * self.display.nbytes
 
     @property
     def poses(self) -> float:
@@ -106,23 +105,23 @@ class Limits:
         return self.length / self.advance
 
     @property
-    def pictures(self) -> float:
+    def frames(self) -> float:
         """Pictures while the length passes one point."""
         return self.lens.bins * self.poses
 
     @property
     def duty(self) -> float:
-        """Share of the time in which light can be on: the lens is neither told nor moving; negative: too fast."""
+        """Share of the time in which light can be on: the lens neither gets a command nor moves; negative: too fast."""
         return 1.0 - self.moves * (self.display.wire + self.lens.settle) * self.pose_rate
 
     @property
     def nbytes(self) -> float:
-        """Bytes of all pictures of the length."""
-        return self.pictures * self.display.nbytes
+        """Bytes of all frames of the length."""
+        return self.frames * self.display.nbytes
 
     @property
     def smear(self) -> float:
-        """Way [mm] of the web while one picture's slot lasts."""
+        """Way [mm] of the web while the slot of one frame lasts."""
         return self.speed * self.slot
 
     @property
@@ -138,7 +137,7 @@ class Limits:
 
     @property
     def pose_time(self) -> float:
-        """Least seconds a pose: every move is told, then waited for, then its picture is shown whole."""
+        """Least seconds a pose: each move is commanded and waited for, then its frame is shown whole."""
         return self.moves * (self.display.wire + self.lens.settle) + self.lens.bins / self.display.rate
 
     @cached_property
@@ -146,21 +145,21 @@ class Limits:
         """The greatest speed that each part allows by itself, and that of all of them one after the other (S17–S20)."""
         shown, bins, moves = self.display, self.lens.bins, self.moves
         parts = {
-            "mirrors": (bins / shown.rate, f"{bins} pictures a pose at {shown.rate:g} Hz"),
+            "mirrors": (bins / shown.rate, f"{bins} frames a pose at {shown.rate:g} Hz"),
             "lens": (moves * self.lens.settle, f"{moves} moves a pose of {1e3 * self.lens.settle:.3g} ms"),
             "serial line": (moves * shown.wire, f"{moves} commands a pose of {1e3 * shown.wire:.3g} ms"),
         }
         longest = max(parts, key=lambda name: parts[name][0])
         share = f"{100 * parts[longest][0] / self.pose_time:.0f} % of them for the {longest}"
         parts["all in turn"] = (self.pose_time, f"{1e3 * self.pose_time:.3g} ms a pose, {share}")
-        parts["data link"] = (bins * shown.nbytes / shown.link, f"{bins} pictures a pose of {shown.nbytes:,} bytes")
+        parts["data link"] = (bins * shown.nbytes / shown.link, f"{bins} frames a pose of {shown.nbytes:,} bytes")
         return tuple(
             SpeedLimit(name, inf if time == 0 else self.advance / time, reason)
             for name, (time, reason) in parts.items()
         )
 
     @property
-    def binding(self) -> SpeedLimit:
+    def limiting(self) -> SpeedLimit:
         """The limit that the web meets first."""
         return min(self.speeds, key=lambda limit: limit.speed)
 
@@ -175,13 +174,15 @@ class Limits:
     def broken(self) -> tuple[str, ...]:
         """What the machine cannot do at its speed, with numbers; empty where it can do all."""
         found = []
-        if self.speed > self.binding.speed:
-            found.append(f"{self.speed:.4g} mm/s is above {self.binding.speed:.4g} mm/s: {self.binding.reason}")
+        if self.speed > self.limiting.speed:
+            found.append(f"{self.speed:.4g} mm/s is above {self.limiting.speed:.4g} mm/s: {self.limiting.reason}")
         if self.speed < self.slowest:
             found.append(f"{self.speed:.4g} mm/s is below {self.slowest:.4g} mm/s: the resin flows off while it is lit")
         if self.defocus > 0.5 * self.depth_of_focus:
-            found.append(f"{self.lens.bins} depth bins leave {self.defocus:.3g} mm of defocus, more than half the "
-                         f"depth of focus of {self.depth_of_focus:g} mm; {self.bins_needed} bins would do")
+            found.append(
+                f"{self.lens.bins} depth bins leave {self.defocus:.3g} mm of defocus, more than half the "
+                f"depth of focus of {self.depth_of_focus:g} mm; {self.bins_needed} bins would do"
+            )
         return tuple(found)
 
     @property

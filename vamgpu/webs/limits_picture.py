@@ -11,14 +11,14 @@ import numpy as np
 from vamgpu.reports import style
 from vamgpu.storage.atomic import replacing
 from vamgpu.units import Pa_s, minute
-from vamgpu.webs.limits import Limits
+from vamgpu.webs.limits import WebLimits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-def draw(found: Limits, path: str | Path) -> Path:
+def draw(found: WebLimits, path: str | Path) -> Path:
     """Write the picture of a machine's limits as a PNG, replacing an earlier one. Raises `StorageError`."""
     with style.styled():
         content = style.png(figure_of(found))
@@ -27,7 +27,7 @@ def draw(found: Limits, path: str | Path) -> Path:
     return Path(path)
 
 
-def figure_of(found: Limits) -> Figure:
+def figure_of(found: WebLimits) -> Figure:
     """Greatest speeds, a pose in time, viscosity against speed, and the reach in spatial frequency."""
     figure, axes = style.sheet("aab;ccd", 6.6, width_ratios=[1, 1, 1.1])
     _speeds(axes["a"], found)
@@ -37,22 +37,22 @@ def figure_of(found: Limits) -> Figure:
     return figure
 
 
-def _speeds(axis: Axes, found: Limits) -> None:
+def _speeds(axis: Axes, found: WebLimits) -> None:
     known = [limit for limit in found.speeds if limit.speed < inf][::-1]
     values = [limit.speed * minute for limit in known]
-    hue = [style.RED if limit == found.binding else style.BLUE for limit in known]
+    hue = [style.RED if limit == found.limiting else style.BLUE for limit in known]
     axis.barh([limit.name for limit in known], values, color=hue, height=0.6)
     axis.axvline(found.speed * minute, color=style.INK, ls=(0, (4, 3)), lw=1.2)
-    axis.text(found.speed * minute, len(known) - 0.42, " wanted", fontsize=8.5, va="bottom")
+    axis.text(found.speed * minute, len(known) - 0.42, " expected", fontsize=8.5, va="bottom")
     for row, value in enumerate(values):
         axis.text(value, row, f" {value:.0f}", va="center")
-    fastest = found.binding
-    axis.set(title=f"Greatest speed: {fastest.speed * minute:.0f} mm/min, bound by {fastest.name}",
+    fastest = found.limiting
+    axis.set(title=f"Greatest speed: {fastest.speed * minute:.0f} mm/min, limited by {fastest.name}",
              xlabel="web [mm/min]", xlim=(0, 1.12 * max(values)), ylim=(-0.6, len(known) - 0.1))  # fmt: skip
     axis.grid(False, axis="y")
 
 
-def _frequencies(axis: Axes, found: Limits) -> None:
+def _frequencies(axis: Axes, found: WebLimits) -> None:
     covered = found.k_space(301).astype(float)
     inside = np.hypot(*np.meshgrid(np.arange(301) - 150, np.arange(301) - 150)) <= 150.5
     picture = np.where(inside, 1.0 + covered, 0.0)
@@ -66,7 +66,7 @@ def _frequencies(axis: Axes, found: Limits) -> None:
     axis.text(150, 4, "into the film", ha="center", va="bottom", fontsize=8.5)
 
 
-def _pose(axis: Axes, found: Limits) -> None:
+def _pose(axis: Axes, found: WebLimits) -> None:
     bins, order, start = found.lens.bins, [], 0.0
     parts = ((found.display.wire, style.ORANGE, "command"), (found.lens.settle, style.FAINT, "lens settles"))
     free = found.advance / found.speed - found.moves * (found.display.wire + found.lens.settle)
@@ -85,12 +85,12 @@ def _pose(axis: Axes, found: Limits) -> None:
     axis.grid(False, axis="y")
 
 
-def _flow(axis: Axes, found: Limits) -> None:
+def _flow(axis: Axes, found: WebLimits) -> None:
     speeds = np.geomspace(0.1, 10.0, 60) * found.speed
     needed = found.viscosity_needed * found.speed / speeds / Pa_s
     axis.loglog(speeds * minute, needed, color=style.BLUE)
     axis.plot(found.speed * minute, found.viscosity_needed / Pa_s, "o", color=style.INK)
-    axis.axvspan(found.binding.speed * minute, speeds[-1] * minute, color=style.RED, alpha=0.12, lw=0)
+    axis.axvspan(found.limiting.speed * minute, speeds[-1] * minute, color=style.RED, alpha=0.12, lw=0)
     if found.viscosity is not None:
         axis.axhline(found.viscosity / Pa_s, color=style.GREEN, ls=(0, (4, 3)))
     axis.set(title="Viscosity so that resin stays", xlabel="speed [mm/min]", ylabel="least viscosity [Pa·s]",

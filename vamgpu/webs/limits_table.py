@@ -6,24 +6,24 @@ from math import degrees, inf
 
 from vamgpu.printing.proof import Line
 from vamgpu.units import Pa_s
-from vamgpu.webs.limits import Limits
+from vamgpu.webs.limits import WebLimits
 
 PER_MINUTE = 60.0
 
 
-def lines(limits: Limits) -> tuple[Line, ...]:
-    """Every number of the report with its meaning: the speed that is wanted, what limits it, film, angles."""
-    return (*_wanted(limits), *_speeds(limits), *_film(limits), *_angles(limits))
+def lines(limits: WebLimits) -> tuple[Line, ...]:
+    """Every number of the report with its meaning: the expected speed, what limits it, film, angles."""
+    return (*_expected(limits), *_speeds(limits), *_film(limits), *_angles(limits))
 
 
-def _wanted(limits: Limits) -> tuple[Line, ...]:
+def _expected(limits: WebLimits) -> tuple[Line, ...]:
     shown = limits.display
     return (
-        Line("speed wanted", speed(limits.speed), f"{limits.length:g} mm in {limits.length / limits.speed:,.0f} s"),
+        Line("speed expected", speed(limits.speed), f"{limits.length:g} mm in {limits.length / limits.speed:,.0f} s"),
         Line("way between poses", f"{1e3 * limits.advance:.1f} µm", f"{limits.tangential_sampling:.2f} poses per mm"),
         Line("poses", f"{limits.pose_rate:.1f} /s", f"{limits.poses:,.0f} over the length"),
-        Line("pictures", f"{limits.picture_rate:.1f} /s",
-             f"{limits.pictures:,.0f} over the length, {limits.lens.bins} a pose"),
+        Line("frames", f"{limits.frame_rate:.1f} /s",
+             f"{limits.frames:,.0f} over the length, {limits.lens.bins} a pose"),
         Line("slot", f"{1e3 * limits.slot:.1f} ms",
              f"light can be on {100 * limits.duty:.0f} % of it; the web moves {1e3 * limits.smear:.0f} µm"),
         Line("data", f"{limits.data_rate / 1e6:.1f} MB/s",
@@ -31,18 +31,18 @@ def _wanted(limits: Limits) -> tuple[Line, ...]:
     )  # fmt: skip
 
 
-def _speeds(limits: Limits) -> tuple[Line, ...]:
+def _speeds(limits: WebLimits) -> tuple[Line, ...]:
     rate = limits.sampling_limit(1.0)
     sampling = "any" if rate == inf else f"{rate:.1f} /mm"
-    binding = limits.binding
+    limiting = limits.limiting
     return (
         *(Line(f"most by {limit.name}", speed(limit.speed), limit.reason) for limit in limits.speeds),
-        Line("greatest speed", speed(binding.speed), f"bound by {binding.name}: {binding.reason}"),
+        Line("greatest speed", speed(limiting.speed), f"limited by {limiting.name}: {limiting.reason}"),
         Line("sampling at 1 mm/s", sampling, "poses per mm for which the lens settles"),
     )
 
 
-def _film(limits: Limits) -> tuple[Line, ...]:
+def _film(limits: WebLimits) -> tuple[Line, ...]:
     window = "∞" if limits.window == inf else f"{limits.window:.2f} mm"
     flows = "does not flow" if limits.viscosity is None else f"{limits.viscosity / Pa_s:.4g} Pa·s at hand"
     return (
@@ -55,7 +55,7 @@ def _film(limits: Limits) -> tuple[Line, ...]:
     )  # fmt: skip
 
 
-def _angles(limits: Limits) -> tuple[Line, ...]:
+def _angles(limits: WebLimits) -> tuple[Line, ...]:
     missing = 180.0 - degrees(limits.coverage)
     return (
         Line("angular coverage", f"{limits.coverage:.3f} rad", f"{180.0 - missing:.1f}° of directions in the film"),

@@ -11,16 +11,16 @@ import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, StorageError
+from vamgpu.errors import BadInput, ShapeMismatch, StorageError
 from vamgpu.geometry import Beam
 from vamgpu.metrics.segments import segment_windows
 from vamgpu.operators.web import WebProjection
-from vamgpu.printing.frames import Frames
-from vamgpu.printing.gray import GrayCurve
 from vamgpu.web import Propagation, WebGrid, Wrap
+from vamgpu.webs.describe import wrap_from
+from vamgpu.webs.drift import clouded, drifts_of, gains
 from vamgpu.webs.layout import Layout
+from vamgpu.webs.shown import light_of
 from vamgpu.webs.store import WebFolder
-from vamgpu.webs.wraps import wrap_from
 
 BINS = 2048
 REACH = 4.0
@@ -68,7 +68,7 @@ class WebProof:
     """A simulated print of a web and its scores.
 
     iou, threshold: over the whole web, at the dose that makes iou greatest.  counts: voxels by dose, (out of the part,
-    in it) × bins.  edges: of the bins, in doses.
+    in it) × bins.  edges: of the bins, in doses.  wrap, gain: see `prove_web`.
     """
 
     folder: WebFolder
@@ -81,6 +81,8 @@ class WebProof:
     counts: np.ndarray
     edges: np.ndarray
     device: Device
+    wrap: Wrap | None = None
+    gain: np.ndarray | None = None
 
     @property
     def window(self) -> float:
@@ -89,7 +91,7 @@ class WebProof:
 
     def pieces(self, numbers: Sequence[int] | None = None) -> Iterator[Piece]:
         """The simulated print again, segment by segment."""
-        return _Simulation(self.folder, self.device).pieces(numbers)
+        return _Simulation(self.folder, self.device, self.wrap, self.gain).pieces(numbers)
 
     def report(self, path: str | Path, *, title: str = "", contrast: Sequence[tuple[float, float]] = ()) -> Path:
         """Write the HTML page; contrast: pairs of index ratio and ξ to plot. Raises `StorageError`."""
@@ -101,14 +103,18 @@ class WebProof:
 class _Simulation:
     """Reads frames' bytes and makes dose of them; holds one segment at a time."""
 
-    def __init__(self, folder: WebFolder, device: Device) -> None:
+    def __init__(
+        self, folder: WebFolder, device: Device, wrap: Wrap | None = None, gain: np.ndarray | None = None
+    ) -> None:
         self.folder, self.device = folder, device
         try:
             details = folder.details
             rho, z = details["grid"]["section"]
             self.beam = Beam(tuple(details["beam"]["pixels"]), details["beam"]["pitch"])
-            wrap: Wrap = wrap_from(details["wrap"])
-            self.gray, self.scale = GrayCurve.parse(details["frames"]["gray"]), details["frames"]["scale"]
+            drifts = drifts_of(details)
+            if wrap is None:
+                wrap = clouded(wrap_from(details["wrap"]), drifts[-1].absorption if drifts else 1.0)
+            self.gain = gains(drifts, 0, folder.frames) if gain is None else gain
             window, core = (int(details["layout"][name]) for name in ("window", "core"))
             section = WebGrid((1, rho, z), tuple(details["grid"]["pitch"]))
         except (KeyError, TypeError, BadInput) as error:
@@ -141,23 +147,37 @@ class _Simulation:
 
     def _dose(self, number: int) -> np.ndarray:
         """Dose of the columns around a segment, from the frames of all poses that reach its own."""
-        layout, rows, columns = self.layout, self.beam.pixels[1], self.beam.pixels[0]
+        layout = self.layout
         first = number * layout.core - layout.overlap
-        low, high = max(first, 0), min(first + layout.poses, self.folder.frames)
-        images = np.zeros((layout.poses, rows, columns), np.uint8)
-        images[low - first : high - first] = self.folder.read("frames", low, high)
-        frames = Frames.from_bytes(images, self.device, bits=8, gray=self.gray, scale=self.scale, columns=columns)
-        return self.operator.T(frames.irradiance()).numpy()
+        return self.operator.T(light_of(self.folder, first, layout.poses, self.gain, self.device)).numpy()
 
 
-def prove_web(web: WebFolder | str | Path, device: str | Device | None = None) -> WebProof:
+def prove_web(
+    web: WebFolder | str | Path, device: str | Device | None = None, *, wrap: Wrap | None = None,
+    gain: np.ndarray | None = None, threshold: float | None = None,
+) -> WebProof:  # fmt: skip
     """Simulate a web from its frames' bytes and gray curve, and score each segment against its target.
 
-    Of a web that is not complete, what all its poses have lit already. Raises `StorageError`, `BadInput` where no
-    column is lit yet, `DeviceError`.
+    Args:
+        web: The folder, or its path. Of one that is not complete, what all its poses have lit already.
+        device: A name or a device; the best one here by default.
+        wrap: The machine; by default the roller that the folder describes, with the absorption last believed.
+        gain: Light of each frame over planned, (frames,); by default what the folder's frames were made for.
+        threshold: Dose from which resin is solid; by default the one of the greatest overlap.
+
+    Returns:
+        The proof.
+
+    Raises:
+        StorageError: The folder is damaged, or of a machine that must be given.
+        BadInput: No column is lit yet.
+        ShapeMismatch: There are other frames than gains.
+        DeviceError: There is no such device.
     """
     folder = web if isinstance(web, WebFolder) else WebFolder.open(web)
-    simulation = _Simulation(folder, open_device(device))
+    if gain is not None and np.shape(gain) != (folder.frames,):
+        raise ShapeMismatch(f"got gains {np.shape(gain)}; expected ({folder.frames},), one for each frame")
+    simulation = _Simulation(folder, open_device(device), wrap, gain)
     edges = np.linspace(0.0, REACH, BINS + 1)
     counts, windows, spans = [], [], []
     for piece in simulation.pieces(None):
@@ -169,13 +189,13 @@ def prove_web(web: WebFolder | str | Path, device: str | Device | None = None) -
             f"{str(folder.path)!r} has {folder.frames} frames, and no column that all its poses have lit; resume it"
         )
     total = np.sum(counts, axis=0)
-    at = _best(total)
+    at = _best(total) if threshold is None else int(np.clip(np.searchsorted(edges, threshold), 0, BINS - 1))
     scores = tuple(
         _score(folder, span, count, window, at) for span, count, window in zip(spans, counts, windows, strict=True)
     )
     return WebProof(
         folder, simulation.grid, simulation.beam, simulation.light, scores, _iou(total, at), float(edges[at]), total,
-        edges, simulation.device,
+        edges, simulation.device, wrap, gain,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from vamgpu.methods.papers import BAND, RAMP, ROLL_TO_ROLL
 from vamgpu.optics.roller import Roller
 from vamgpu.printing import pictures, surface
-from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Page, Papers, Slices, Solid, Table
+from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Page, Papers, Slices, SurfaceView, Table
 from vamgpu.webs import views
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def page_of(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]]
         _tiles(proof),
         [
             Card("Along the web", *(Images([strip], "strip") for strip in strips.pictures(peak)), Legend(), wide=True),
-            Card("Printed film", Solid(f"{1e3 * max(proof.grid.edges):.3g}"), note=note),
+            Card("Printed film", SurfaceView(f"{1e3 * max(proof.grid.edges):.3g}"), note=note),
             Card("Layer by layer", Slices(), note=SLICES_NOTE),
             Card("Light about the roller", Chart(_wrapped(proof)), note=WRAPPED_NOTE, wide=True),
             Card("Dose in and out of the part", Chart(histogram), wide=not contrast),
@@ -88,19 +88,10 @@ def _solid(proof: WebProof, piece: Piece, peak: float) -> tuple[dict[str, Any], 
     first = (len(piece.dose) - count) // 2
     dose, target = (values[first : first + count].astype(np.float64) for values in (piece.dose, piece.target))
     verdict = pictures.verdicts(target, dose >= proof.threshold, np.ones(dose.shape[:2], bool))
-    solids = [_surface(values, level, edges) for values, level in ((target, 0.5), (dose, proof.threshold))]
-    points = np.concatenate([solid.points for solid in solids])
-    reach = float(np.abs(points).max(initial=edges.max()))
-    radius = float(np.linalg.norm(points, axis=1).max(initial=edges.max()))
+    expected, printed = _surface(target, 0.5, edges), _surface(dose, proof.threshold, edges)
     sheet = pictures.sheet(dose, target, verdict, peak)
     heights = [float(z) for z in proof.grid.axes()[2][sheet["slices"]]]
-    wanted, printed = solids
-    data = {
-        "target": wanted.packed(np.zeros(len(wanted.points)), reach),
-        "printed": printed.packed(surface.deviation(printed, wanted) / edges.max(), reach),
-        "radius": 2 * radius / reach,
-        **pictures.viewer(sheet, heights, len(heights) // 2),
-    }
+    data = surface.viewer(expected, printed, float(edges.max())) | pictures.viewer(sheet, heights, len(heights) // 2)
     start = (piece.columns[0] + first) * edges[0]
     note = (
         f"The web from {start:.1f} to {start + count * edges[0]:.1f} mm where the dose reaches the threshold, colored "
@@ -116,7 +107,7 @@ def _surface(values: np.ndarray, level: float, edges: np.ndarray) -> surface.Sur
 
 
 def _wrapped(proof: WebProof) -> str:
-    from vamgpu.webs.wraps import wrap_from
+    from vamgpu.webs.describe import wrap_from
 
     roller = wrap_from(proof.folder.details["wrap"])
     assert isinstance(roller, Roller)

@@ -1,4 +1,4 @@
-"""What a machine and its light make of a web unless told otherwise: voxels across it, and focus planes along it."""
+"""What a machine and its light make of a web by default: voxels across it, and focus planes along it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def one_column(
         return WebGrid((1, *counts("section (voxels along rho and z)", section, 2)), (along, deep, across))  # type: ignore[arg-type]
     thickness = getattr(getattr(wrap, "film", None), "thickness", None)
     if thickness is None:
-        raise BadInput("a section is wanted: voxels along rho and z, such as section=(38, 32)")
+        raise BadInput("no section; expected voxels along rho and z, such as section=(38, 32)")
     layers, slices = max(1, round(thickness / deep)), max(1, round(beam.pixels[1] * beam.pitch / across))
     return WebGrid((1, layers, slices), (along, thickness / layers, across))
 
@@ -43,13 +43,15 @@ def focus_masks(lens: TunableLens | FocusMasks | None, wrap: Wrap, beam: Beam) -
         return None
     if isinstance(lens, FocusMasks):
         if lens.columns != beam.pixels[0]:
-            raise ShapeMismatch(f"the focus masks are for {lens.columns} columns; wanted {beam.pixels[0]}, the beam's")
+            raise ShapeMismatch(
+                f"the focus masks are for {lens.columns} columns; expected {beam.pixels[0]}, the beam's"
+            )
         return lens
     if not isinstance(lens, TunableLens):
-        raise BadInput(f"got {lens!r} as lens; wanted a TunableLens, FocusMasks, or None for one focus")
+        raise BadInput(f"got {lens!r} as lens; expected a TunableLens, FocusMasks, or None for one focus")
     if not isinstance(wrap, Roller):
         raise BadInput(
-            f"a lens follows the film about a Roller, and {type(wrap).__name__} is none; wanted "
+            f"a lens follows the film about a Roller, and {type(wrap).__name__} is none; expected "
             "FocusMasks(columns, pitch, midline, planes) as lens"
         )
     masks = FocusMasks.around(beam, wrap.radius, wrap.film.thickness, lens.bins)

@@ -1,4 +1,4 @@
-"""What a stream gives: the pictures and the target of one stretch of a web."""
+"""What a stream gives: the frames and the target of one stretch of a web."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Segment:
 
     number: counted from 0.  first: number of its first frame on the web.  images: uint8 [pose, row, column].
     target: uint8 [l, rho, z], fractions times 255, of the columns that are judged with this segment.  scale: light of a
-    full-on pixel.  loss: of the first and last iteration, overlaps included.  saturated: pixels that wanted more than
+    full-on pixel.  loss: of the first and last iteration, overlaps included.  saturated: pixels that needed more than
     full-on.  seconds: it took.  last: whether the web ends here.
     """
 
@@ -33,7 +33,7 @@ class Segment:
 
     @property
     def frames(self) -> Frames:
-        """The pictures, for whatever shows or simulates them."""
+        """The frames, for whatever shows or simulates them."""
         return Frames.from_bytes(
             self.images, "numpy", bits=8, gray=self.gray, scale=self.scale, columns=self.images.shape[2]
         )

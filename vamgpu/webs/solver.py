@@ -12,15 +12,17 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, Diverged, DivergenceWarning
 from vamgpu.geometry import Beam
+from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.kernels.update import linear
 from vamgpu.losses.loss import Loss
-from vamgpu.methods.course import Course
-from vamgpu.methods.exposure import Exposure
+from vamgpu.methods.exposure import DoseObjective
 from vamgpu.methods.method import Method
 from vamgpu.methods.minimize import Channel, Pace, minimize
 from vamgpu.methods.ramp import Taps, bar, identity, ramp
-from vamgpu.methods.work import Work
-from vamgpu.operators.rows import Rows
+from vamgpu.methods.state import OptimizerState
+from vamgpu.methods.trajectory import LossTrajectory
+from vamgpu.operators.compose import capped, combine
+from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.web import WebProjection
 from vamgpu.web import Propagation, WebGrid
 from vamgpu.webs.layout import Layout
@@ -32,25 +34,45 @@ PACE = 5 / 6
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SegmentLosses:
     """Losses of a segment, its overlaps included.
 
     Attributes:
         first: Of the first iteration.
         last: Of the last one.
-        course: Of all of them; None for a segment of nothing.
+        trajectory: Of all of them; None for a segment of nothing.
     """
 
     first: float
     last: float
-    course: Course | None = None
+    trajectory: LossTrajectory | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What a segment goes on from.
+
+    Attributes:
+        light: To begin with, [pose, r, z] on the device.
+        planned: Of each pose, whether that light is meant; the others begin with the filtered target, (poses,).
+        most: Greatest light of a pixel.
+        decided: First poses whose light is decided already, and is not part of what is solved.
+        dose: Delivered by them and those before the segment, [l, rho, z]; NaN where nothing can be changed any more.
+            None where light before the segment is still to come.
+    """
+
+    light: DeviceArray
+    planned: np.ndarray
+    most: float
+    decided: int = 0
+    dose: np.ndarray | None = None
 
 
 class Solver:
     """Descent of a loss on segments of one shape.
 
     The light of a segment is its last: choosing the best of all iterations would make a place depend on the rest of the
-    segment. The step is short enough that the loss of p ≥ 2 falls; where it rises all the same, this is told.
+    segment. The step is short enough that the loss of p ≥ 2 falls; where it rises all the same, a warning says so.
 
     The loss is a sum over voxels, the step is fixed by the light of one pose and the loss's curvature alone, and the
     first light is filtered and scaled likewise: what happens at a place depends on what is near it, never on where a
@@ -60,20 +82,23 @@ class Solver:
     layout: shape of a segment.  section: voxels along rho and z.  edges: [mm].  light: of one pose.
     """
 
+    layout: Layout
+    device: Device
+
     def __init__(
         self, layout: Layout, grid: WebGrid, beam: Beam, light: Propagation, method: Method, device: Device
     ) -> None:
-        self.loss = local_loss(method)
+        self.loss: Loss = local_loss(method)
         self.layout, self.device = layout, device
         whole = WebGrid((layout.columns, *grid.shape[1:]), grid.pitch)
-        self.operator = WebProjection.from_light(
+        self.operator: WebProjection = WebProjection.from_light(
             whole, light, float(layout.step), beam, device, poses=layout.poses, start=0.0
         )
         momentum = getattr(method, "momentum", None)
         steady = 1.0 if momentum is None else momentum  # Nesterov's comes near 1
         stable = 2.0 * (1.0 + steady) / (1.0 + 2.0 * steady)
-        self.step = PACE * stable / (self._norm() * self.loss.curvature())
-        self.pace = Pace(self.step, momentum=momentum, fixed=True)
+        self.step: float = PACE * stable / (self._norm() * self.loss.curvature())
+        self.pace: Pace = Pace(self.step, momentum=momentum, fixed=True)
         self._fields: dict[str, DeviceArray] = {}
 
     def _norm(self) -> float:
@@ -86,7 +111,7 @@ class Solver:
     def _rows_norm(self) -> float:
         """What rows unlike slices add to ‖A‖²; 1 where each row is a slice."""
         grid, beam = self.operator.grid, self.operator.beam
-        rows = Rows(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2], self.device)
+        rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2], self.device)
         if rows.same:
             return 1.0
         slices, shown = (self.device.upload(np.ones((1, 1, n))) for n in (grid.shape[2], rows.rows))
@@ -98,10 +123,10 @@ class Solver:
     @cached_property
     def gain(self) -> float:
         """Scale of the filtered light: a bar half as thick as the film gets dose 1 on average."""
-        work = Work(self.operator, self.device.upload(bar(self.operator.grid)), {})
-        light, dose = self._filtered(work, 1.0), self._field("dose")
-        work.expose(light, dose)
-        return 1.0 / work.part_mean(dose)
+        state = OptimizerState(self.operator, self.device.upload(bar(self.operator.grid)), {})
+        light, dose = self._filtered(state, 1.0), self._field("dose")
+        state.expose(light, dose)
+        return 1.0 / state.part_mean(dose)
 
     @cached_property
     def _unlit(self) -> np.ndarray:
@@ -126,16 +151,18 @@ class Solver:
     def _ramp(self) -> Taps:
         return ramp(self.operator)
 
-    def _filtered(self, work: Work, gain: float) -> DeviceArray:
+    def _filtered(self, state: OptimizerState, gain: float) -> DeviceArray:
         """``light`` = the target's filtered projection times a gain, never negative."""
         taps = self._ramp  # before the fields: measuring it takes two of its own for a while
-        shadow, light = self._field("gradient"), self._field("light")
-        work.project(work.target, shadow)
-        work.filter(shadow, taps, light, floor=0.0)
-        work.scale(gain, light, light)
+        projected, light = self._field("gradient"), self._field("light")
+        state.project(state.target, projected)
+        state.filter(projected, taps, light, floor=0.0)
+        state.scale(gain, light, light)
         return light
 
-    def solve(self, fractions: np.ndarray, iterations: int) -> tuple[DeviceArray, Outcome]:
+    def solve(
+        self, fractions: np.ndarray, iterations: int, given: Given | None = None
+    ) -> tuple[DeviceArray, SegmentLosses]:
         """Light [pose, r, z] for fractions [l, rho, z] of the segment's columns; overwritten by the next call.
 
         Raises:
@@ -144,27 +171,51 @@ class Solver:
         Warns:
             DivergenceWarning: When more than half of what the loss had fallen is lost again.
         """
-        work = Work(self.operator, self.device.upload(fractions), {})
+        state = OptimizerState(self.operator, self.device.upload(fractions), {})
         if not fractions.any():
-            return self._dark(), Outcome(0.0, 0.0)
+            return self._dark(), SegmentLosses(0.0, 0.0)
         gain, unlit = self.gain, self._unlit
-        work.memory["light"] = self._filtered(work, gain)
-        work.memory["ahead"] = self._field("ahead")
-        work.scale(1.0, work.held("light"), work.held("ahead"))
-        rest = self.device.upload(fractions * unlit)
+        state.memory["light"] = self._filtered(state, gain)
+        state.memory["ahead"] = self._field("ahead")
+        bring = fractions * unlit
+        if given is not None:
+            self._planned(given, state.buffer("light"))
+            if given.dose is not None:
+                middle = len(unlit) // 2
+                bring[:middle] = 0.0
+                bring = np.where(np.isnan(given.dose), fractions, bring + given.dose)
+        state.scale(1.0, state.buffer("light"), state.buffer("ahead"))
+        rest = self.device.upload(bring.astype(np.float32))
         dose, plain = self._field("dose"), identity(self.operator)
-        exposure = Exposure(work, self.loss, self.pace, rest=rest, dose=dose, gradient=self._field("gradient"))
+        exposure = DoseObjective(state, self.loss, self.pace, rest=rest, dose=dose, gradient=self._field("gradient"))
         losses = []
-        for _, (loss, _) in zip(range(iterations), minimize(exposure, (Channel(work, plain),), self.pace)):  # noqa: B905
+        for _, (loss, _) in zip(range(iterations), minimize(exposure, (Channel(state, plain),), self.pace)):  # noqa: B905
             losses.append(loss)
-            if Course(losses).lost:
-                raise Diverged(Course(losses).message(LAST), None, Course(losses).began)
-        course = Course(losses)
-        if course.risen:
-            warnings.warn(course.message(LAST), DivergenceWarning, stacklevel=2)
-        return work.held("light"), Outcome(losses[0], losses[-1], course)
+            if given is not None:
+                for light in ("light", "ahead"):
+                    self._possible(given, state.buffer(light))
+            if LossTrajectory(losses).lost:
+                raise Diverged(LossTrajectory(losses).message(LAST), None, LossTrajectory(losses).began)
+        trajectory = LossTrajectory(losses)
+        if trajectory.risen:
+            warnings.warn(trajectory.message(LAST), DivergenceWarning, stacklevel=2)
+        return state.buffer("light"), SegmentLosses(losses[0], losses[-1], trajectory)
 
-    def held(self) -> DeviceArray:
+    def _planned(self, given: Given, light: DeviceArray) -> None:
+        """``light`` = that of the plan, where there is one."""
+        others = self.device.table((~given.planned).astype(np.float32))
+        self.device.launch(weigh_poses, light=light, times=others, weighted=light)
+        combine(1.0, light, 1.0, given.light, light)
+        self._possible(given, light)
+
+    def _possible(self, given: Given, light: DeviceArray) -> None:
+        """Keep light within what a pixel can show, and poses that are decided out of it."""
+        capped(light, given.most)
+        if given.decided:
+            free = self.device.table((np.arange(light.shape[0]) >= given.decided).astype(np.float32))
+            self.device.launch(weigh_poses, light=light, times=free, weighted=light)
+
+    def buffer(self) -> DeviceArray:
         """Light [pose, r, z] of the segment solved last, its overlaps included."""
         return self._field("light")
 
@@ -186,7 +237,7 @@ def local_loss(method: Method) -> Loss:
     if not isinstance(loss, Loss):
         raise BadInput(
             f"{method!r} lowers no loss: its light is scaled by the dose of the whole web, of which a segment knows "
-            "nothing; wanted a method whose loss is a sum over voxels, such as BCLP.paper_002(), or such a loss"
+            "nothing; expected a method whose loss is a sum over voxels, such as BCLP.paper_002(), or such a loss"
         )
     coupling = getattr(method, "coupling", "") or loss.coupling
     if coupling:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -13,8 +12,11 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
+from vamgpu.storage.arrays import Layout, create
 from vamgpu.storage.atomic import explained, replacing
+from vamgpu.storage.folder import digest
 from vamgpu.storage.manifest import plain
+from vamgpu.storage.reading import is_file, parse_json, read_text
 
 FORMAT = "vamgpu web"
 VERSION = 1
@@ -28,7 +30,7 @@ class SegmentRecord:
     """What is kept of a segment: its frames, its columns of the target (fractions times 255), and their SHA-256.
 
     frames, columns: first and one after the last.  loss: of the first and last iteration.  saturated: pixels that
-    wanted more light than a full-on mirror gives.
+    needed more light than a full-on mirror gives.
     """
 
     frames: tuple[int, int]
@@ -57,7 +59,7 @@ class WebFolder:
         """Read the record of a folder. Raises `StorageError` where there is none or it is damaged."""
         file = Path(path) / RECORD
         try:
-            data = json.loads(file.read_text(encoding="utf-8"))
+            data = parse_json(read_text(file))
             if data["format"] != FORMAT or data["version"] != VERSION:
                 raise KeyError(f"format {data['format']!r}, version {data['version']!r}")
             segments = tuple(_segment(entry) for entry in data["segments"])
@@ -103,7 +105,7 @@ class WebFolder:
     ) -> WebFolder:
         """Add a segment: frames uint8 [pose, row, column], target uint8 [l, rho, z]. Raises `StorageError`."""
         spans = ((self.frames, self.frames + len(frames)), (self.columns, self.columns + len(target)))
-        record = SegmentRecord(*spans, loss, saturated, (_digest(frames), _digest(target)))
+        record = SegmentRecord(*spans, loss, saturated, (digest(frames), digest(target)))
         longer = replace(self, segments=(*self.segments, record), complete=complete)
         try:
             _write(self.path, "frames", spans[0], frames)
@@ -135,14 +137,9 @@ class WebFolder:
         """Entries of ``frames`` or ``target``. Raises `StorageError` where damaged, `BadInput` beyond the end."""
         end = self.frames if name == "frames" else self.columns
         if not 0 <= start <= stop <= end:
-            raise BadInput(f"{name} {start} to {stop}; wanted 0 to {end}")
+            raise BadInput(f"{name} {start} to {stop}; expected 0 to {end}")
         try:
-            array = _open(self.path, name, "r")
-            for number in range(start // _per_file(array), -(-stop // _per_file(array))):
-                file = self.path / name / "c" / str(number) / "0" / "0"
-                if not file.is_file():  # Zarr would read darkness
-                    raise FileNotFoundError(f"{file.name} of segment {number} is missing")
-            return np.asarray(array[start:stop])
+            return Layout.of(self.path / name).entries(range(start, stop))
         except Exception as error:  # noqa: BLE001 - damaged files raise whatever the codec that met them raises
             raise StorageError(
                 f"cannot read {name} {start} to {stop} of {str(self.path)!r}: {type(error).__name__}: {error}; "
@@ -156,18 +153,18 @@ class WebFolder:
     def verify(self) -> None:
         """Read everything and compare it with its hashes; raises `StorageError` at the first that differs."""
         for k, segment in enumerate(self.segments):
-            for name, span, wanted in zip(AXES, (segment.frames, segment.columns), segment.sha256, strict=True):
-                found = _digest(self.read(name, *span))
-                if found != wanted:
+            for name, span, expected in zip(AXES, (segment.frames, segment.columns), segment.sha256, strict=True):
+                found = digest(self.read(name, *span))
+                if found != expected:
                     raise StorageError(
                         f"{name} of segment {k} of {str(self.path)!r} has SHA-256 {found[:12]}…, its record says "
-                        f"{wanted[:12]}…; the web was changed or damaged, write it again"
+                        f"{expected[:12]}…; the web was changed or damaged, write it again"
                     )
 
     def files(self) -> Iterator[Path]:
         """Every file that holds frames or target."""
         for name in AXES:
-            yield from sorted(file for file in (self.path / name).rglob("*") if file.is_file())
+            yield from sorted(file for file in (self.path / name).rglob("*") if is_file(file))
 
     def _save(self) -> None:
         data = {
@@ -191,19 +188,7 @@ def _segment(entry: Mapping[str, Any]) -> SegmentRecord:
 
 
 def _array(place: Path, name: str, section: tuple[int, int], length: int) -> None:
-    import zarr
-    from zarr.codecs import ZstdCodec
-
-    zarr.open_group(place, mode="a", zarr_format=3).create_array(
-        name,
-        shape=(0, *section),
-        dtype=np.uint8,
-        chunks=(1, *section),
-        shards=(length, *section),
-        compressors=ZstdCodec(level=3, checksum=True),
-        dimension_names=AXES[name],
-        config={"write_empty_chunks": True},  # so that a file that went missing is not taken for darkness
-    )
+    create(place, name, (0, *section), np.dtype(np.uint8), (length, *section), AXES[name])
 
 
 def _open(place: Path, name: str, mode: Any) -> Any:
@@ -237,7 +222,3 @@ def _remove(folder: Path) -> None:
     import shutil
 
     shutil.rmtree(folder)
-
-
-def _digest(values: np.ndarray) -> str:
-    return hashlib.sha256(np.ascontiguousarray(values).data).hexdigest()

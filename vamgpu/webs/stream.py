@@ -14,60 +14,64 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.deprecated import renamed_arguments
 from vamgpu.errors import BadInput, StorageError, TileError
 from vamgpu.geometry import Beam, positive
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.method import Method
 from vamgpu.methods.run import chosen
-from vamgpu.operators.linear import LinearOperator
 from vamgpu.optics.lens import TunableLens
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.gray import GrayCurve
-from vamgpu.printing.pack import pack
+from vamgpu.printing.pack import Solved, pack
 from vamgpu.storage.manifest import plain
-from vamgpu.web import Wrap
+from vamgpu.web import Propagation, WebGrid, Wrap
 from vamgpu.webs.describe import described, described_focus, described_target
 from vamgpu.webs.layout import Layout
 from vamgpu.webs.section import focus_masks, one_column
 from vamgpu.webs.segment import Segment
-from vamgpu.webs.solver import Outcome, Solver
+from vamgpu.webs.solver import Given, SegmentLosses, Solver
 from vamgpu.webs.store import RECORD, WebFolder
 from vamgpu.webs.tiles import Columns
 
 QUANTILE = 0.9999
 """Share of the first segment's lit pixels that a full-on mirror reaches."""
 
-Told = Callable[[int, int | None], None]
-"""Told after each segment: how many are done, of how many (None where nobody knows)."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Packable:
-    """Light and the operator it belongs to, as `pack` takes them."""
-
-    sinogram: DeviceArray
-    operator: LinearOperator
+Progress = Callable[[int, int | None], None]
+"""Called after each segment with the segments done and their total (None where it is unknown)."""
 
 
 @dataclass(eq=False)
 class Stream:
     """Frames for a web of any length, decided segment by segment.
 
-    tiles: an iterator of arrays [l, rho, z] of fractions, of any thickness along l; a function of (l, rho, z) [mm] that
-    is negative in the solid; or `Repeated`, a mesh tiled along l.  wrap: the machine, e.g. `Roller`.  beam: its light.
-    lens: a `TunableLens`, whose planes follow a roller's film, or the `FocusMasks` themselves; ``masks`` keeps them,
-    and the folder says which plane shows which column.  section: voxels along rho and z; by default those of a film of
-    ``wrap``, a slice a row, and as many layers as come nearest the pitch and fill the film.  pitch: voxel edges [mm]
-    along l, rho, z; by default one pose along l and the beam's pitch.  length: of the web [mm]; tiles may leave it out
-    and end when they like.  method: any whose loss is a sum over voxels (`BCLP` with q = p,
-    CAL, penalty minimization, two thresholds), its name, or such a loss; the length of steps is the `Solver`'s own.
-    iterations: of each segment, the method's own by default.
-    core, overlap: of a segment, in windows of light.  gray: of the projector.  scale: light of a full-on pixel; by
-    default what the first segment needs, and from then on the same for all: a projector's lamp cannot change from
-    frame to frame.
+    Args:
+        tiles: An iterator of arrays [l, rho, z] of fractions, of any thickness along l; a function of (l, rho, z) [mm]
+            that is negative in the solid; or `Repeated`, a mesh tiled along l.
+        wrap: The machine, for example a `Roller`.
+        beam: Its light.
+        lens: A `TunableLens`, whose planes follow a roller's film, or the `FocusMasks` themselves. ``masks`` keeps
+            them, and the folder says which plane shows which column.
+        method: Any whose loss is a sum over voxels (`BCLP` with q = p, CAL, penalty minimization, two thresholds), its
+            name, or such a loss. The length of steps is the `Solver`'s own.
+        section: Voxels along rho and z; by default those of a film of ``wrap``, a slice a row, and as many layers as
+            come nearest the pitch and fill the film.
+        pitch: Voxel edges along l, rho, z [mm]; by default one pose along l and the beam's pitch.
+        length: Of the web [mm]; tiles may leave it out and end when they like.
+        iterations: Of each segment, the method's own by default.
+        core: Length of a segment relative to the window of light.
+        overlap: Length solved on either side of a segment relative to the window of light.
+        gray: Of the projector; None for a linear one.
+        scale: Irradiance of a full-on pixel relative to the light's unit; by default what the first segment needs. It
+            is the same for all frames: a projector's lamp cannot change from frame to frame.
+        speed: At which the web is to be printed [mm/s]; kept in its folder for whoever prints it.
+        device: A name or a device; the best one here by default.
 
-    Raises `BadInput`, `ShapeMismatch`, `DeviceError`; while it runs also `TileError`.
+    Raises:
+        BadInput: An argument is of another kind or out of its range.
+        ShapeMismatch: The light was made for another geometry.
+        DeviceError: There is no such device.
     """
 
     tiles: Any
@@ -84,29 +88,32 @@ class Stream:
     gray: GrayCurve | None = None
     scale: float | None = None
     device: str | Device | None = None
+    speed: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.wrap, Wrap):
-            raise BadInput(f"got {self.wrap!r} as wrap; wanted a Roller, or anything that carries a web past light")
+            raise BadInput(f"got {self.wrap!r} as wrap; expected a Roller, or anything that carries a web past light")
         if not isinstance(self.beam, Beam):
-            raise BadInput(f"got {self.beam!r} as beam; wanted a Beam")
+            raise BadInput(f"got {self.beam!r} as beam; expected a Beam")
         if self.scale is not None:
             self.scale = positive("scale", self.scale)
+        if self.speed is not None:
+            self.speed = positive("speed [mm/s]", self.speed)
         self.method = chosen(self.method)
         count = self.method.iterations if self.iterations is None else self.iterations
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-            raise BadInput(f"iterations is {count!r}; wanted a whole number ≥ 1")
+            raise BadInput(f"iterations is {count!r}; expected a whole number ≥ 1")
         self.iterations = count
         self.gray = GrayCurve.linear() if self.gray is None else self.gray
         if not isinstance(self.gray, GrayCurve):
-            raise BadInput(f"got {self.gray!r} as gray; wanted a GrayCurve, such as GrayCurve.load(path), or None")
-        self.grid = one_column(self.wrap, self.beam, self.section, self.pitch)
-        self.masks = focus_masks(self.lens, self.wrap, self.beam)
-        self.light = self.wrap.propagation(self.grid, self.beam)
+            raise BadInput(f"got {self.gray!r} as gray; expected a GrayCurve, such as GrayCurve.load(path), or None")
+        self.grid: WebGrid = one_column(self.wrap, self.beam, self.section, self.pitch)
+        self.masks: FocusMasks | None = focus_masks(self.lens, self.wrap, self.beam)
+        self.light: Propagation = self.wrap.propagation(self.grid, self.beam)
         step = self.wrap.advance / self.grid.edges[0]
-        self.layout = Layout.of(self.light.shape[2], step, self.core, self.overlap)
+        self.layout: Layout = Layout.of(self.light.shape[2], step, self.core, self.overlap)
         self.device = open_device(self.device)
-        self.solver = Solver(self.layout, self.grid, self.beam, self.light, self.method, self.device)
+        self.solver: Solver = Solver(self.layout, self.grid, self.beam, self.light, self.method, self.device)
 
     def __iter__(self) -> Iterator[Segment]:
         """Segments in order, from the first."""
@@ -118,12 +125,22 @@ class Stream:
         return None if self.length is None else self.layout.segments(Columns((), self.grid, self.length).end or 0)
 
     def segments(
-        self, first: int = 0, scale: float | None = None, before: np.ndarray | None = None
-    ) -> Iterator[Segment]:
-        """Segments from number ``first`` on; with its tiles from the very beginning, and the scale of those before.
+        self, first: int = 0, scale: float | None = None, before: np.ndarray | None = None,
+        given: Callable[[int], Given] | None = None,
+    ) -> Iterator[Segment]:  # fmt: skip
+        """Solve segment after segment; what was yielded before an error stays valid.
 
-        before: the target of the segment before the first, which the tiles must give again.  Raises `TileError`: what
-        was yielded before stays valid.
+        Args:
+            first: Number of the first one; tiles are read from the very beginning all the same.
+            scale: That of the segments before, relative to the light's unit; by default the stream's.
+            before: Target of the segment before the first, uint8 [l, rho, z], which the tiles must give again.
+            given: What each segment goes on from, by its number; None begins each with the filtered target.
+
+        Returns:
+            The segments in order.
+
+        Raises:
+            TileError: The tiles break off, do not fit, or differ from ``before``.
         """
         columns, scale = Columns(self.tiles, self.grid, self.length), scale or self.scale
         number = first
@@ -136,7 +153,9 @@ class Stream:
             start, stop = self.layout.owned(number, columns.end)
             if stop <= start:
                 return
-            light, outcome = self.solver.solve(fractions, self.iterations or 1)
+            light, outcome = self.solver.solve(
+                fractions, self.iterations or 1, None if given is None else given(number)
+            )
             here = slice(self.layout.overlap, self.layout.overlap + stop - start)
             scale = scale or self._first_scale(light, here)
             images = self._pack(light, scale)[here].copy()
@@ -159,7 +178,7 @@ class Stream:
             )
 
     def _segment(
-        self, number: int, start: int, images: np.ndarray, fractions: np.ndarray, scale: float, outcome: Outcome,
+        self, number: int, start: int, images: np.ndarray, fractions: np.ndarray, scale: float, outcome: SegmentLosses,
         began: float, last: bool,
     ) -> Segment:  # fmt: skip
         assert self.gray is not None
@@ -183,17 +202,28 @@ class Stream:
         return float(shown[rank])
 
     def _pack(self, light: DeviceArray, scale: float) -> np.ndarray:
-        return pack(_Packable(light, self.solver.operator), 8, self.gray, scale=scale).images.numpy()
+        return pack(Solved(light, self.solver.operator), 8, self.gray, scale=scale).images.numpy()
 
     # ---- to a folder -----------------------------------------------------------------------------------------
+    @renamed_arguments(told="progress")
     def write(
-        self, path: str | Path, *, resume: bool = True, overwrite: bool = False, told: Told | None = None
+        self, path: str | Path, *, resume: bool = True, overwrite: bool = False, progress: Progress | None = None
     ) -> WebFolder:
-        """Write every segment to a folder as soon as it is decided, and return the folder.
+        """Write every segment to a folder as soon as it is decided. A killed run leaves a folder of whole segments
+        only.
 
-        resume: go on where an interrupted run of the same stream stopped; tiles are read again from the beginning.
-        overwrite: begin anew. A run that is killed leaves a folder that counts whole segments only.
-        Raises `StorageError` for a folder of another stream, and whatever `segments` raises.
+        Args:
+            path: Of the folder.
+            resume: Go on where an interrupted run of the same stream stopped; tiles are read again from the beginning.
+            overwrite: Begin anew.
+            progress: Called after each segment.
+
+        Returns:
+            The folder.
+
+        Raises:
+            StorageError: The folder is that of another stream, or cannot be written.
+            TileError: As for `segments`.
         """
         folder = self._begun(Path(path), resume, overwrite)
         if folder.complete:
@@ -206,8 +236,8 @@ class Stream:
             if not folder.segments:
                 folder.details["frames"]["scale"] = segment.scale
             folder = folder.append(segment.images, segment.target, segment.loss, segment.saturated, segment.last)
-            if told is not None:
-                told(len(folder.segments), self.total)
+            if progress is not None:
+                progress(len(folder.segments), self.total)
         return folder
 
     def _begun(self, place: Path, resume: bool, overwrite: bool) -> WebFolder:
@@ -216,7 +246,7 @@ class Stream:
         details = self.details()
         if resume and (place / RECORD).is_file():
             folder = WebFolder.open(place).swept()
-            known = {**folder.details, "frames": {**folder.details["frames"], "scale": self.scale}}
+            known = {"speed": self.speed, **folder.details, "frames": {**folder.details["frames"], "scale": self.scale}}
             if known != plain(details, "details"):
                 different = [key for key in details if known.get(key) != plain(details[key], key)]
                 raise StorageError(
@@ -230,7 +260,11 @@ class Stream:
         return WebFolder.create(place, details, (rows, columns), section, lengths)
 
     def details(self) -> dict[str, Any]:
-        """What it takes to read the frames and to go on with them, in plain values."""
+        """What it takes to read the frames and to go on with them.
+
+        Returns:
+            Plain values by subject.
+        """
         assert self.gray is not None
         layout = self.layout
         return {
@@ -246,6 +280,7 @@ class Stream:
                 "bits": 8, "gray": self.gray.describe(), "scale": self.scale, "focus": described_focus(self.masks),
             },
             "length": self.length,
+            "speed": self.speed,
             "target": described_target(self.tiles),
         }  # fmt: skip
 

@@ -33,7 +33,9 @@ class Columns:
 
     def __init__(self, source: Any, grid: WebGrid, length: float | None = None) -> None:
         self.grid = grid
-        self.limit = None if length is None else ceil(positive("length [mm]", length) / grid.edges[0] - 1e-6)
+        self.limit: int | None = (
+            None if length is None else ceil(positive("length [mm]", length) / grid.edges[0] - 1e-6)
+        )
         self._tiles = iter(_tiles(source, grid, length))
         self._read = 0
         if isinstance(source, np.ndarray) and self.limit is not None and len(source) < self.limit:
@@ -83,9 +85,10 @@ class Columns:
         self._ended = True
 
     def _short(self, columns: int, remedy: str) -> TileError:
-        wanted = "at least one" if self.limit is None else f"{self.limit} ({self._mm(self.limit)})"
+        expected = "at least one" if self.limit is None else f"{self.limit} ({self._mm(self.limit)})"
         return TileError(
-            f"the tiles end after {columns} columns ({self._mm(columns)}); wanted {wanted}: give {remedy}, or begin a "
+            f"the tiles end after {columns} columns ({self._mm(columns)}); expected {expected}: give {remedy}, or "
+            "begin a "
             "shorter web"
         )
 
@@ -102,14 +105,14 @@ class Columns:
         values = np.asarray(item.numpy() if hasattr(item, "numpy") else item)
         if values.ndim != 3 or values.shape[1:] != self.grid.shape[1:] or not values.shape[0]:
             raise TileError(
-                f"{where} has shape {values.shape}; wanted [l, {self.grid.shape[1]}, {self.grid.shape[2]}] = "
+                f"{where} has shape {values.shape}; expected [l, {self.grid.shape[1]}, {self.grid.shape[2]}] = "
                 "[l, rho, z], like the tiles before it"
             )
         if values.dtype.kind not in "fiub":
-            raise TileError(f"{where} holds {values.dtype}; wanted fractions 0..1")
+            raise TileError(f"{where} holds {values.dtype}; expected fractions 0..1")
         low, high = float(values.min()), float(values.max())
         if not (low >= 0.0 and high <= 1.0):
-            raise TileError(f"{where} reaches from {low:g} to {high:g}; wanted fractions in 0..1: scale it")
+            raise TileError(f"{where} reaches from {low:g} to {high:g}; expected fractions in 0..1: scale it")
         return values.astype(np.float32)
 
     def _mm(self, columns: int) -> str:
@@ -131,6 +134,7 @@ def _tiles(source: Any, grid: WebGrid, length: float | None) -> Iterable[Any]:
     if isinstance(source, Iterable):
         return source
     raise BadInput(
-        f"got {type(source).__name__} as tiles; wanted an iterator of arrays [l, rho, z], a function φ(l, rho, z) that "
+        f"got {type(source).__name__} as tiles; expected an iterator of arrays [l, rho, z], a function φ(l, rho, z) "
+        "that "
         "is negative in the solid, or Repeated(solid, period)"
     )

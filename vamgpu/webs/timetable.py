@@ -1,7 +1,7 @@
-"""When a web machine tells its lens where to focus, when it triggers its mirrors, and when they are lit.
+"""When a web machine commands its lens, when it triggers its mirrors, and when they are lit.
 
 Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S14: the command for the
-lens goes out, right after it the trigger, and the mirrors wait for the lens to settle before they show their picture.
+lens goes out, right after it the trigger, and the mirrors wait for the lens to settle before they show their frame.
 """
 
 from __future__ import annotations
@@ -13,20 +13,24 @@ import numpy as np
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
 from vamgpu.printing.focus import slots
-from vamgpu.webs.limits import Limits
+from vamgpu.webs.limits import WebLimits
 
 TICK = 1e-6
-"""Seconds of the clock that sends commands and triggers, unless told otherwise."""
+"""Seconds of the clock that sends commands and triggers, by default."""
 
 
 @dataclass(frozen=True, eq=False)
 class Timetable:
-    """Times [s] of every picture of some poses, arrays (poses, bins), from the start of pose 0 of the web.
+    """Times [s] of every frame of some poses, (poses, bins), from the start of pose 0 of the web.
 
-    plane: which focus plane is shown.  power: of the lens [dpt].  command: when the lens is told; NaN where it keeps
-    its power.  trigger: of the mirrors.  start, stop: between them light is on; equally long for all pictures.
-    delay: from trigger to light [s], set once in the mirrors. So a picture in the plane of the one before is triggered
-    while that one is still lit.
+    Attributes:
+        plane: Which focus plane is shown.
+        power: Of the lens [dpt].
+        command: When the command for the lens goes out; NaN where it keeps its power.
+        trigger: Of the mirrors. A frame in the plane of the one before is triggered while that one is still lit.
+        start: From when on light is on.
+        stop: Until when; equally long for all frames.
+        delay: From trigger to light [s], set once in the mirrors.
     """
 
     plane: np.ndarray
@@ -38,23 +42,31 @@ class Timetable:
     delay: float
 
 
-def timetable(limits: Limits, poses: int, first: int = 0, tick: float = TICK) -> Timetable:
-    """Times of ``poses`` poses from pose ``first`` on.
+def timetable(limits: WebLimits, poses: int, first: int = 0, tick: float = TICK) -> Timetable:
+    """Times of some poses, each rounded to the clock from the beginning of the web, so that no error adds up.
 
-    Every time is rounded to the clock's ``tick`` [s] from where it should be, counted from the beginning of the web,
-    and not from the picture before: so nothing adds up, however long the web is.  Raises `BadInput` for a speed at
-    which pictures are not shown as long as the mirrors need.
+    Args:
+        limits: The machine and its speed.
+        poses: How many poses.
+        first: Number of the first one.
+        tick: Of the clock [s].
+
+    Returns:
+        The times.
+
+    Raises:
+        BadInput: The speed leaves frames less time than the mirrors need.
     """
     count, tick = counts("poses", (poses,), 1)[0], positive("tick [s]", tick)
     if isinstance(first, bool) or not isinstance(first, int) or first < 0:
-        raise BadInput(f"first is {first!r}; wanted the number of a pose, 0 or more")
+        raise BadInput(f"first is {first!r}; expected the number of a pose, 0 or more")
     shown, bins = limits.display, limits.lens.bins
     period, busy = 1.0 / limits.pose_rate, shown.wire + limits.lens.settle
     lit = (period - limits.moves * busy) / bins
     if lit < (1.0 - 1e-9) / shown.rate + 2.0 * tick * (limits.moves > 0):
         raise BadInput(
-            f"at {limits.speed:.4g} mm/s a picture is lit for {1e3 * lit:.4g} ms, and the mirrors need "
-            f"{1e3 / shown.rate:.4g} ms and two ticks; wanted less than {limits.binding.speed:.4g} mm/s"
+            f"at {limits.speed:.4g} mm/s a frame is lit for {1e3 * lit:.4g} ms, and the mirrors need "
+            f"{1e3 / shown.rate:.4g} ms and two ticks; expected less than {limits.limiting.speed:.4g} mm/s"
         )
     plane = slots(first + count, bins, turning=shown.turning)[first:]
     moves = np.ones((count, bins), bool)

@@ -24,6 +24,9 @@ PIXELS = 2400
 class Strips:
     """The middle layer of a web, [l, rho], gathered piece by piece and thinned along l."""
 
+    step: int
+    threshold: float
+
     def __init__(self, columns: int, threshold: float) -> None:
         self.step, self.threshold = max(1, -(-columns // PIXELS)), threshold
         self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
@@ -32,15 +35,15 @@ class Strips:
         """A piece [l, rho, z] that begins at column ``start``."""
         chosen = slice(-start % self.step, None, self.step)
         middle = dose.shape[2] // 2
-        given, wanted = dose[chosen, :, middle], target[chosen, :, middle].astype(np.float64)
-        verdict = verdicts(wanted[:, :, None], given[:, :, None] >= self.threshold, np.ones(given.shape, bool))
-        self._parts.append((wanted, given, verdict[:, :, 0]))
+        given, expected = dose[chosen, :, middle], target[chosen, :, middle].astype(np.float64)
+        verdict = verdicts(expected[:, :, None], given[:, :, None] >= self.threshold, np.ones(given.shape, bool))
+        self._parts.append((expected, given, verdict[:, :, 0]))
 
     def pictures(self, peak: float) -> list[Image]:
         """Target, dose and verdict; the outer face of the film is up."""
-        wanted, given, verdict = (upright(np.concatenate(part)) for part in zip(*self._parts, strict=True))
+        expected, given, verdict = (upright(np.concatenate(part)) for part in zip(*self._parts, strict=True))
         return [
-            Image(png(247 - (wanted * 191).astype(np.uint8)), "target of the whole web, outer face up"),
+            Image(png(247 - (expected * 191).astype(np.uint8)), "target of the whole web, outer face up"),
             Image(png(colored(given / peak, "magma")), "dose"),
             Image(png(COLORS[verdict]), "printed"),
         ]
@@ -58,6 +61,7 @@ def wrapped_chart(light: Propagation, grid: WebGrid, roller: Roller, frame: np.n
     flat = light.rho.astype(np.int64) * n_l + light.l
 
     def draw(*axes: Any) -> None:
+        drawn: Any = None
         for axis, shown, name in zip(axes, (whole, frame), ("every column on", "one frame"), strict=True):
             total = np.bincount(flat, light.weight * shown[light.r], n_rho * n_l).reshape(n_rho, n_l).T
             drawn = axis.pcolormesh(x, y, total / max(float(total.max()), 1e-30), cmap="inferno", rasterized=True)

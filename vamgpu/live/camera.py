@@ -1,0 +1,325 @@
+"""The camera that watches a print: light through the vial, or scattered in it, as images and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.operators.blur import Blur
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.space import require
+from vamgpu.schema import check
+from vamgpu.schema.quantities import NonNegative, Place, Quantity, Turn
+
+Bits = Annotated[int, Quantity(least=1.0, most=16.0, whole=True)]
+
+TAIL = 5.0
+"""Standard deviations kept of a point spread, and one pixel more."""
+FAINTEST = 2.0
+"""Standard deviations of its noise that a pixel must be bright, or it is not counted."""
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """How gray levels scatter: variance = read² + gain·level + 1/12, the last of rounding.
+
+    Args:
+        read: Standard deviation in the dark [gray levels].
+        gain: Gray levels per electron; 0 for no shot noise.
+        bits: Of a pixel; the brightest gray level is 2^bits − 1.
+
+    Raises:
+        BadInput: A value is out of its range.
+    """
+
+    read: NonNegative = 0.5
+    gain: NonNegative = 0.0
+    bits: Bits = 8
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def brightest(self) -> int:
+        """Greatest gray level."""
+        return 2**self.bits - 1
+
+    def variance(self, images: np.ndarray) -> np.ndarray:
+        """How much gray levels scatter.
+
+        Args:
+            images: Gray levels, (...,).
+
+        Returns:
+            Variance [gray levels²], (...,).
+        """
+        return self.read**2 + self.gain * np.maximum(images, 0.0) + 1.0 / 12.0
+
+    def expose(self, images: np.ndarray, seed: int) -> np.ndarray:
+        """What a sensor makes of gray levels without noise.
+
+        Args:
+            images: Gray levels, (...,).
+            seed: Of the random numbers.
+
+        Returns:
+            Whole gray levels from 0 to the brightest, uint16 (...,).
+        """
+        rng = np.random.default_rng(seed)
+        levels = self.gain * rng.poisson(np.maximum(images, 0.0) / self.gain) if self.gain else images
+        levels = np.rint(levels + rng.normal(0.0, self.read, np.shape(images)))
+        return np.clip(levels, 0, self.brightest).astype(np.uint16)
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Where the axis of rotation and the middle of the grid appear in the images.
+
+    Args:
+        axis: The axis, columns from the middle of the image [mm].
+        height: The middle of the grid, rows from the middle of the image [mm].
+        roll: Turn of the image about the middle of the grid, from columns to rows [rad].
+
+    Raises:
+        BadInput: A value is not finite.
+    """
+
+    axis: Place = 0.0
+    height: Place = 0.0
+    roll: Turn = 0.0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def centered(self) -> bool:
+        """Whether images are as the projection has them."""
+        return self == CameraPose()
+
+    def seen(self, images: np.ndarray, pitch: float) -> np.ndarray:
+        """Centered images as this pose shows them.
+
+        Args:
+            images: Gray levels, or anything else, [angle, row, column].
+            pitch: Of a pixel [mm].
+
+        Returns:
+            The images, [angle, row, column].
+        """
+        turn, shift = self._turn, np.array([self.height, self.axis]) / pitch
+        return _resampled(images, turn.T, -turn.T @ shift)
+
+    def centering(self, images: np.ndarray, pitch: float) -> np.ndarray:
+        """Images of this pose as a centered camera would see them.
+
+        Args:
+            images: Gray levels, or anything else, [angle, row, column].
+            pitch: Of a pixel [mm].
+
+        Returns:
+            The images, [angle, row, column].
+        """
+        return _resampled(images, self._turn, np.array([self.height, self.axis]) / pitch)
+
+    @property
+    def _turn(self) -> np.ndarray:
+        """Centered (row, column) → those of the images."""
+        cosine, sine = np.cos(self.roll), np.sin(self.roll)
+        return np.array([[cosine, sine], [-sine, cosine]])
+
+
+def _resampled(images: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Images whose pixel p, from the middle, is that at turn·p + shift; the edge goes on beyond itself."""
+    from scipy.ndimage import affine_transform  # takes longer to load than all of vamgpu
+
+    middle = 0.5 * (np.array(images.shape[1:]) - 1.0)
+    offset = middle + shift - turn @ middle
+    return np.stack(
+        [affine_transform(image, turn, offset=offset.tolist(), order=3, mode="nearest") for image in images]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class MonitoringCamera:
+    """A telecentric camera opposite to, or at an angle to, collimated light that resin does not absorb.
+
+    Each pixel sees along one ray, so that a `Projection` with the camera's pixels, spread and angles and the vial's
+    indices at its wavelength is its geometry. In images [angle, row, column] rows count along z and columns along r.
+
+    To first order: light that is scattered is lost to the view through the vial, and light that is scattered into the
+    view at an angle was weakened nowhere.
+
+    Args:
+        projection: The rays. Its vessel absorbs nothing: what resin took before the print is in the open field.
+        open_field: Gray levels through the vial before the print, with the vignetting of light and lens:
+            [row, column], or [angle, row, column] of one turn, or one number.
+        noise: Of the sensor.
+        pose: Of the sensor.
+        focus: How far downstream of the axis the camera is in focus [mm]. Cured resin of another index bends light, and
+            edges show bright and dark in proportion to this.
+
+    Raises:
+        BadInput: The vessel absorbs, or the open field is dark or not finite.
+        ShapeMismatch: The open field is not of this camera.
+    """
+
+    projection: Projection
+    open_field: Any
+    noise: SensorNoise = SensorNoise()
+    pose: CameraPose = CameraPose()
+    focus: Place = 0.0
+
+    def __post_init__(self) -> None:
+        check(self)
+        vessel = self.projection.vessel
+        if vessel is not None and vessel.absorption > 0:
+            raise BadInput(f"got {vessel!r}, which absorbs; expected one of absorption 0: what the resin takes of the "
+                           "camera's light before the print is in the open field")  # fmt: skip
+        field = np.asarray(self.open_field, np.float32)
+        if field.shape not in ((), self.shape[1:], self.shape):
+            raise ShapeMismatch(f"the open field has shape {field.shape}; expected {self.shape[1:]} = [row, column], "
+                                f"or {self.shape} = [angle, row, column]")  # fmt: skip
+        if not np.isfinite(field).all() or field.min() < 0 or field.max() <= 0:
+            raise BadInput("the open field is dark, negative or not finite; expected gray levels of the lit vial")
+        object.__setattr__(self, "open_field", field)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of the images of a turn: angles, rows, columns."""
+        angles, columns, rows = self.projection.range.shape
+        return angles, rows, columns
+
+    # ---- images of fields -------------------------------------------------------------------------------------------
+    def transmitted(self, extinction: Any, index: Any = None) -> np.ndarray:
+        """The view through the vial.
+
+        Args:
+            extinction: Of the resin above that before the print [1/mm], [x, y, z].
+            index: Change of the refractive index, [x, y, z]; None for none.
+
+        Returns:
+            Gray levels without noise, [angle, row, column].
+
+        Raises:
+            ShapeMismatch: A field is not of the projection's grid.
+        """
+        return self._as_images(self.transmission(extinction, index)) * self.open_field
+
+    def transmission(self, extinction: Any, index: Any = None) -> np.ndarray:
+        """Share of the open field's light that a centered camera sees.
+
+        Args:
+            extinction: As for `transmitted`, [x, y, z].
+            index: As for `transmitted`, [x, y, z].
+
+        Returns:
+            The share, [angle, r, z].
+
+        Raises:
+            ShapeMismatch: A field is not of the projection's grid.
+        """
+        light = np.exp(-self._lengths(extinction))
+        if index is not None and self.focus:
+            light *= np.maximum(1.0 - self.focus * self._curvature(self._lengths(index)), 0.0)
+        return 1.0 - self._spread(1.0 - light)  # beyond the image nothing is dark
+
+    def scattered(self, scattering: Any, background: Any = 0.0) -> np.ndarray:
+        """The view at an angle of the light: each pixel adds up what scatters along its ray.
+
+        Args:
+            scattering: Share of the light scattered into the view per length [1/mm], [x, y, z].
+            background: Gray levels without a print, a number or [row, column] or [angle, row, column].
+
+        Returns:
+            Gray levels without noise, [angle, row, column].
+
+        Raises:
+            ShapeMismatch: The field is not of the projection's grid.
+        """
+        return self._as_images(self._spread(self._lengths(scattering))) * self.open_field + background
+
+    def _lengths(self, field: Any) -> np.ndarray:
+        """Integrals along the rays of a field per mm, [angle, r, z]."""
+        require(self.projection.domain, field, "the field")
+        reached = self.reached
+        through = np.asarray(self._sharp(np.asarray(field, np.float32)))
+        return through * np.where(reached > 0, 1.0 / np.maximum(reached, 1e-6), 0.0)
+
+    def _curvature(self, path: np.ndarray) -> np.ndarray:
+        """Σ of the second derivatives of optical path [mm] across an image, over the index of the resin [1/mm]."""
+        pitch, vessel = self.projection.beam.pitch, self.projection.vessel
+        bent = np.zeros_like(path)
+        for axis in (1, 2):
+            if path.shape[axis] > 1:
+                edge = [(0, 0)] * 3
+                edge[axis] = (1, 1)
+                bent += np.diff(np.pad(path, edge, "edge"), 2, axis=axis)
+        return bent / (pitch**2 * getattr(vessel, "resin_index", 1.0))
+
+    def _spread(self, light: np.ndarray) -> np.ndarray:
+        return light if self._blur is None else np.asarray(self._blur(light.astype(np.float32)))
+
+    def _as_images(self, light: np.ndarray) -> np.ndarray:
+        images = light.swapaxes(1, 2)
+        return images if self.pose.centered else self.pose.seen(images, self.projection.beam.pitch)
+
+    @cached_property
+    def reached(self) -> np.ndarray:
+        """Share of the light of each column that the projection counts, by its transmittance (columns, 1)."""
+        A = self.projection
+        columns = A.beam.columns()
+        return (np.ones(columns.size) if A.vessel is None else A.vessel.chords(columns).transmittance)[:, None]
+
+    @cached_property
+    def _sharp(self) -> Projection:
+        """The rays without spread: it spreads light, not the logarithm of light."""
+        A = self.projection
+        return Projection(A.grid, replace(A.beam, fill=1.0, spread=0.0), A.motion, A.vessel, A.device)
+
+    @cached_property
+    def _blur(self) -> Blur | None:
+        """A Gaussian's discrete twin, which has its variance."""
+        from scipy.special import ive  # takes longer to load than all of vamgpu
+
+        A, sigma = self.projection, self.projection.beam.sigma
+        if not sigma:
+            return None
+        taps = ive(np.arange(2 + int(TAIL * sigma)), sigma**2)
+        taps /= 2.0 * taps.sum() - taps[0]
+        return Blur(A.range, A.device, taps, np.ones(1) if A.beam.flat else taps)
+
+    # ---- and back ---------------------------------------------------------------------------------------------------
+    def optical_depth(self, images: Any) -> tuple[np.ndarray, np.ndarray]:
+        """How much light a print took, and how well that is known.
+
+        Pixels that are saturated, not finite (a lost frame is NaN throughout), or darker than twice their noise weigh
+        nothing. The open field counts as exact.
+
+        Args:
+            images: Gray levels [angle, row, column].
+
+        Returns:
+            −ln(image / open field), centered, and the inverse of its variance, both [angle, r, z].
+
+        Raises:
+            ShapeMismatch: The images are not of this camera.
+        """
+        levels = np.asarray(images, np.float32)
+        if levels.shape != self.shape:
+            raise ShapeMismatch(f"the images have shape {levels.shape}; expected {self.shape} = [angle, row, column]")
+        variance = self.noise.variance(levels)
+        with np.errstate(invalid="ignore"):
+            good = (levels**2 > FAINTEST**2 * variance) & (levels < self.noise.brightest) & (self.open_field > 0)
+        depth = np.zeros_like(levels)
+        np.log(np.broadcast_to(self.open_field, self.shape) / np.where(good, levels, 1.0), out=depth, where=good)
+        weight = np.where(good, levels**2 / np.where(good, variance, 1.0), 0.0)
+        if not self.pose.centered:
+            pitch = self.projection.beam.pitch
+            known = self.pose.centering(good.astype(np.float32), pitch) > 0.99  # no spline through what is not known
+            depth = self.pose.centering(depth, pitch)
+            weight = np.where(known, np.maximum(self.pose.centering(weight, pitch), 0.0), 0.0)
+        return depth.swapaxes(1, 2), weight.swapaxes(1, 2)

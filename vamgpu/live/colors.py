@@ -1,0 +1,184 @@
+"""The light of both colors for the turns that remain, through the kinetics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+from vamgpu.live.replan import ROUNDING, SURE, Outlook, finite
+from vamgpu.losses.band import Band
+from vamgpu.methods.joint.descent import ColorDescent, gains_of
+from vamgpu.methods.joint.models import KineticModel, Pair, SpeciesFields
+from vamgpu.methods.joint.run import LossWeights
+from vamgpu.methods.part import fractions_of
+from vamgpu.methods.state import OptimizerState
+from vamgpu.metrics import score
+from vamgpu.operators.compose import capped, combine
+from vamgpu.operators.reductions import extent
+
+
+@dataclass(frozen=True, eq=False)
+class ReplannedColors:
+    """Light of both colors of each of the turns that remain.
+
+    Args:
+        light: Of one turn, [angle, r, z] on the device, 0 to the projectors' bounds; dark where the print should stop.
+        kept: What the plan that was running would make of the print.
+        expected: What this light makes of it; its ``turns`` is the moment to stop.
+        evaluations: Projector evaluations spent, each one forward and one back projection of both colors.
+    """
+
+    light: Pair
+    kept: Outlook
+    expected: Outlook
+    evaluations: float
+
+
+@dataclass(frozen=True, eq=False)
+class ColorReplanner:
+    """Optimizes the light of both colors for the turns that remain; all of them show the same.
+
+    Doses of two colors do not add up: what was delivered is the state of the species in every voxel, from which the
+    kinetics of the rest begin. Voxels that are surely over their limit (void that is solid, part above the most that is
+    asked) cannot be mended and get no weight.
+
+    Args:
+        target: A `Target`, or fractions [x, y, z].
+        model: Of the print as planned.
+        most: Greatest light of a pixel of each color, in units of the plan's.
+        weights: Effective doses that are asked for.
+        threshold: Effective dose from which resin is solid; None for the middle between outside and inside.
+
+    Raises:
+        BadInput: A value is out of its range.
+    """
+
+    target: Any
+    model: KineticModel
+    most: tuple[float, float]
+    weights: LossWeights = field(default_factory=LossWeights)
+    threshold: float | None = None
+
+    def __post_init__(self) -> None:
+        for color, most in zip(("visible", "ultraviolet"), self.most, strict=True):
+            positive(f"greatest {color} light", most)
+
+    @cached_property
+    def _fractions(self) -> DeviceArray:
+        return fractions_of(self.model.operators[0], self.target)
+
+    @cached_property
+    def _gains(self) -> tuple[float, ...]:
+        return gains_of(self.model, self._fractions)
+
+    def replan(
+        self, model: KineticModel, delivered: SpeciesFields, plan: Pair, planned: int, turns: Sequence[int], *,
+        evaluations: float, deviation: Any = 0.0,
+    ) -> ReplannedColors:  # fmt: skip
+        """Light for the rest of a print, the best found with what may be spent.
+
+        Args:
+            model: With operators and lamps as estimated, for example `KineticModel.going_on`; its turns and start do
+                not count.
+            delivered: State after the turns so far, for example `KineticModel.state` of the light that was shown.
+            plan: Light of each turn that would be shown otherwise, [angle, r, z] of both colors.
+            planned: Turns it would be shown for.
+            turns: Numbers of further turns that are allowed, 0 for a stop now.
+            evaluations: Projector evaluations that may be spent.
+            deviation: Standard deviation of the effective dose so far, [x, y, z], or one for all.
+
+        Returns:
+            The best of the light found and the plan's own.
+
+        Raises:
+            BadInput: A state or light that is no number, or no turns.
+            ShapeMismatch: An array of another geometry.
+        """
+        counts = sorted({int(count) for count in turns})
+        if not counts or counts[0] < 0 or planned < 0:
+            raise BadInput(f"got turns {list(turns)} and {planned} planned; expected whole numbers from 0 on")
+        allowed, device = positive("evaluations", evaluations), model.device
+        state = SpeciesFields(*(finite(model.operators[0].domain, part, device, f"the {name}")
+                                for name, part in zip(SpeciesFields._fields, delivered, strict=True)))  # fmt: skip
+        light = Pair(*(finite(A.range, part, device, "the plan's light")
+                       for A, part in zip(model.operators, plan, strict=True)))  # fmt: skip
+        now = state.effective_dose(model.resin)
+        loss, judge = self._loss(model, now, deviation), OptimizerState(model.operators[0], self._fractions, {}, "loss")
+        loss = loss.on(judge.field)
+
+        def looked(count: int, dose: DeviceArray) -> tuple[Outlook, float]:
+            found = self._outlook(count, dose, judge)
+            return found, judge.loss(dose, loss)
+
+        before = judge.part_mean(now)
+        after = model.going_on(planned, state).expose(light) if planned else combine(1.0, now, 0.0, now, judge.volume())
+        rise = max(judge.part_mean(after) - before, 0.0) if planned else 0.0
+        spent = 0.5 * bool(planned)
+        kept, kept_loss = looked(planned, after)
+        best, best_loss = (light, kept), np.inf
+        if planned in counts and self._shown(light):
+            best_loss = kept_loss
+        if counts[0] == 0 and not planned:
+            best_loss = kept_loss
+        elif counts[0] == 0:
+            dark = Pair(*(device.upload(np.zeros(part.shape, np.float32)) for part in light))
+            outlook, stopped = looked(0, combine(1.0, now, 0.0, now, after))
+            if stopped <= best_loss:
+                best, best_loss = (dark, outlook), stopped
+        if counts[-1] and rise:
+            count, start = self._start(model, light, planned, counts, rise, before)
+            found = self._lowered(model.going_on(count, state), loss, start, allowed - spent - 0.5)
+            spent += found[1] + 0.5
+            outlook, lowered = looked(count, model.going_on(count, state).expose(found[0]))
+            if lowered < best_loss:
+                best = (found[0], outlook)
+        return ReplannedColors(best[0], kept, best[1], spent)
+
+    def _start(
+        self, model: KineticModel, plan: Pair, planned: int, counts: Sequence[int], rise: float, before: float
+    ) -> tuple[int, Pair]:
+        """Turns, and light to begin with: the plan's, as bright as brings the part to the middle of what is asked."""
+        missing = max(0.5 * (self.weights.inside + self.weights.most) - before, 0.02)
+        share = planned * missing / rise
+        peak = share * max(extent(plan.visible)[1], 1e-30)
+        count = next((n for n in counts if n and peak <= n * self.most[0] * (1.0 + ROUNDING)), counts[-1])
+        weaker = self.model.resin.ultraviolet / model.resin.ultraviolet  # its lamp's light over that found
+        gains = (share / count, weaker * planned / count)
+        return count, Pair(*(
+            capped(combine(gain, part, 0.0, part, part.device.empty(part.shape)), most)
+            for gain, part, most in zip(gains, plan, self.most, strict=True)
+        ))  # fmt: skip
+
+    def _lowered(self, model: KineticModel, loss: Band, start: Pair, allowed: float) -> tuple[Pair, int]:
+        memories = tuple({"light": part} for part in start)
+        descent = ColorDescent(model, self._fractions, loss, memories, self.weights.share, self._gains)
+        spent, steps = 0, descent.steps()
+        while spent + 1 <= allowed and next(steps, None) is not None:
+            spent += 1
+            for channel, most in zip(descent.channels, self.most, strict=True):
+                capped(channel.light, most)
+                capped(channel.ahead, most)
+        return descent.light, spent
+
+    def _shown(self, light: Pair) -> bool:
+        return all(extent(part)[1] <= most * (1.0 + ROUNDING) for part, most in zip(light, self.most, strict=True))
+
+    def _loss(self, model: KineticModel, now: DeviceArray, deviation: Any) -> Band:
+        """The loss of what can still be mended: what is solid stays so, whatever inhibitor is made later."""
+        band = self.weights.band(model.resin)
+        sure = np.asarray(now, float) - SURE * np.asarray(deviation, float)
+        part = np.asarray(self._fractions) >= 0.5
+        lost = np.where(part, sure > self.weights.most, sure >= self.weights.inside)
+        return replace(band, weight=(~lost).astype(np.float32)) if lost.any() and not lost.all() else band
+
+    def _outlook(self, turns: int, dose: DeviceArray, judge: OptimizerState) -> Outlook:
+        threshold = 0.5 * (self.weights.outside + self.weights.inside) if self.threshold is None else self.threshold
+        iou = float(score(dose, self._fractions, threshold=threshold).iou)
+        return Outlook(turns, judge.window(dose)[0], iou)

@@ -1,0 +1,69 @@
+"""A projector as it turned out to be: its light shifted along z, and its dose times a gain that varies slowly."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.kernels.update import multiply
+from vamgpu.operators.compose import Derived, inherit
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.moves import Shift
+from vamgpu.operators.space import require
+
+
+@final
+class Delivering(Derived):
+    """Dose gain·Aᵀ(light moved up by ``height``), and its transpose.
+
+    Between rows, moved light is interpolated linearly.
+
+    Args:
+        operator: A, from a volume to the pixels of a beam.
+        gain: Of each voxel, dimensionless, [x, y, z], NumPy or on the device.
+        height: By which light lies higher than planned [mm].
+
+    Raises:
+        ShapeMismatch: The gain has another shape.
+    """
+
+    operator: LinearOperator
+    height: float
+    domain: Any
+    range: Any
+    device: Device
+    gain: DeviceArray
+
+    def __init__(self, operator: LinearOperator, gain: Any, height: float = 0.0) -> None:
+        require(operator.domain, gain, "the gain")
+        self.operator, self.height = operator, float(height)
+        self.domain, self.range, self.device = operator.domain, operator.range, operator.device
+        inherit(self, operator)
+        self.gain = gain if isinstance(gain, DeviceArray) else self.device.upload(gain)
+        self._shift = None
+        if height:
+            moves = np.stack([np.zeros(self.range.shape[0]), np.full(self.range.shape[0], height / self.beam.pitch)], 1)
+            self._shift = Shift(self.device, moves, self.beam.pixels, self.beam.pixels)
+            self._tapers = self.device.table(np.ones((1, self.beam.pixels[1])))
+
+    def __repr__(self) -> str:
+        return f"Delivering({self.operator!r}, height={self.height:g})"
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        weighted = self.device.empty(self.domain.shape)
+        self.device.launch(multiply, x=x, y=self.gain, out=weighted)
+        still = out if self._shift is None else self.device.empty(self.range.shape)
+        self.operator.forward(weighted, still)
+        if self._shift is not None:
+            self._shift.there(still, self._tapers, out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        moved = y
+        if self._shift is not None:
+            moved = self.device.empty(self.range.shape)
+            self._shift.back(y, self._tapers, moved)
+        self.operator.transposed(moved, out)
+        self.device.launch(multiply, x=out, y=self.gain, out=out)

@@ -1,0 +1,450 @@
+"""What the light of the turns so far did, against what the model said: a few parameters, then every voxel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import least_squares
+
+from vamgpu.chemistry.history import ResinHistory
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+from vamgpu.kernels.loss import look_up
+from vamgpu.live.delivering import Delivering
+from vamgpu.losses.response import Response
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.space import require
+from vamgpu.printing.scenarios import clouded_and_displaced, displaced
+
+NAMES = ("sensitivity", "absorption", "across", "height", "along_z", "along_r")
+"""Factors of the dose and of the absorption coefficient; places of the axis across the light and of the light along z
+[mm]; what the gain changes by from the middle to the top, and over half of the squared radius."""
+NOMINAL = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+OPTICAL = (1, 2, 3)
+"""Parameters that need an operator of their own; the dose is linear in the others."""
+DEVIATIONS = (0.3, 0.2, 0.1, 0.1, 0.1, 0.1)
+LEAST = np.array([0.1, 0.2, -np.inf, -np.inf, -1.0, -1.0])
+MOST = np.array([10.0, 5.0, np.inf, np.inf, 1.0, 1.0])
+"""Beyond these a print is no print any more; nor is the axis, or the height, farther off than a tenth of the beam."""
+EDGE = 1e-3
+"""From their bounds, where parameters may start."""
+STEPS = (0.05, 0.1, 0.1)
+"""Of the differences that derivatives are taken from: a factor of absorption, and shares of a pixel."""
+APART = (4, 2, 2)
+"""Steps from one place that derivatives are taken about to the next; the dose is known to second order between."""
+FAR = 0.75
+"""Of these distances, beyond which derivatives are taken anew."""
+KEPT = 16
+"""Operators whose tables are kept."""
+SLICES = 32
+"""Of the voxels that parameters are estimated from, at most: slices do not light each other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of the parameters before a turn is seen: a normal distribution.
+
+    Args:
+        mean: Of each of `NAMES`, (6,).
+        covariance: Of each with each, (6, 6).
+
+    Raises:
+        BadInput: A number is not finite, or the covariance is not positive definite.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    def __post_init__(self) -> None:
+        mean, covariance = np.array(self.mean, float), np.array(self.covariance, float)
+        count = len(NAMES)
+        fits = mean.shape == (count,) and covariance.shape == (count, count)
+        if not (fits and np.isfinite(mean).all() and np.isfinite(covariance).all()):
+            raise BadInput(f"a prior has shapes {mean.shape} and {covariance.shape}; expected {count} finite means and "
+                           f"a covariance of {', '.join(NAMES)}")  # fmt: skip
+        if np.linalg.eigvalsh(covariance).min() <= 0.0:
+            raise BadInput("the covariance of a prior is not positive definite; expected variances above 0")
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(self, "covariance", covariance)
+
+    @classmethod
+    def of(cls, history: ResinHistory | None = None, deviations: Mapping[str, float] | None = None) -> Prior:
+        """From what a vial has been through: resin of less oxygen needs as much less light.
+
+        Args:
+            history: Of the vial; None for fresh resin.
+            deviations: Standard deviations by the names in `NAMES`, dimensionless or [mm]; those left out are the
+                usual ones.
+
+        Returns:
+            The prior.
+
+        Raises:
+            BadInput: A name is unknown, a deviation not positive, or no oxygen is left.
+        """
+        usual = dict(zip(NAMES, DEVIATIONS, strict=True)) | dict(deviations or {})
+        if set(usual) != set(NAMES):
+            raise BadInput(f"got deviations of {', '.join(usual)}; expected names among {', '.join(NAMES)}")
+        mean = NOMINAL.copy()
+        if history is not None:
+            mean[0] = 1.0 / positive("oxygen", history.oxygen)
+        return cls(mean, np.diag([positive(f"deviation of {name}", usual[name]) ** 2 for name in NAMES]))
+
+    def drifted(self, deviations: Mapping[str, float]) -> Prior:
+        """The prior a turn later, of parameters that wander by so much a turn.
+
+        Args:
+            deviations: Standard deviations by the names in `NAMES`, dimensionless or [mm]; others stay as they are.
+
+        Returns:
+            The prior of the next turn.
+        """
+        noise = np.array([deviations.get(name, 0.0) ** 2 for name in NAMES])
+        return Prior(self.mean, self.covariance + np.diag(noise))
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Parameters and dose after the turns seen so far.
+
+    Args:
+        values: Of each of `NAMES`, (6,).
+        covariance: Of each with each, (6, 6), widened where the residuals are greater than the noise.
+        dose: Delivered so far, in units of Aᵀ(light), [x, y, z].
+        deviation: Standard deviation of the dose of each voxel, in its unit, [x, y, z].
+        chi_square: Sum of squared residuals of the voxels used, each over its variance.
+        voxels: Used for the parameters.
+    """
+
+    values: np.ndarray
+    covariance: np.ndarray
+    dose: np.ndarray
+    deviation: np.ndarray
+    chi_square: float
+    voxels: int
+
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of each parameter by name."""
+        spread = np.sqrt(np.diag(self.covariance))
+        return {name: (float(v), float(s)) for name, v, s in zip(NAMES, self.values, spread, strict=True)}
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Of each parameter with each, −1 to 1, (6, 6)."""
+        spread = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(spread, spread)
+
+    @property
+    def posterior(self) -> Prior:
+        """The prior of the next turn, before `Prior.drifted`."""
+        return Prior(self.values, self.covariance)
+
+    def corrected(self, history: ResinHistory) -> ResinHistory:
+        """A vial's history with the oxygen that the sensitivity speaks for; for use before ``history.printed``.
+
+        Lamp and oxygen are one gain here: give the history of a vial only where the lamp was measured.
+
+        Args:
+            history: As it was believed to be before the print.
+
+        Returns:
+            The history with the oxygen 1 / sensitivity, at most 1.
+        """
+        return replace(history, oxygen=min(1.0, 1.0 / float(self.values[0])))
+
+
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """Dose of n voxels near some parameters, to second order in the optical ones.
+
+    center: parameters, (6,).  even: dose there of a gain of 1, (n,).  slopes, curves: its derivatives, (3, n).  up,
+    out: profiles of the gain along z and along r, (n,).  before: dose of earlier turns, (n,).
+    """
+
+    center: np.ndarray
+    even: np.ndarray
+    slopes: np.ndarray
+    curves: np.ndarray
+    up: np.ndarray
+    out: np.ndarray
+    before: Any
+
+    def _parts(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        off = (p - self.center)[list(OPTICAL)]
+        even = self.even + off @ self.slopes + 0.5 * off**2 @ self.curves
+        return even, self.slopes + off[:, None] * self.curves, 1.0 + p[4] * self.up + p[5] * self.out
+
+    def dose(self, p: np.ndarray) -> np.ndarray:
+        even, _, profile = self._parts(p)
+        return self.before + p[0] * profile * even
+
+    def rates(self, p: np.ndarray) -> np.ndarray:
+        """Derivatives of the dose by the parameters, (6, n)."""
+        even, slopes, profile = self._parts(p)
+        return np.stack([profile * even, *(p[0] * profile * slopes), p[0] * even * self.up, p[0] * even * self.out])
+
+
+def _raising(rows: int, up: float) -> np.ndarray:
+    """What rows get of rows by light that lies higher by so many, linear between them, (rows, rows)."""
+    return np.maximum(1.0 - np.abs(np.arange(rows)[:, None] - up - np.arange(rows)), 0.0)
+
+
+def _mixed(light: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Slices of light by the weights of its rows, (slices, rows)."""
+    some = np.flatnonzero(weights.any(axis=0))
+    return light[..., some] @ weights[:, some].T.astype(np.float32)
+
+
+class Estimator:
+    """The most probable parameters of a print, given the conversion seen.
+
+        minimize Σ ((M(D(p)) − seen) / deviation)² + (p − mean)ᵀ covariance⁻¹ (p − mean)
+
+    by Gauss-Newton, the dose D and its derivatives by operators that are moved and clouded by the parameters. What then
+    is left of a voxel is a relative gain of its own, smoothed over its neighbors and drawn towards 0.
+
+    Args:
+        operator: That the light was planned with.
+        response: Conversion M of a dose in units of Aᵀ(light).
+        samples: Voxels used for the parameters at most.
+        rounds: How often derivatives are taken anew.
+        residual: Standard deviation of a voxel's own relative gain.
+        smooth: Standard deviation [voxels] of the neighborhood that shares it.
+
+    Raises:
+        BadInput: A value is out of its range.
+    """
+
+    operator: Projection
+    response: Response
+    samples: int
+    rounds: int
+    residual: float
+    smooth: float
+
+    def __init__(
+        self, operator: Projection, response: Response, *, samples: int = 20_000, rounds: int = 2,
+        residual: float = 0.03, smooth: float = 2.0,
+    ) -> None:  # fmt: skip
+        if not isinstance(operator, Projection):
+            raise BadInput(f"got {operator!r}; expected a Projection, whose axis and absorption can be varied")
+        self.operator, self.response = operator, response
+        self.samples, self.rounds = int(positive("samples", samples)), int(positive("rounds", rounds))
+        self.residual, self.smooth = positive("residual", residual), positive("smooth [voxels]", smooth)
+        self._curve = response.curve()
+        self._placed = lru_cache(KEPT)(self._placed_anew)
+        x, y, z = operator.grid.axes()
+        top, rim = max(float(z[-1]), operator.grid.pitch), operator.grid.inscribed_radius
+        self._up = np.broadcast_to(z / top, operator.grid.shape)
+        out = (x[:, None] ** 2 + y[None, :] ** 2) / rim**2 - 0.5
+        self._out = np.broadcast_to(out[:, :, None], operator.grid.shape)
+
+    def conversion(self, dose: np.ndarray) -> np.ndarray:
+        """Conversion of a dose.
+
+        Args:
+            dose: In units of Aᵀ(light), (...,).
+
+        Returns:
+            Conversion, (...,).
+        """
+        return look_up(dose, self._curve.values, self._curve.start, self._curve.density)[0]
+
+    def gain(self, values: np.ndarray) -> np.ndarray:
+        """Dose over that of even light.
+
+        Args:
+            values: Of each of `NAMES`, (6,).
+
+        Returns:
+            The factor of each voxel, [x, y, z].
+        """
+        return values[0] * (1.0 + values[4] * self._up + values[5] * self._out)
+
+    def delivering(self, values: np.ndarray) -> Delivering:
+        """The operator with these parameters; its transpose is what light delivers.
+
+        Args:
+            values: Of each of `NAMES`, (6,).
+
+        Returns:
+            The operator, on the device of the planned one.
+        """
+        return Delivering(self._placed(float(values[1]), float(values[2])), self.gain(values), float(values[3]))
+
+    def _placed_anew(self, absorption: float, across: float) -> Projection:
+        return clouded_and_displaced(self.operator, absorption - 1.0, across / self.operator.beam.pitch)
+
+    def estimate(
+        self, light: Any, seen: np.ndarray, deviation: np.ndarray | float, prior: Prior, before: Estimate | None = None,
+        start: np.ndarray | None = None,
+    ) -> Estimate:  # fmt: skip
+        """Estimate parameters and delivered dose.
+
+        Args:
+            light: Sum over the turns since ``before``, as planned, [angle, r, z], NumPy or on the device.
+            seen: Conversion now, [x, y, z]; NaN where nothing is seen.
+            deviation: Standard deviation of each voxel's conversion, [x, y, z], or one for all.
+            prior: What is known of the parameters of these turns.
+            before: Whose dose these turns add to; None at the start.
+            start: Values that are looked about first, as those of the turn before, (6,); None takes the prior's.
+
+        Returns:
+            The estimate.
+
+        Raises:
+            BadInput: Arrays that are no numbers, or parameters that no print has.
+            ShapeMismatch: An array of another geometry.
+        """
+        require(self.operator.range, light, "the light")
+        require(self.operator.domain, seen, "the conversion seen")
+        spread = np.broadcast_to(np.asarray(deviation, float), seen.shape).reshape(-1)
+        lit = np.asarray(light, np.float32)
+        told, used = np.asarray(seen, float).reshape(-1), self._used(seen, spread, self._slices(lit))
+        base = 0.0 if before is None else before.dose.reshape(-1)[used]
+        whitening = np.linalg.inv(np.linalg.cholesky(prior.covariance))
+        values, data, residuals = prior.mean.copy(), np.empty((0, len(NAMES))), np.empty(0)
+        optical = list(OPTICAL)
+        if start is not None:
+            values[optical] = np.asarray(start, float)[optical]
+        near: _Near | None = None
+        for _ in range(self.rounds):
+            if near is not None and (np.abs(values - near.center)[optical] <= FAR * self._apart).all():
+                break
+            near = self._near(lit, self._center(values), used, base)
+
+            def gaps(p: np.ndarray, near: _Near = near) -> np.ndarray:
+                seen_less = (self.conversion(near.dose(p)) - told[used]) / spread[used]
+                return np.concatenate([seen_less, whitening @ (p - prior.mean)])
+
+            def rise(p: np.ndarray, near: _Near = near) -> np.ndarray:
+                rate = self._slope(near.dose(p)) / spread[used]
+                return np.concatenate([(rate * near.rates(p)).T, whitening])
+
+            begin = np.clip(values, LEAST + EDGE, MOST - EDGE)
+            found: Any = least_squares(gaps, begin, jac=rise, bounds=(LEAST, MOST))  # pyright: ignore[reportArgumentType]
+            values, data, residuals = found.x, found.jac[: used.size], found.fun[: used.size]
+        chi = float(residuals @ residuals)
+        self._check(values, chi)
+        excess = max(chi / used.size, 1.0)
+        covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
+        dose = self.delivering(values).T(light)
+        field = np.asarray(dose, float) + (0.0 if before is None else before.dose)
+        field, deviations = self._by_voxel(field, np.asarray(seen, float), spread.reshape(seen.shape), excess)
+        return Estimate(values, covariance, field, deviations, chi, used.size)
+
+    def _slices(self, light: np.ndarray) -> np.ndarray:
+        """Numbers of slices to look at: half of them spread evenly, half where light changes most along z."""
+        count = self.operator.grid.shape[2]
+        if count <= SLICES:
+            return np.arange(count)
+        change = np.abs(np.gradient(light[:: max(len(light) // 32, 1)], axis=2)).sum(axis=(0, 1), dtype=float)
+        steep = self.operator.row_weights @ change
+        even = np.linspace(0, count - 1, SLICES // 2).round().astype(int)
+        steep[even] = -1.0
+        return np.sort(np.concatenate([even, np.argsort(-steep, kind="stable")[: SLICES // 2]]))
+
+    def _used(self, seen: np.ndarray, spread: np.ndarray, slices: np.ndarray) -> np.ndarray:
+        """Numbers of the voxels that parameters are estimated from, spread evenly over the judged cylinder."""
+        flat, count = np.asarray(seen, float).reshape(-1), seen.shape[2]
+        columns = np.flatnonzero(self.operator.grid.cylinder())
+        some = (columns[:, None] * count + slices).reshape(-1)
+        good = some[np.isfinite(flat[some])]
+        if not (good.size and np.isfinite(spread[good]).all() and (spread[good] > 0.0).all()):
+            raise BadInput(f"the conversion seen has {good.size} finite voxels in the judged cylinder; expected some, "
+                           "with finite deviations above 0: drop this turn's images")  # fmt: skip
+        count = min(self.samples, good.size)
+        return np.sort(np.random.default_rng(0).choice(good, count, replace=False))
+
+    def _center(self, values: np.ndarray) -> np.ndarray:
+        """The nearest values that derivatives are taken about: few, so that tables of operators serve many turns."""
+        center = values.copy()
+        center[list(OPTICAL)] = self._apart * np.round(values[list(OPTICAL)] / self._apart)
+        return center
+
+    @cached_property
+    def _apart(self) -> np.ndarray:
+        return np.array(APART) * self._steps
+
+    @cached_property
+    def _steps(self) -> tuple[float, ...]:
+        """`STEPS` in the units of the parameters."""
+        return STEPS[0], *(step * self.operator.beam.pitch for step in STEPS[1:])
+
+    def _near(self, light: np.ndarray, center: np.ndarray, used: np.ndarray, before: Any) -> _Near:
+        """The dose about some parameters, by differences of operators."""
+        count, weights, step = self.operator.grid.shape[2], self.operator.row_weights, STEPS[2]
+        slices, place = np.unique(used % count, return_inverse=True)
+        here = used // count * slices.size + place
+        rows, pitch = light.shape[2], self.operator.beam.pitch
+        higher, lower = (_raising(rows, center[3] / pitch + side * step) for side in (1, -1))
+        still, rising = (
+            _mixed(light, weights[slices] @ mix)
+            for mix in (_raising(rows, center[3] / pitch), (higher - lower) / (2.0 * step * pitch))
+        )
+
+        absorption, across = (round(center[k + 1] / self._steps[k]) for k in (0, 1))
+
+        def even(light: np.ndarray, clouds: int = 0, aside: int = 0) -> np.ndarray:
+            """Dose of a gain of 1 at the voxels used, so many steps of absorption and of the axis off the center."""
+            placed = self._placed((absorption + clouds) * self._steps[0], (across + aside) * self._steps[1])
+            return placed.dose_of_slices(light).reshape(-1)[here].astype(float)
+
+        middle = even(still)
+        slopes, curves = np.zeros((2, len(OPTICAL), used.size))
+        slopes[2] = even(rising)  # its curve is that of a kink: light is interpolated linearly between rows
+        for k, possible in enumerate((self._absorbs, self._movable)):
+            if possible:
+                low, high = (even(still, side * (k == 0), side * (k == 1)) for side in (-1, 1))
+                slopes[k] = (high - low) / (2.0 * self._steps[k])
+                curves[k] = (high - 2.0 * middle + low) / self._steps[k] ** 2
+        up, out = (field.reshape(-1)[used] for field in (self._up, self._out))
+        return _Near(center, middle, slopes, curves, up, out, before)
+
+    @property
+    def _absorbs(self) -> bool:
+        return self.operator.vessel is not None and self.operator.vessel.absorption > 0.0
+
+    @cached_property
+    def _movable(self) -> bool:
+        """Whether the vessel looks the same at every angle, so that it can stand beside the light's middle."""
+        try:
+            return displaced(self.operator, STEPS[1]) is not None
+        except BadInput:
+            return False
+
+    def _slope(self, dose: np.ndarray) -> np.ndarray:
+        return look_up(dose, self._curve.values, self._curve.start, self._curve.density)[1] * self._curve.density
+
+    def _check(self, values: np.ndarray, chi: float) -> None:
+        """Refuse what no print has."""
+        off = max(abs(values[2]) / (0.1 * self._width(0)), abs(values[3]) / (0.1 * self._width(1)))
+        absurd = (values <= 1.05 * LEAST) | (values >= 0.95 * MOST)
+        if not (np.isfinite(values).all() and np.isfinite(chi)) or absurd.any() or off > 1.0:
+            told = ", ".join(f"{name} {value:.4g}" for name, value in zip(NAMES, values, strict=True))
+            raise BadInput(f"what was seen asks for {told}, which no print has; expected the conversion of this print: "
+                           "drop this turn's images and go on by the last plan")  # fmt: skip
+
+    def _width(self, axis: int) -> float:
+        return self.operator.beam.pixels[axis] * self.operator.beam.pitch
+
+    def _by_voxel(
+        self, dose: np.ndarray, seen: np.ndarray, spread: np.ndarray, excess: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Dose with the relative gain of every voxel that its neighborhood speaks for, and its deviation."""
+        rate = self._slope(dose) * dose
+        known = np.isfinite(seen) & self.operator.grid.cylinder()[:, :, None]
+        gap = np.where(known, seen - self.conversion(dose), 0.0)
+        variance = np.where(known, spread**2, 1.0)
+        shared = 1.0 / (2.0 * self.smooth * np.sqrt(np.pi)) ** 3  # Σ of the squared weights of a neighborhood
+        weight = gaussian_filter(np.where(known, rate**2 / variance, 0.0), self.smooth)
+        pull = gaussian_filter(rate * gap / variance, self.smooth)
+        own = pull / (weight + shared / self.residual**2)
+        deviation = np.abs(dose) / np.sqrt(weight / shared + 1.0 / self.residual**2)
+        return dose * (1.0 + own), deviation

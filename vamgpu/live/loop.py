@@ -1,0 +1,284 @@
+"""Sense, estimate, replan, swap: what is decided after every turn, as a pure function of what was seen."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import repeat
+from math import exp
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from vamgpu.errors import VamError
+from vamgpu.live.estimate import Estimate, Estimator, Prior
+from vamgpu.live.printer import CuringResin
+from vamgpu.live.replan import Replanner
+from vamgpu.live.tomography import Seen, Tomograph
+
+SIGNIFICANT = 0.1
+"""Conversion that counts as seen."""
+ENOUGH = 50
+"""Voxels of it without which nothing is estimated."""
+MODEL = 0.1
+"""Conversion by which resin and tomograph may be wrong besides the noise; neighbors are wrong alike."""
+FIRST = 1000
+"""Voxels of the first look at most."""
+USUAL = {"absorption": 0.1, "across": 0.05, "height": 0.05}
+"""Deviations of what little can be told apart by a rounded field; absorption dimensionless, places [mm]."""
+GAINS = np.geomspace(0.5, 2.0, 41)
+INHIBITORS = np.linspace(0.4, 1.1, 36)
+"""Light and inhibitor over planned, looked at before the rest is estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What is decided after a turn.
+
+    Args:
+        turn: Turns shown so far.
+        action: "keep" the light, "swap" it at the boundary, or "stop".
+        version: Of the light that goes on.
+        light: Of the next turn, [angle, r, z].
+        turns: Expected from now on.
+        inhibitor: Estimated, over that of fresh resin, dimensionless.
+        parameters: Estimated values and deviations by name, dimensionless or [mm]; empty where nothing
+            is estimated.
+        iou: Overlap expected at the end, dimensionless.
+        reason: Why, in words.
+        stages: Wall time of "see", "estimate" and "replan" [s]; no part of `entry`, as no replay takes as long.
+    """
+
+    turn: int
+    action: str
+    version: int
+    light: np.ndarray
+    turns: int
+    inhibitor: float = 1.0
+    parameters: dict[str, tuple[float, float]] = field(default_factory=dict)
+    iou: float = 0.0
+    reason: str = ""
+    stages: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """For the run's record: every number, and the digest of the light."""
+        digest = hashlib.sha256(np.ascontiguousarray(self.light, np.float32).tobytes()).hexdigest()
+        return {
+            "turn": self.turn, "action": self.action, "version": self.version, "turns": self.turns,
+            "inhibitor": self.inhibitor, "parameters": {name: list(v) for name, v in self.parameters.items()},
+            "iou": self.iou, "reason": self.reason, "light": digest,
+        }  # fmt: skip
+
+
+class _Laps:
+    """Wall time of stages that follow each other [s]."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = perf_counter()
+
+    def over(self, stage: str) -> None:
+        """A stage ends now."""
+        now = perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
+        self._last = now
+
+
+@dataclass(frozen=True, eq=False)
+class LiveState:
+    """What the loop knows between turns.
+
+    Args:
+        turn: Turns shown so far.
+        shown: Sum of their light, [angle, r, z].
+        pending: Light whose radicals have not reacted yet, [angle, r, z].
+        light: Of the coming turn, [angle, r, z].
+        turns: That it is to be shown for.
+        version: Of the light.
+        seen: The last field; None before the first.
+        committed: Light of turns before the coming one that can be changed no more, one [angle, r, z] each: the first
+            of them is what the frames that come next saw.
+        values: The last estimate of the parameters, (6,); None before the first.
+    """
+
+    turn: int
+    shown: np.ndarray
+    pending: np.ndarray
+    light: np.ndarray
+    turns: int
+    version: int = 0
+    seen: Seen | None = None
+    committed: tuple[np.ndarray, ...] = ()
+    values: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LiveLoop:
+    """Decides after every turn. Work is counted in pairs of projections, so that a replay decides the same.
+
+    Used-up inhibitor is a dose that the resin has already; light that has not reacted yet is not seen, and counts as
+    delivered.
+
+    Args:
+        tomograph: Fields from images.
+        estimator: Of `resin`'s response.
+        replanner: Of the rest.
+        resin: Kinetics as they are believed.
+        light: The plan, of one turn, [angle, r, z].
+        planned: Turns of the plan.
+        longest: Turns that the operator allows.
+        iterations: Pairs of projections to see with.
+        evaluations: Projector evaluations to replan with.
+        prior: Of the parameters.
+        ahead: Turns that begin before a decision can reach the projector.
+        every: Decide after every so many turns.
+    """
+
+    tomograph: Tomograph
+    estimator: Estimator
+    replanner: Replanner
+    resin: CuringResin
+    light: np.ndarray
+    planned: int
+    longest: int
+    iterations: int = 8
+    evaluations: float = 8.0
+    prior: Prior = field(default_factory=lambda: Prior.of(None, USUAL))
+    ahead: int = 0
+    every: int = 1
+
+    def start(self) -> LiveState:
+        """The state before the first turn."""
+        dark = np.zeros_like(self.light)
+        return LiveState(
+            0, dark, dark, self.light, self.planned - self.ahead, committed=(self.light,) * self.ahead
+        )  # fmt: skip
+
+    def decide(self, state: LiveState, frames: np.ndarray) -> tuple[LiveState, Decision]:
+        """What to do after one more turn: of the first committed light, or where none is, of the state's light.
+
+        Images or estimates that are refused cost the update of this turn only.
+
+        Args:
+            state: Before the turn.
+            frames: Of the turn, gray levels [angle, row, column].
+
+        Returns:
+            The state after it, and the decision.
+        """
+        fade = exp(-1.0 / self.resin.dark)
+        showing, *committed = *state.committed, state.light
+        pending = fade * state.pending + self.resin.dark * (1.0 - fade) * showing
+        turn, left = state.turn + 1, max(state.turns - 1, 0)
+        shown, seen, laps = state.shown + showing, state.seen, _Laps()
+        try:
+            if turn % self.every:
+                decision = self._kept(turn, left, state, f"decided after every {self.every} turns")
+            else:
+                seen = self.tomograph.see(frames, seen, iterations=self.iterations)
+                laps.over("see")
+                decision = self._replanned(turn, left, state, shown, pending, frames, seen, committed, laps)
+        except VamError as error:
+            decision = self._kept(turn, left, state, f"refused: {error}")
+        decision = replace(decision, stages=laps.seconds)
+        after = LiveState(turn, shown, pending, decision.light, decision.turns, decision.version, seen,
+                          tuple(committed), _values(decision, state.values))  # fmt: skip
+        return after, decision
+
+    def corrected(self, state: LiveState, lights: Mapping[int, np.ndarray], showed: Sequence[int]) -> LiveState:
+        """The state where other versions were shown than decided, as when one came too late.
+
+        Args:
+            state: Before a turn.
+            lights: Of the versions so far, [angle, r, z].
+            showed: Versions of the turn and of those committed after it.
+
+        Returns:
+            The state by what was shown.
+        """
+        *committed, light = (lights[version] for version in showed)
+        return replace(state, committed=tuple(committed), light=light)
+
+    def replay(self, turns: Iterable[np.ndarray], showed: Iterable[Sequence[int]] | None = None) -> Iterator[Decision]:
+        """The decisions for recorded images, bit by bit those of the print.
+
+        Args:
+            turns: Frames of each turn, [angle, row, column], in order.
+            showed: Of each turn, the versions that `corrected` takes; None where all were shown as decided.
+
+        Yields:
+            The decision after each.
+        """
+        state, lights = self.start(), {0: self.light}
+        for frames, versions in zip(turns, repeat(()) if showed is None else showed, strict=False):
+            if versions:
+                state = self.corrected(state, lights, versions)
+            state, decision = self.decide(state, frames)
+            lights[decision.version] = decision.light
+            yield decision
+
+    def _kept(self, turn: int, left: int, state: LiveState, reason: str) -> Decision:
+        stop = not left or turn + self.ahead >= self.longest
+        return Decision(turn, "stop" if stop else "keep", state.version, state.light, left, reason=reason)
+
+    def _replanned(
+        self, turn: int, left: int, state: LiveState, shown: np.ndarray, pending: np.ndarray, frames: np.ndarray,
+        seen: Seen, committed: list[np.ndarray], laps: _Laps,
+    ) -> Decision:  # fmt: skip
+        grid, operator = self.estimator.operator.grid, self.estimator.operator
+        inside = np.broadcast_to(grid.cylinder()[:, :, None], grid.shape)
+        if np.count_nonzero(seen.conversion[inside] > SIGNIFICANT) < ENOUGH:
+            # A weak lamp must not end a print before anything is seen.
+            return self._kept(turn, max(left, min(1, self.longest - turn - self.ahead)), state, "nothing cured yet")
+        noise = self.tomograph.deviation(frames, iterations=self.iterations)
+        blunt = np.abs(seen.conversion - gaussian_filter(seen.conversion, 1.0))  # edges are seen rounded off
+        noise = np.hypot(noise * self.tomograph.turbidity.slope_at(seen.extinction), 2.0 * blunt)
+        deviation = np.hypot(noise, MODEL)
+        laps.over("see")
+        acted = shown - pending
+        even = np.asarray(operator.T(acted.astype(np.float32)), float)
+        some = np.flatnonzero(inside)[:: max(np.count_nonzero(inside) // FIRST, 1)]
+        gain, inhibitor = self._first_look(*(field.reshape(-1)[some] for field in (even, seen.conversion, deviation)))
+        offset = np.full(grid.shape, self.resin.induction * (1.0 - inhibitor))
+        mean = self.prior.mean.copy()
+        mean[0] = gain
+        before = Estimate(mean, self.prior.covariance, offset, offset, 0.0, 0)
+        found = self.estimator.estimate(
+            acted.astype(np.float32),
+            seen.conversion,
+            deviation,
+            Prior(mean, self.prior.covariance),
+            before,
+            state.values,
+        )
+        laps.over("estimate")
+        delivering = self.estimator.delivering(found.values)
+        coming = pending + np.sum(committed, axis=0) if committed else pending
+        delivered = found.dose + np.asarray(delivering.T(coming.astype(np.float32)), float)
+        plan = self.replanner.replan(
+            delivering, delivered.astype(np.float32), state.light.astype(np.float32), left,
+            range(max(self.longest - turn - self.ahead, 0) + 1), evaluations=self.evaluations,
+        )  # fmt: skip
+        turns, light = plan.expected.turns, np.array(plan.light)
+        laps.over("replan")
+        swapped = not np.array_equal(light, state.light)
+        action = "stop" if not turns else "swap" if swapped else "keep"
+        return Decision(turn, action, state.version + swapped, light, turns, inhibitor, found.parameters,
+                        float(plan.expected.iou), f"overlap {plan.kept.iou:.4f} without")  # fmt: skip
+
+    def _first_look(self, dose: np.ndarray, seen: np.ndarray, deviation: np.ndarray) -> tuple[float, float]:
+        """Light and inhibitor over planned that explain best what is seen: where neither is known, slopes are none."""
+        usual = np.log(GAINS)[:, None] ** 2 / self.prior.covariance[0, 0] + 0.0 * INHIBITORS
+        used = self.resin.induction * (1.0 - INHIBITORS)[:, None]
+        for row, gain in zip(usual, GAINS, strict=True):
+            row += np.square((self.estimator.conversion(gain * dose + used) - seen) / deviation).sum(axis=1)
+        i, k = np.unravel_index(int(np.argmin(usual)), usual.shape)
+        return float(GAINS[i]), float(INHIBITORS[k])
+
+
+def _values(decision: Decision, last: np.ndarray | None) -> np.ndarray | None:
+    return np.array([value for value, _ in decision.parameters.values()]) if decision.parameters else last

@@ -1,0 +1,233 @@
+"""A print that only computes: resin on voxels of its own, lit by rays of its own, and the camera that looks at it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Grid, positive
+from vamgpu.live.camera import MonitoringCamera
+from vamgpu.live.turbidity import Turbidity
+from vamgpu.losses.response import Interpolated
+from vamgpu.operators.projection import Projection
+from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.scenarios import clouded, displaced
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Positive
+
+FINER = 2
+"""Voxels of the resin along an edge of the plan's."""
+HIGHEST = 3.0
+"""Dose that the response is sampled to, in units of the part's."""
+GENERATIONS = (56.8, 45.8, 41.8, 37.2, 39.8)
+"""Induction times of five prints from one vial [s], of the automatic exposure paper."""
+
+
+@dataclass(frozen=True)
+class CuringResin:
+    """Resin whose inhibitor has to be used up before it cures, and that goes on curing in the dark.
+
+    dose rate E: inhibitor −E until it is gone, from then on radicals R' = E − R/dark, and conversion
+    M' = rate·(1 − M)·R/dark. In the end M = 1 − exp(−rate·(dose − induction)).
+
+    Args:
+        induction: Dose that uses up the inhibitor of fresh resin, in units of the part's.
+        rate: Of curing, per dose.
+        solid: Dose from which fresh resin is solid, in units of the part's.
+        dark: Life of radicals [turns].
+
+    Raises:
+        BadInput: A value is out of its range, or the resin is solid before it cures.
+    """
+
+    induction: Positive = 0.65
+    rate: Positive = 4.0
+    solid: Positive = 0.865
+    dark: Positive = 0.3
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.solid <= self.induction:
+            raise BadInput(f"the resin is solid from {self.solid:g} on and its induction ends at {self.induction:g}; "
+                           "expected induction to end before")  # fmt: skip
+
+    def conversion(self, dose: Any) -> np.ndarray:
+        """Conversion in the end.
+
+        Args:
+            dose: In units of the part's, (...,).
+
+        Returns:
+            Conversion, (...,).
+        """
+        return -np.expm1(-self.rate * np.maximum(np.asarray(dose, float) - self.induction, 0.0))
+
+    @property
+    def gel(self) -> float:
+        """Conversion from which resin is solid."""
+        return float(self.conversion(self.solid))
+
+    @property
+    def response(self) -> Interpolated:
+        """Of fresh resin, for an `Estimator`."""
+        doses = np.linspace(0.0, HIGHEST, 601)
+        return Interpolated(tuple(doses), tuple(self.conversion(doses)))
+
+    def expose(self, state: np.ndarray, dose: np.ndarray) -> np.ndarray:
+        """What a turn does, exactly.
+
+        Args:
+            state: Inhibitor [dose], radicals [dose] and conversion of voxels, (3, ...).
+            dose: Of the turn, spread evenly over it, (voxels,) or [x, y, z].
+
+        Returns:
+            The state after the turn, (3, ...).
+        """
+        inhibitor, radicals, conversion = state
+        used = np.minimum(dose, inhibitor)
+        made = dose - used
+        lit = np.divide(made, dose, out=np.zeros_like(made), where=dose > 0)  # share of the turn that makes radicals
+        left = made * self.dark * np.divide(-np.expm1(-lit / self.dark), lit, out=np.zeros_like(made), where=lit > 0)
+        after = radicals * np.exp(-1.0 / self.dark) + left
+        acted = radicals + made - after
+        return np.stack([inhibitor - used, after, 1.0 - (1.0 - conversion) * np.exp(-self.rate * acted)])
+
+    def rest(self, state: np.ndarray) -> np.ndarray:
+        """Let all radicals react.
+
+        Args:
+            state: As for `expose`, (3, ...).
+
+        Returns:
+            Conversion when they are gone, shaped as a voxel field, (voxels,) or [x, y, z].
+        """
+        return 1.0 - (1.0 - state[2]) * np.exp(-self.rate * state[1])
+
+
+@dataclass(frozen=True)
+class Truth:
+    """By what a print differs from its plan.
+
+    Args:
+        inhibitor: Over that of fresh resin, dimensionless.
+        lamp: Power over planned, dimensionless.
+        drift: Change of the lamp's power in a turn, relative to planned.
+        absorption: Of the resin more than planned, share of it.
+        across: The axis off the middle of the light [pixels].
+        along_z: What the gain rises by from the middle to the top, share of it.
+    """
+
+    inhibitor: float = 1.0
+    lamp: float = 1.0
+    drift: float = 0.0
+    absorption: float = 0.0
+    across: float = 0.0
+    along_z: float = 0.0
+
+
+class VirtualPrinter:
+    """A print as it goes: voxels half as wide as the plan's, exposed by traced rays, seen by a camera with noise.
+
+    Nothing here is read from the operator of the plan but its geometry: `IndependentExposure` lights voxels half as
+    wide again, shifted by a quarter of one. The camera's images are made from the resin's own voxels.
+
+    Args:
+        operator: The plan's.
+        camera: That the print is watched with, on the plan's grid.
+        resin: True kinetics.
+        turbidity: True turbidity.
+        truth: What differs from the plan.
+        seed: Of the camera's noise.
+    """
+
+    resin: CuringResin
+    turbidity: Turbidity
+    truth: Truth
+    seed: int
+    plan: Projection
+    camera: MonitoringCamera
+    grid: Grid
+    turns: int
+    state: np.ndarray
+
+    def __init__(
+        self, operator: Projection, camera: MonitoringCamera, resin: CuringResin, turbidity: Turbidity,
+        truth: Truth = Truth(), seed: int = 0,
+    ) -> None:  # fmt: skip
+        self.resin, self.turbidity, self.truth, self.seed = resin, turbidity, truth, seed
+        self.plan = operator
+        positive("lamp", truth.lamp)
+        positive("inhibitor", truth.inhibitor)
+        self._exposure = IndependentExposure(self._placed(_finer(operator)))
+        self.camera = replace(camera, projection=_finer(camera.projection))
+        self.grid = self._exposure.grid
+        self.turns = 0
+        self.state = np.zeros((3, *self.grid.shape))
+        self.state[0] = truth.inhibitor * resin.induction
+
+    def _placed(self, operator: Projection) -> Projection:
+        clouds, across = self.truth.absorption, self.truth.across
+        placed = clouded(operator, clouds) if clouds else operator
+        return displaced(placed, across) if across else placed
+
+    @cached_property
+    def _gain(self) -> np.ndarray:
+        z = self.grid.axes()[2]
+        # Light per voxel is planned for voxels of the plan: those of the resin are smaller, and get as much less.
+        return FINER**3 * (1.0 + self.truth.along_z * z / z[-1])
+
+    def dose(self, light: np.ndarray) -> np.ndarray:
+        """What a turn delivers at full lamp power.
+
+        Args:
+            light: Of the turn, [angle, r, z].
+
+        Returns:
+            Dose in units of the plan's, [x, y, z] of the resin's grid.
+        """
+        device = self._exposure.device
+        return np.asarray(self._exposure.averaged(device.upload(light))[0], float) * self._gain
+
+    def turn(self, dose: np.ndarray) -> None:
+        """Expose the resin for one turn.
+
+        Args:
+            dose: From `dose`, [x, y, z].
+        """
+        power = max(self.truth.lamp + self.truth.drift * self.turns, 0.0)
+        self.state = self.resin.expose(self.state, np.maximum(power * dose, 0.0))
+        self.turns += 1
+
+    def through(self) -> np.ndarray:
+        """Gray levels through the vial in one turn, with noise, uint16 [angle, row, column]."""
+        return self.camera.noise.expose(self.images(), 1000 * self.seed + self.turns)
+
+    def images(self) -> np.ndarray:
+        """Light through the vial in one turn, gray levels without noise, [angle, row, column]."""
+        return self.camera.transmitted(self._extinction)
+
+    def aside(self) -> np.ndarray:
+        """Gray levels of scattered light in one turn, with noise, uint16 [angle, row, column]."""
+        light = self.camera.scattered(self._extinction)
+        return self.camera.noise.expose(light, 1000 * self.seed + self.turns + 500)
+
+    @property
+    def _extinction(self) -> np.ndarray:
+        return self.turbidity.extinction_at(self.state[2]).astype(np.float32)
+
+    def printed(self) -> np.ndarray:
+        """Conversion when all radicals are gone, the mean over each voxel of the plan, [x, y, z]."""
+        nx, ny, nz = (n // FINER for n in self.grid.shape)
+        return self.resin.rest(self.state).reshape(nx, FINER, ny, FINER, nz, FINER).mean(axis=(1, 3, 5))
+
+
+def _finer(operator: Projection) -> Projection:
+    grid = operator.grid
+    nx, ny, nz = (FINER * n for n in grid.shape)
+    return Projection(
+        Grid((nx, ny, nz), grid.pitch / FINER), operator.beam, operator.motion, operator.vessel, operator.device
+    )

@@ -1,0 +1,277 @@
+"""The record of a live print: what was planned, what was seen each turn, and every decision."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.live.camera import MonitoringCamera, SensorNoise
+from vamgpu.live.estimate import Estimator
+from vamgpu.live.loop import Decision, LiveLoop
+from vamgpu.live.printer import CuringResin
+from vamgpu.live.replan import Replanner
+from vamgpu.live.tomography import Tomograph
+from vamgpu.live.turbidity import Turbidity
+from vamgpu.operators.projection import Projection
+from vamgpu.optics.vial import Vial
+from vamgpu.storage.atomic import explained
+from vamgpu.storage.numpy_files import map_npy
+from vamgpu.storage.reading import parse_json, read_text
+
+SETUP, DECISIONS = "live.json", "live.jsonl"
+STAGES = ("sense", "see", "estimate", "replan", "pack", "upload")
+"""Of a decision: images come in, become a field, parameters, light and frames, and these are checked and kept."""
+
+
+@dataclass(frozen=True)
+class LiveSetup:
+    """All that a `LiveLoop` is made of besides part and light, as plain values.
+
+    Args:
+        shape: Voxels of the grid.
+        pitch: Of voxels [mm].
+        pixels: Columns and rows of beam and camera.
+        pixel: Their pitch [mm].
+        angles: Images of a turn.
+        vial: As the printing light sees it.
+        red: As the camera's light sees it; absorbs nothing.
+        open_field: Gray level through the vial before the print.
+        noise: Of the camera.
+        resin: As it is believed.
+        turbidity: As it is believed.
+        most: Greatest light of a pixel, over the brightest of the plan.
+        planned: Turns of the plan.
+        longest: Turns that the operator allows.
+        iterations: Pairs of projections to see with.
+        evaluations: Projector evaluations to replan with.
+        device: That the decisions were made on; others round otherwise.
+        ahead: Turns that begin before a decision can reach the projector.
+        every: Decide after every so many turns.
+    """
+
+    shape: tuple[int, int, int]
+    pitch: float
+    pixels: tuple[int, int]
+    pixel: float
+    angles: int
+    vial: Vial
+    red: Vial
+    open_field: float
+    noise: SensorNoise
+    resin: CuringResin
+    turbidity: Turbidity
+    most: float
+    planned: int
+    longest: int
+    iterations: int = 8
+    evaluations: float = 8.0
+    device: str = ""
+    ahead: int = 0
+    every: int = 1
+
+    def projection(self, vial: Vial) -> Projection:
+        """Rays through a vial, on the device of this setup.
+
+        Args:
+            vial: As one of the two lights sees it.
+
+        Returns:
+            The operator.
+        """
+        device = open_device(self.device or None)
+        return Projection(
+            Grid(self.shape, self.pitch), Beam(self.pixels, self.pixel), Turntable(self.angles), vial, device=device
+        )
+
+    def camera(self) -> MonitoringCamera:
+        """The camera on the plan's grid."""
+        return MonitoringCamera(self.projection(self.red), self.open_field, self.noise)
+
+    def loop(self, part: np.ndarray, light: np.ndarray) -> LiveLoop:
+        """The loop of a print.
+
+        Args:
+            part: Fractions, [x, y, z].
+            light: Of each turn of the plan, [angle, r, z].
+
+        Returns:
+            The loop, before its first turn.
+        """
+        replanner = Replanner(part, most=self.most * float(light.max()), threshold=self.resin.solid)
+        estimator = Estimator(self.projection(self.vial), self.resin.response)
+        return LiveLoop(
+            Tomograph(self.camera(), self.turbidity), estimator, replanner, self.resin, light, self.planned,
+            self.longest, self.iterations, self.evaluations, ahead=self.ahead, every=self.every,
+        )  # fmt: skip
+
+    @classmethod
+    def of(cls, told: dict[str, Any]) -> LiveSetup:
+        """From what `dataclasses.asdict` made of one.
+
+        Args:
+            told: The values by name.
+
+        Returns:
+            The setup.
+
+        Raises:
+            BadInput: Names are missing or unknown, or values out of range.
+        """
+        kinds = {"vial": Vial, "red": Vial, "noise": SensorNoise, "resin": CuringResin, "turbidity": Turbidity}
+        try:
+            plain: dict[str, Any] = {
+                name: kinds[name](**value) if name in kinds else value for name, value in told.items()
+            }
+            plain |= {name: tuple(plain[name]) for name in ("shape", "pixels")}
+            return cls(**plain)
+        except (TypeError, KeyError) as error:
+            raise BadInput(f"the setup of a live print cannot be read ({error}); expected the names of LiveSetup: take "
+                           f"{SETUP} as it was written") from error  # fmt: skip
+
+
+class LiveRecord:
+    """A folder with `live.json`, `live.jsonl`, and arrays: part, light of the plan, frames of every turn.
+
+    Args:
+        folder: Of the run.
+    """
+
+    folder: Path
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+
+    def begin(self, setup: LiveSetup, part: np.ndarray, light: np.ndarray) -> LiveLoop:
+        """Start a record.
+
+        Args:
+            setup: Of the loop.
+            part: Fractions, [x, y, z].
+            light: Of each turn of the plan, [angle, r, z].
+
+        Returns:
+            The loop that the record is of.
+
+        Raises:
+            StorageError: The folder holds a live print already, or cannot be written.
+        """
+        if (self.folder / DECISIONS).exists():
+            raise StorageError(f"{str(self.folder)!r} holds a live print already; take another folder")
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            (self.folder / SETUP).write_text(json.dumps(asdict(setup), indent=1))
+            np.save(self.folder / "live-part.npy", part)
+            np.save(self.folder / "live-light.npy", light)
+            (self.folder / DECISIONS).write_text("")
+        except OSError as error:
+            raise explained("write", self.folder, error) from error
+        return setup.loop(part, light)
+
+    def add(self, frames: np.ndarray, decision: Decision, **facts: Any) -> None:
+        """Add a turn: its frames first, so that no decision stands without them.
+
+        Args:
+            frames: Gray levels, [angle, row, column].
+            decision: That followed from them.
+            facts: More to keep beside it, such as ``showed``, see `LiveLoop.corrected`, and seconds that it took.
+
+        Raises:
+            StorageError: The folder cannot be written.
+        """
+        try:
+            np.save(self._frames(decision.turn), frames)
+            with (self.folder / DECISIONS).open("a") as file:
+                file.write(json.dumps(decision.entry | {"stages": _rounded(decision.stages)} | facts) + "\n")
+        except OSError as error:
+            raise explained("write", self.folder, error) from error
+
+    def note(self, turn: int, stages: Mapping[str, float] | None = None, **facts: Any) -> None:
+        """Add what is known of a decision only later, as how long its upload took.
+
+        Args:
+            turn: Of the decision.
+            stages: Wall times [s] by name, beside those that it has.
+            facts: Take the place of those of `add`.
+
+        Raises:
+            StorageError: The folder cannot be written.
+        """
+        try:
+            with (self.folder / DECISIONS).open("a") as file:
+                file.write(json.dumps({"of": turn, "stages": _rounded(stages or {})} | facts) + "\n")
+        except OSError as error:
+            raise explained("write", self.folder, error) from error
+
+    @property
+    def decisions(self) -> list[dict[str, Any]]:
+        """Recorded, in order, each with what was noted later."""
+        lines, told = self._text(DECISIONS).splitlines(), dict[int, dict[str, Any]]()
+        try:
+            for each in map(parse_json, lines):
+                if "of" in each:
+                    was = told[each.pop("of")]
+                    was |= each | {"stages": was.get("stages", {}) | each["stages"]}
+                else:
+                    told[each["turn"]] = each
+        except (ValueError, KeyError, TypeError) as error:
+            raise StorageError(f"{DECISIONS} in {str(self.folder)!r} is damaged: {error!r}") from error
+        return list(told.values())
+
+    def replay(self) -> Iterator[tuple[dict[str, Any], list[str]]]:
+        """Decide every turn anew from what was seen.
+
+        Yields:
+            The decision as recorded, and the names of what is decided otherwise now: none where it is the same bit by
+            bit.
+
+        Raises:
+            BadInput: The setup cannot be read.
+            StorageError: A file is missing or damaged.
+        """
+        try:
+            setup = LiveSetup.of(parse_json(self._text(SETUP)))
+        except ValueError as error:
+            raise StorageError(f"{SETUP} in {str(self.folder)!r} is damaged: {error}") from error
+        part, light = (np.array(map_npy(self.folder / f"live-{name}.npy")) for name in ("part", "light"))
+        told: Sequence[dict[str, Any]] = self.decisions
+        showed = [was.get("showed", ()) for was in told]
+        seen = (np.array(map_npy(self._frames(turn))) for turn in range(1, len(told) + 1))
+        for was, now in zip(told, setup.loop(part, light).replay(seen, showed), strict=True):
+            again = parse_json(json.dumps(now.entry))
+            yield was, [name for name in again if again[name] != was.get(name)]
+
+    def _frames(self, turn: int) -> Path:
+        return self.folder / f"live-frames-{turn:04}.npy"
+
+    def _text(self, name: str) -> str:
+        try:
+            return read_text(self.folder / name)
+        except OSError as error:
+            raise explained("read", self.folder / name, error) from error
+
+
+def _rounded(stages: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(seconds, 4) for name, seconds in stages.items()}
+
+
+def budget(decisions: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, float, int]]:
+    """How long the stages of decisions took.
+
+    Args:
+        decisions: As a record has them.
+
+    Returns:
+        Of each stage its name, its median and greatest wall time [s], and in how many decisions it was.
+    """
+    told = [each.get("stages", {}) for each in decisions]
+    names = [name for name in STAGES if any(name in each for each in told)]
+    times = {name: [each[name] for each in told if name in each] for name in names}
+    return [(name, float(np.median(each)), max(each), len(each)) for name, each in times.items()]

@@ -1,0 +1,101 @@
+"""What curing does to light that does not cure: it scatters more, and bends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+
+
+@dataclass(frozen=True)
+class Turbidity:
+    """Extinction and refractive index of resin against conversion, as changes from the resin before the print.
+
+    Straight lines between the samples. All three lists are as long.
+
+    Args:
+        conversion: Samples, shares in 0..1, dimensionless, ascending, the first 0.
+        extinction: Share of the camera's light lost per length, natural logarithm [1/mm]; ascending, the first 0.
+        index: Change of the refractive index; empty for none.
+
+    Raises:
+        BadInput: The lists differ in length, or are out of order or range.
+    """
+
+    conversion: Sequence[float] = (0.0, 1.0)
+    extinction: Sequence[float] = (0.0, 0.1)
+    index: Sequence[float] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("conversion", "extinction", "index"):
+            try:
+                object.__setattr__(self, name, tuple(float(v) for v in getattr(self, name)))
+            except (TypeError, ValueError) as error:
+                raise BadInput(f"{name} is {getattr(self, name)!r}; expected a list of numbers") from error
+        for name, samples in (("conversion", self.conversion), ("extinction [1/mm]", self.extinction)):
+            if (
+                len(samples) < 2
+                or samples[0] != 0.0
+                or not (np.diff(samples) > 0).all()
+                or not np.isfinite(samples[-1])
+            ):
+                raise BadInput(f"{name} is {list(samples)}; expected at least two numbers, ascending from 0")
+        if self.conversion[-1] > 1.0:
+            raise BadInput(f"conversion reaches {self.conversion[-1]:g}; expected shares in 0..1")
+        lengths = {len(self.conversion), len(self.extinction), len(self.index) or len(self.conversion)}
+        if len(lengths) > 1 or not np.isfinite(self.index).all():
+            raise BadInput(f"{self!r}: expected a finite extinction, and an index or none, for every conversion")
+
+    @property
+    def full(self) -> float:
+        """Extinction of the last sample [1/mm]."""
+        return self.extinction[-1]
+
+    def extinction_at(self, conversion: np.ndarray) -> np.ndarray:
+        """Extinction [1/mm] of a conversion, (...,).
+
+        Args:
+            conversion: Shares in 0..1, (...,).
+
+        Returns:
+            Extinction [1/mm], (...,).
+        """
+        return np.interp(conversion, self.conversion, self.extinction)
+
+    def index_at(self, conversion: np.ndarray) -> np.ndarray:
+        """Change of the refractive index at a conversion, (...,).
+
+        Args:
+            conversion: Shares in 0..1, (...,).
+
+        Returns:
+            Its change, (...,).
+        """
+        return np.interp(conversion, self.conversion, self.index or np.zeros(len(self.conversion)))
+
+    def conversion_at(self, extinction: np.ndarray) -> np.ndarray:
+        """Conversion of an extinction [1/mm], (...,); beyond the samples that of the nearest.
+
+        Args:
+            extinction: Above the resin's before the print [1/mm], (...,).
+
+        Returns:
+            Shares in 0..1, (...,).
+        """
+        return np.interp(extinction, self.extinction, self.conversion)
+
+    def slope_at(self, extinction: np.ndarray) -> np.ndarray:
+        """Conversion per extinction [mm], (...,): what turns a deviation of one into one of the other.
+
+        Args:
+            extinction: Above the resin's before the print [1/mm], (...,).
+
+        Returns:
+            Slope [mm], (...,).
+        """
+        pieces = np.diff(self.conversion) / np.diff(self.extinction)
+        piece = np.searchsorted(self.extinction, extinction, side="right") - 1
+        return pieces[np.clip(piece, 0, pieces.size - 1)]

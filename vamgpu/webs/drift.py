@@ -1,0 +1,61 @@
+"""How the light on a web turned out to be, where it is not as planned."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+from vamgpu.web import Wrap
+
+
+@dataclass(frozen=True)
+class WebDrift:
+    """The light of a web from a frame on.
+
+    Args:
+        gain: Light over planned, dimensionless.
+        since: First frame that has it.
+        absorption: Absorption coefficient of the film over planned, dimensionless; that of the last drift counts for
+            the whole web, as it is the resin's.
+
+    Raises:
+        BadInput: A value is out of its range.
+    """
+
+    gain: float = 1.0
+    since: int = 0
+    absorption: float = 1.0
+
+    def __post_init__(self) -> None:
+        positive("gain of the light", self.gain)
+        positive("absorption over planned", self.absorption)
+        if isinstance(self.since, bool) or not isinstance(self.since, int) or self.since < 0:
+            raise BadInput(f"a drift begins at frame {self.since!r}; expected a whole number ≥ 0")
+
+
+def gains(drifts: Sequence[WebDrift], first: int, stop: int) -> np.ndarray:
+    """Light over planned of each frame from ``first`` to ``stop``, (frames,)."""
+    found = np.ones(stop - first)
+    for drift in sorted(drifts, key=lambda each: each.since):
+        found[max(drift.since - first, 0) :] = drift.gain
+    return found
+
+
+def drifts_of(details: Mapping[str, Any]) -> tuple[WebDrift, ...]:
+    """Those that a folder's frames were made for; none for a web that was never replanned."""
+    return tuple(WebDrift(**each) for each in details.get("replanned", {}).get("drifts", ()))
+
+
+def clouded(wrap: Wrap, absorption: float) -> Wrap:
+    """The machine with a film that absorbs so many times as much. Raises `BadInput` for one without such a film."""
+    if absorption == 1.0:
+        return wrap
+    film: Any = getattr(wrap, "film", None)
+    if not getattr(film, "absorption", 0.0):
+        raise BadInput(f"{wrap!r} has no film that absorbs; expected an absorption of 1 over planned")
+    return replace(wrap, film=replace(film, absorption=absorption * film.absorption))  # type: ignore[type-var]
