@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -9,9 +10,14 @@ from typing import Any
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0 done, 1 an error that was explained, 130 stopped by Ctrl-C."""
+    """Run a command and return its exit status: 0 done, 1 an error that was explained, 130 stopped by Ctrl-C.
+
+    A print has two more, see ``vam print``.
+    """
     import vamgpu.cli.calibrate  # noqa: F401 - its commands register themselves
     import vamgpu.cli.print  # noqa: F401
+    import vamgpu.cli.rig  # noqa: F401
+    import vamgpu.cli.view  # noqa: F401
     from vamgpu.cli.commands import app
     from vamgpu.errors import Cancelled, OpticsWarning, VamError
 
@@ -21,8 +27,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             warnings.showwarning = _warn
             return int(app(arguments, result_action="return_value", exit_on_error=True) or 0)
     except (Cancelled, KeyboardInterrupt):
-        sys.stderr.write("\nstopped; results appear whole or not at all, and a run's folder says how far it came\n")
+        sys.stderr.write(
+            "\nstopped; results appear whole or not at all, a run's folder says how far it came, and the light "
+            "that `vam solve` had found is kept: the same command goes on from it\n"
+        )
         return 130
+    except BrokenPipeError:  # whoever read the output, `head` say, has enough; what is buffered must go nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except VamError as error:
         sys.stderr.write("".join(f"error: {line}\n" for line in str(error).splitlines()))
         return 1

@@ -1,4 +1,4 @@
-"""The commands ``vam calibrate focus | axis | gray | mtf``."""
+"""The commands ``vam calibrate focus | axis | gray | flat | mtf | runout | list``."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from vamgpu.cli.commands import app
 from vamgpu.cli.options import Overwrite, Settings, console
 
 if TYPE_CHECKING:
-    from vamgpu.hosts.calibrating.report import Found
-    from vamgpu.hosts.calibrating.stand import Stand
+    from vamgpu.hosts.calibrating.machines import CalibrationMachines
+    from vamgpu.hosts.calibrating.report import CalibrationResult
 
-group = App(name="calibrate", help="Measure a rig with its camera or photodiode; the rig emulated is a rehearsal.")
+group: App = App(name="calibrate", help="Measure a rig with its camera or photodiode; the rig emulated is a rehearsal.")
 app.command(group)
 Switch = Annotated[bool, Parameter(negative="")]
 Places = Annotated[list[float] | None, Parameter(negative="")]
@@ -24,7 +24,7 @@ Places = Annotated[list[float] | None, Parameter(negative="")]
 
 @group.command
 def focus(
-    *, rig: str, out: Path = Path("focus"), reach: float = 2.5, step: float = 0.5, low: float = -0.3,
+    *, rig: str, out: Path | None = None, reach: float = 2.5, step: float = 0.5, low: float = -0.3,
     high: float = 0.3, powers: int = 31, half_period: int = 10, projector: int = 0, settings: Settings = None,
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
@@ -32,7 +32,7 @@ def focus(
 
     Args:
         rig: the TOML file of the rig, or emulated
-        out: folder of the result
+        out: folder of the result; beside the rig's file by default, where prints find it
         reach: of the camera to either side of its stage's middle [mm]
         step: of the camera [mm]
         low: lowest power of the lens [dpt]
@@ -44,13 +44,13 @@ def focus(
     from vamgpu.hosts.calibrating.focus import TABLES, focus, steps, sweep
 
     places, stepped = steps(reach, step), sweep(low, high, powers)
-    _run(rig, TABLES, out, settings, overwrite, lambda stand, told: focus(
-        stand, places, stepped, half_period=half_period, projector=projector, told=told))  # fmt: skip
+    _run("focus", rig, TABLES, out, settings, overwrite, lambda machines, progress: focus(
+        machines, places, stepped, half_period=half_period, projector=projector, progress=progress))  # fmt: skip
 
 
 @group.command
 def axis(
-    *, rig: str, out: Path = Path("axis"), first: int = 0, stop: int | None = None, every: int = 1, repeats: int = 4,
+    *, rig: str, out: Path | None = None, first: int = 0, stop: int | None = None, every: int = 1, repeats: int = 4,
     radius: float | None = None, flip_r: Switch = False, projector: int = 0, settings: Settings = None,
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
@@ -58,7 +58,7 @@ def axis(
 
     Args:
         rig: the TOML file of the rig, or emulated
-        out: folder of the result
+        out: folder of the result; beside the rig's file by default, where prints find it
         first: first column that is lit
         stop: column after the last one
         every: columns from one to the next
@@ -69,21 +69,21 @@ def axis(
     """
     from vamgpu.hosts.calibrating.axis import TABLES, axis
 
-    _run(rig, TABLES, out, settings, overwrite, lambda stand, told: axis(
-        stand, first=first, stop=stop, every=every, repeats=repeats, radius=radius, flip_r=flip_r,
-        projector=projector, told=told))  # fmt: skip
+    _run("axis", rig, TABLES, out, settings, overwrite, lambda machines, progress: axis(
+        machines, first=first, stop=stop, every=every, repeats=repeats, radius=radius, flip_r=flip_r,
+        projector=projector, progress=progress))  # fmt: skip
 
 
 @group.command
 def gray(
-    *, rig: str, out: Path = Path("gray"), every: int = 1, repeats: int = 4,
+    *, rig: str, out: Path | None = None, every: int = 1, repeats: int = 4,
     reader: Literal["photodiode", "camera"] = "photodiode", settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Measure what gray levels are worth in light, of each projector.
 
     Args:
         rig: the TOML file of the rig, or emulated
-        out: folder of the result; a job's frames.gray may name its result.toml
+        out: folder of the result; beside the rig's file by default, where prints find it
         every: levels from one to the next
         repeats: readings of each
         reader: what reads the light
@@ -91,20 +91,62 @@ def gray(
     from vamgpu.hosts.calibrating.gray import gray, levels
 
     camera, steps = reader == "camera", levels(every)
-    _run(rig, (reader,), out, settings, overwrite,
-         lambda stand, told: gray(stand, steps, repeats=repeats, camera=camera, told=told))  # fmt: skip
+    _run("gray", rig, (reader,), out, settings, overwrite, lambda machines, progress: gray(
+        machines, steps, repeats=repeats, camera=camera, progress=progress))  # fmt: skip
+
+
+@group.command
+def flat(
+    *, rig: str, out: Path | None = None, blocks: tuple[int, int] = (8, 12), repeats: int = 4,
+    settings: Settings = None, overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Measure how evenly full-on mirrors shine, of each projector, with a photodiode that takes in all of its light.
+
+    Nothing may stand in the light meanwhile, a roller neither.
+
+    Args:
+        rig: the TOML file of the rig, or emulated
+        out: folder of the result; beside the rig's file by default, where prints find it
+        blocks: of mirrors that are lit one after the other, along rows and columns
+        repeats: readings of each
+    """
+    from vamgpu.hosts.calibrating.flat import TABLES, flat
+
+    _run("flat", rig, TABLES, out, settings, overwrite, lambda machines, progress: flat(
+        machines, blocks, repeats=repeats, progress=progress))  # fmt: skip
+
+
+@group.command(name="list")
+def list_(*, rig: str, settings: Settings = None) -> None:
+    """Show the calibrations of a rig, the newest first, and which of them prints apply.
+
+    Args:
+        rig: the TOML file of the rig
+    """
+    from vamgpu.hosts.calibrating.store import DAY, in_force, place_of, taken_of
+    from vamgpu.hosts.rigs.config import read_rig
+
+    screen, config = console(), read_rig(rig, settings or ())
+    place = place_of(config)
+    used, limit = {each.path for each in in_force(config).values()}, config.setup.calibration.warn_after / DAY
+    for each in taken_of(config):
+        state = "applied" if each.path in used else ""
+        state += ", old: measure again" if state and each.days() > limit else ""
+        screen.print(f"  {each.name:<27} {each.days():7.1f} days  [bold]{state}[/]")
+    if not taken_of(config):
+        screen.print(f"no calibrations in {escape(str(place))}; run vam calibrate gray, for instance")
 
 
 @group.command
 def mtf(
-    *, rig: str, out: Path = Path("mtf"), at: Places = None, focused: Path | None = None, angle: float = 5.0,
+    *, rig: str, out: Path | None = None, at: Places = None, focused: Path | None = None, angle: float = 5.0,
     repeats: int = 4, projector: int = 0, settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Measure how fine the picture is along the light, with a slanted edge.
 
     Args:
         rig: the TOML file of the rig, or emulated
-        out: folder of the result; a job's beam.spread may name it
+        out: folder of the result; beside the rig's file by default. A job's beam.spread may name it
         at: positions of the camera from its stage's middle [mm]; 0, ±6 and ±15 by default
         focused: result of vam calibrate focus, by which the lens focuses on each position; else it stays as it is
         angle: of the edge against columns [deg]
@@ -117,25 +159,53 @@ def mtf(
     places = tuple(at) if at else POSITIONS
     powers = None if focused is None else focused_at(focused, places)
     tables = TABLES if powers is None else ("lens", *TABLES)
-    _run(rig, tables, out, settings, overwrite, lambda stand, told: mtf(
-        stand, places, powers=powers, angle=angle, repeats=repeats, projector=projector, told=told))  # fmt: skip
+    _run("mtf", rig, tables, out, settings, overwrite, lambda machines, progress: mtf(
+        machines, places, powers=powers, angle=angle, repeats=repeats, projector=projector,
+        progress=progress))  # fmt: skip
+
+
+@group.command
+def runout(
+    *, rig: str, out: Path | None = None, poses: int = 24, repeats: int = 2, speed: float = 30.0, projector: int = 0,
+    settings: Settings = None, overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Measure how a vial runs out: a camera sees a pin on the turntable, upright and near the axis, over a turn.
+
+    Args:
+        rig: the TOML file of the rig, or emulated
+        out: folder of the result; beside the rig's file by default, where prints find it
+        poses: of the turn
+        repeats: images of each, which are averaged
+        speed: of the turntable from pose to pose [deg/s]
+        projector: which one, from 0
+    """
+    from vamgpu.hosts.calibrating.runout import TABLES, runout
+
+    _run("runout", rig, TABLES, out, settings, overwrite, lambda machines, progress: runout(
+        machines, poses=poses, repeats=repeats, speed=speed, projector=projector, progress=progress))  # fmt: skip
 
 
 def _run(
-    rig: str, tables: tuple[str, ...], out: Path, settings: list[str] | None, overwrite: bool,
-    measure: Callable[[Stand, Callable[[float], None]], Found],
+    kind: str, rig: str, tables: tuple[str, ...], out: Path | None, settings: list[str] | None, overwrite: bool,
+    measure: Callable[[CalibrationMachines, Callable[[float], None]], CalibrationResult],
 ) -> None:  # fmt: skip
     """Open the machines, measure, and write the result."""
     from rich.progress import Progress
 
-    from vamgpu.hosts.calibrating.machines import opened, rehearsal
-    from vamgpu.hosts.calibrating.rehearsed import compared
+    from vamgpu.hosts.calibrating.opening import compared, opened, rehearsal
     from vamgpu.hosts.calibrating.report import free, save
+    from vamgpu.hosts.calibrating.store import folder_of, keep
     from vamgpu.hosts.rigs.config import read_rig
 
     screen, config = console(), read_rig(rig, settings or ())
-    free(out, overwrite)
-    stand, optics = rehearsal(config, tables) if config.wanted.emulated else (opened(config, tables), None)
+    if out is None and folder_of(config) is None:
+        out = Path(kind)
+    if out is not None:
+        free(out, overwrite)
+    if config.setup.emulated:
+        stand, optics = rehearsal(config, tables, kind=kind)
+    else:
+        stand, optics = opened(config, tables), None
     try:
         with Progress(console=screen, transient=True, disable=not screen.is_terminal) as bar:
             task = bar.add_task("measuring", total=1.0)
@@ -146,4 +216,5 @@ def _run(
         stand.close()
     for name, value in found.lines:
         screen.print(f"  {name:<27} [bold]{escape(value)}[/]")
-    screen.print(f"result  [bold]{escape(str(save(found, out, config.text, overwrite=overwrite)))}[/]")
+    place = keep(found, config).path if out is None else save(found, out, config.text, overwrite=overwrite)
+    screen.print(f"result  [bold]{escape(str(place))}[/]")

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App
+from cyclopts import App, Parameter
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 import vamgpu
-from vamgpu.cli import curethrough
-from vamgpu.cli.options import Overwrite, Settings, console
+from vamgpu.cli import curethrough, live, sweep
+from vamgpu.cli.options import Overwrite, Settings, Switch, console
+from vamgpu.errors import BadInput
 
 if TYPE_CHECKING:
     from vamgpu.jobs.run import Proven
+    from vamgpu.printing.frames import Frames
     from vamgpu.webs.proof import WebProof
 
-app = App(
+app: App = App(
     name="vam",
     help="Tomographic volumetric 3D printing: from a mesh to frames and a proof of the print.",
     version=vamgpu.__version__,
     suppress_keyboard_interrupt=False,
 )
 app.command(curethrough.group)
+app.command(live.group)
+app.command(sweep.sweep)
 
 
 @app.command
@@ -44,44 +49,88 @@ def demo(
     from vamgpu.jobs.demo import demo as run
 
     screen = console()
-    with shown(screen) as told:
-        done = run(out, settings or (), told=told)
+    with shown(screen) as progress:
+        done = run(out, settings or (), progress=progress)
     _scores(screen, done.proven)
     screen.print(f"job     {_path(done.file)}\nframes  {_path(done.folder)}")
     screen.print(f"report  [bold]{_path(done.report.resolve())}[/]")
 
 
 @app.command
-def solve(job: Path, *, out: Path | None = None, settings: Settings = None, overwrite: Overwrite = False) -> None:
-    """Find light for a TOML job file and write its frames to a job folder.
+def solve(
+    job: Path, *, out: Path | None = None, start: Path | None = None, rig: Path | None = None,
+    settings: Settings = None, overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Find light for a TOML job file and write it to a job folder, or go on with one that was stopped by Ctrl-C.
 
     Args:
         job: the TOML file
         out: the folder; the file's name with .vam by default
+        start: folder of a plan whose light is the first guess, of as many angles and pixels, whatever else has changed
+        rig: the TOML file of the rig that will print it, whose measured point spread counts where the job has none
     """
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.read import read_job
     from vamgpu.jobs.run import solve as run
     from vamgpu.jobs.web import is_web
 
+    if rig is not None:
+        settings = [*(settings or ()), *_measured(job, rig, settings)]
     if is_web(job):
+        if start is not None:
+            raise BadInput(f"{str(job)!r} is a web, which goes on with its own folder; leave --start out")
         return _solve_web(job, out, settings, overwrite)
     place = out if out is not None else job.with_suffix(".vam")
-    wanted = read_job(job, settings or ())
-    screen = console()
-    with shown(screen) as told:
-        folder = run(wanted, place, overwrite=overwrite, told=told)
+    wanted, screen = read_job(job, settings or ()), console()
+    with shown(screen) as progress:
+        folder = run(wanted, place, overwrite=overwrite, start=start, progress=progress)
     screen.print(f"wrote [bold]{_path(folder.path)}[/]; prove it with: vam prove {_path(folder.path)}")
 
 
+def _measured(job: Path, rig: Path, settings: Settings) -> list[str]:
+    """What a rig's calibrations say of a job's light, as settings; and tell it."""
+    from vamgpu.hosts.calibrating.store import calibration_of, in_force, place_of
+    from vamgpu.hosts.rigs.config import read_rig
+    from vamgpu.jobs.read import read_job
+    from vamgpu.jobs.web import is_web
+
+    if is_web(job):
+        raise BadInput(f"{str(job)!r} is a web, whose light has no point spread to measure; leave --rig out")
+    config, screen = read_rig(rig), console()
+    place_of(config)  # a rig without a file has none
+    found, known = in_force(config), calibration_of(config)
+    for note in known.notes:
+        screen.print(f"[yellow]note[/]  {escape(note)}")
+    if known.runout is not None:
+        runs = known.runout.found
+        screen.print(
+            f"axis    known to {runs.axis_error:.2g} columns, turns true to {runs.left:.2g}, by {found['runout'].name}"
+        )
+    own = read_job(job, settings or ()).file.beam.spread
+    if own is not None or "mtf" not in found:
+        why = "the job says it" if own is not None else "half a pixel, as the rig has no calibration mtf"
+        screen.print(f"spread  {why}")
+        return []
+    screen.print(f"spread  as measured by {found['mtf'].name}")
+    return [f"beam.spread={json.dumps(str((found['mtf'].path / 'result.toml').resolve()))}"]
+
+
 @app.command
-def prove(job: Path, *, report: Path | None = None, device: str | None = None) -> None:
-    """Simulate a written job from its frames alone and draw a report.
+def prove(
+    job: Path, /, *, report: Path | None = None, device: str | None = None,
+    bound: Annotated[bool, Parameter(negative="")] = False,
+    tolerances: Annotated[bool, Parameter(negative="")] = False,
+    printed: Annotated[list[Path] | None, Parameter(name="--job", negative="")] = None,
+) -> None:  # fmt: skip
+    """Simulate a written job from its frames alone, or what a run has really shown, and draw a report.
 
     Args:
-        job: the job folder
+        job: the job folder, or the folder of a vial's run
         report: the HTML file; the folder's name with .html by default
         device: where to compute; the best device here by default
+        bound: find the widest window that any light can have too, by 1500 projector evaluations
+        tolerances: prove it at every corner of the job's [tolerances] too, with one threshold for all
+        printed: folder of a job that a run printed, where it was moved since; one for each that was
     """
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.run import prove as run
@@ -90,29 +139,103 @@ def prove(job: Path, *, report: Path | None = None, device: str | None = None) -
 
     job = named(job)
     place = page_path(report or job.with_suffix(".html"))
+    if bound and ((job / "run.json").is_file() or is_web_folder(job)):
+        raise BadInput(f"--bound is for the job of a vial, and {str(job)!r} is none; leave it out")
+    if tolerances and ((job / "run.json").is_file() or is_web_folder(job)):
+        raise BadInput(f"--tolerances is for the job of a vial, and {str(job)!r} is none; leave it out")
+    if (job / "run.json").is_file():
+        return _prove_run(job, place, device, printed or ())
+    if printed:
+        raise BadInput(f"--job says where the jobs of a run are, and {str(job)!r} is no folder of one; leave it out")
     if is_web_folder(job):
         return _prove_web(job, place, device)
     screen = console()
-    with shown(screen) as told:
-        told("proof", 0.0)
-        proven = run(job, device)
-        told("report", 0.0)
+    with shown(screen) as progress:
+        proven = run(job, device, evaluations=1500.0 if bound else 0.0, tolerances=tolerances, progress=progress)
+        progress("report", 0.0)
         page = proven.report(place)
     _scores(screen, proven)
     screen.print(f"report  [bold]{_path(page.resolve())}[/]")
 
 
+def _prove_run(run: Path, place: Path, device: str | None, printed: Sequence[Path]) -> None:
+    """What a run showed, beside what was planned."""
+    from vamgpu.hosts.proof import prove_run
+
+    screen = console()
+    for number, found in enumerate(prove_run(run, device, printed)):
+        page = place.with_stem(f"{place.stem}-{number + 1}") if number else place
+        found.least.report(page, found.planned.plan)
+        proofs = (found.planned.proof, found.least, found.most)
+        screen.print(f"run     {found.run.state.value}: {found.light}")
+        for name, value in (("window", lambda proof: proof.scores.window), ("IoU", lambda proof: proof.scores.iou)):
+            planned, least, most = (f"{value(proof):+.4f}" for proof in proofs)
+            band = least if least == most else f"{least} to {most}, as nobody knows all of the light"
+            screen.print(f"{name:<7} planned {planned}, shown [bold]{band}[/]")
+        screen.print(f"report  [bold]{_path(page.resolve())}[/]")
+
+
+@app.command(name="import")
+def import_(
+    source: Path, /, *, out: Path | None = None, job: Path | None = None, patterns: Path | None = None,
+    target: Path | None = None, flip_r: Switch = False, flip_z: Switch = False, reverse: Switch = False,
+    axis: float | None = None, level: float | None = None, angles: int | None = None, gray: Path | None = None,
+    device: str | None = None, settings: Settings = None, overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Make a job of another program's patterns, to be proven, printed, or solved on.
+
+    Args:
+        source: configuration of Dr.TVAM (JSON), sinogram of VAMToolbox (.sino, .npy), folder of PNG, TIFF or EXR
+            images, or a film, such as those that OpenCAL plays
+        out: the folder; the source's name with .vam by default. Ending in .toml, a job file of what Dr.TVAM was to
+            solve, for vam solve; it needs no patterns
+        job: TOML file of what the source does not say: part, vessel, pixels
+        patterns: of Dr.TVAM, where they are not beside its configuration
+        target: voxels that VAMToolbox solved for, in place of a mesh in the job
+        flip_r: column 0 of images is the largest r
+        flip_z: row 0 of images is the smallest z, as in films of VAMToolbox
+        reverse: images are in the order of falling angles
+        axis: column of the axis in images, counted from 0; their middle by default
+        level: row of the part's middle; the images' middle by default
+        angles: images of a turn, where a film has several turns
+        gray: TOML file with the gray curve that images were made for
+        device: where to compute; the best device here by default
+    """
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.foreign.importing import import_patterns, import_task
+    from vamgpu.jobs.foreign.pictures import Layout
+    from vamgpu.printing.gray import GrayCurve
+    from vamgpu.storage.atomic import named
+
+    if out is not None and out.suffix.lower() == ".toml":
+        if beside := [name for name, value in (("--job", job), ("--patterns", patterns), ("--target", target),
+                                               ("--set", settings)) if value is not None]:  # fmt: skip
+            raise BadInput(f"{', '.join(beside)} beside --out {out}, which takes no patterns; expected the "
+                           "configuration alone: leave it out")  # fmt: skip
+        for note in import_task(source, out, overwrite=overwrite):
+            console().print(f"[yellow]note[/]  {escape(note)}")
+        console().print(f"wrote [bold]{_path(out)}[/]; solve it with: vam solve {_path(out)}")
+        return
+    curve = None if gray is None else GrayCurve.load(gray)
+    layout, screen = Layout(flip_r, flip_z, reverse, axis, level, angles, curve), console()
+    place = out if out is not None else named(source).with_suffix(".vam")
+    with shown(screen) as progress:
+        done = import_patterns(
+            source, place, job=job, settings=settings or (), patterns=patterns, target=target, layout=layout,
+            device=device, overwrite=overwrite, progress=progress,
+        )  # fmt: skip
+    for note in done.notes:
+        screen.print(f"[yellow]note[/]  {escape(note)}")
+    screen.print(f"wrote [bold]{_path(place)}[/] from {done.program}; prove it with: vam prove {_path(place)}")
+
+
 @app.command
 def export(
-    job: Path,
-    *,
-    png: Path | None = None,
-    tiff: Path | None = None,
-    npz: Path | None = None,
-    mp4: Path | None = None,
-    fps: float = 30.0,
-    overwrite: Overwrite = False,
-) -> None:
+    job: Path, *, png: Path | None = None, tiff: Path | None = None, npz: Path | None = None, mp4: Path | None = None,
+    drtvam: Path | None = None, fps: float = 30.0, players: Switch = False, canvas: str | None = None,
+    offset: tuple[int, int] = (0, 0), rotation: float = 0.0, flip_r: Switch = False, flip_z: Switch = False,
+    repeats: int = 1, rig: Path | None = None, projector: int = 1, overwrite: Overwrite = False,
+) -> None:  # fmt: skip
     """Write the frames of a job as files that other programs read.
 
     Args:
@@ -120,35 +243,80 @@ def export(
         png: a folder of PNG pictures
         tiff: one file, a page a frame
         npz: bytes, curve and settings for NumPy
-        mp4: a lossless film
+        mp4: a film, lossless in gray, or for any player with --players
+        drtvam: a folder with configuration, patterns and part for Dr.TVAM
         fps: frames a second of the film
+        players: write the film in yuv420p, which projectors and common players decode
+        canvas: columns and rows of pictures, such as 1920x1080, in whose middle frames lie
+        offset: columns to the right and rows upwards off that middle
+        rotation: of frames, counterclockwise [deg]
+        flip_r: mirror frames left to right
+        flip_z: mirror frames top to bottom
+        repeats: how often the turn is shown
+        rig: TOML file of a rig, whose gray curve, flat field and axis frames are made for
+        projector: of that rig, counted from 1
     """
-    from vamgpu.errors import BadInput
+    from vamgpu.jobs.foreign.drtvam import export_drtvam
     from vamgpu.jobs.web import is_web_folder
+    from vamgpu.methods.saved import load_plan
+    from vamgpu.printing.export import Canvas
     from vamgpu.printing.export import export as write
-    from vamgpu.printing.folder import load_frames
+    from vamgpu.printing.folder import frames_of, load_frames
+    from vamgpu.storage.atomic import named
+    from vamgpu.storage.folder import Folder
 
     wanted = {"": png, ".tiff": tiff, ".npz": npz, ".mp4": mp4}
     places = {ending: place for ending, place in wanted.items() if place is not None}
-    if not places:
-        raise BadInput("no format was given; wanted at least one of --png, --tiff, --npz, --mp4 with a path")
+    if not places and drtvam is None:
+        raise BadInput(
+            "no format was given; expected at least one of --png, --tiff, --npz, --mp4, --drtvam with a path"
+        )
     for ending, place in places.items():
         if place.suffix.lower() not in {ending, ending.replace("tiff", "tif")}:
-            raise BadInput(f"got {str(place)!r}; wanted a path with {f'ending {ending}' if ending else 'no ending'}")
+            raise BadInput(f"got {str(place)!r}; expected a path with {f'ending {ending}' if ending else 'no ending'}")
+    job = named(job)
     if is_web_folder(job):
         raise BadInput(
-            f"{str(job)!r} is a web, whose frames have no end; wanted the folder of a vial's job: read frames of a web "
-            "one by one in Python, with vamgpu.webs.store.WebFolder.open(path).frame(number)"
+            f"{str(job)!r} is a web, whose frames have no end; expected the folder of a vial's job: read frames of a "
+            "web one by one in Python, with vamgpu.webs.store.WebFolder.open(path).frame(number)"
         )
-    frames = load_frames(job, "numpy")
-    screen = console()
-    for place in places.values():
-        screen.print(f"wrote [bold]{_path(write(frames, place, fps=fps, overwrite=overwrite))}[/]")
+    screen, frames = console(), load_frames(job, "numpy")
+    if rig is not None:
+        frames = _on_rig(frames, rig, projector)
+    placed = Canvas(_size(canvas), offset, rotation, flip_r, flip_z, repeats)
+    for ending, place in places.items():
+        on = None if placed == Canvas() or ending == ".npz" else placed
+        done = write(frames, place, fps=fps, overwrite=overwrite, canvas=on, players=players and ending == ".mp4")
+        screen.print(f"wrote [bold]{_path(done)}[/]")
+    if drtvam is not None:
+        whole = frames_of(Folder.open(job), frames.device, load_plan(job, frames.device))
+        screen.print(f"wrote [bold]{_path(export_drtvam(whole, drtvam))}[/]")
+
+
+def _size(canvas: str | None) -> tuple[int, int] | None:
+    """Columns and rows of text such as 1920x1080. Raises `BadInput`."""
+    if canvas is None:
+        return None
+    columns, _, rows = canvas.lower().replace("×", "x").partition("x")
+    if not (columns.strip().isdecimal() and rows.strip().isdecimal()):
+        raise BadInput(f"--canvas is {canvas!r}; expected columns and rows, such as 1920x1080")
+    return int(columns), int(rows)
+
+
+def _on_rig(frames: Frames, rig: Path, projector: int) -> Frames:
+    """Frames as a projector of a rig shows them, by its calibrations."""
+    from vamgpu.hosts.calibrating.store import calibration_of
+    from vamgpu.hosts.rigs.config import read_rig
+
+    config = read_rig(rig)
+    if not 1 <= projector <= len(config.setup.projector):
+        raise BadInput(f"--projector is {projector}; the rig has {len(config.setup.projector)}, counted from 1")
+    return calibration_of(config).frames(frames, projector - 1)
 
 
 @app.command
 def limits(machine: Path, *, png: Path | None = None, settings: Settings = None) -> None:
-    """Tell what a web machine can do, how fast at most, and what binds it.
+    """Tell what a web machine can do, how fast at most, and what limits it.
 
     Args:
         machine: the TOML file with the machine's tables, such as that of a web job
@@ -170,19 +338,44 @@ def limits(machine: Path, *, png: Path | None = None, settings: Settings = None)
 
 
 @app.command
+def init(
+    file: Path = Path("job.toml"), /, *, what: Literal["vial", "web", "machine", "slices"] = "vial",
+    overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Write a job file that can be solved as it is, with a remark for every key there is.
+
+    Args:
+        file: where to
+        what: what the job file is for
+    """
+    from vamgpu.jobs.keys import commented
+    from vamgpu.printing.export import check_folder
+    from vamgpu.storage.atomic import replacing
+
+    if file.suffix.lower() != ".toml":
+        raise BadInput(f"got {str(file)!r}; expected a path ending in .toml")
+    check_folder(file)
+    with replacing(file, overwrite=overwrite) as draft:
+        draft.write_text(commented(what), encoding="utf-8")
+    onward = {"machine": "limits", "slices": "curethrough correct"}.get(what, "solve")
+    console().print(f"wrote [bold]{_path(file)}[/]; go on with: vam {onward} {_path(file)}")
+
+
+@app.command
 def keys(table: str | None = None, /) -> None:
     """List the keys that job files may have, what they hold and what they mean.
 
     Args:
-        table: one of a file, such as beam or web.beam, or a noun, such as vessel.fan; all, as markdown, by default
+        table: one of a file, such as beam or web.beam, one key of it, such as beam.pitch, a noun, such as vessel.fan,
+            or all nouns of a family, such as vessel; everything, as markdown, by default
     """
-    from vamgpu.jobs.keys import keys_of, reference
+    from vamgpu.jobs.keys import explained, reference
 
     if table is None:
         return print(reference(), end="")
     sheet = Table("key", "holds", "default", "meaning", title=table)
-    for key in keys_of(table):
-        sheet.add_row(key.name, escape(key.what), escape(key.default or "wanted"), escape(key.doc))
+    for key in explained(table):
+        sheet.add_row(key.name, escape(key.what), escape(key.default or "required"), escape(key.doc))
     console().print(sheet)
 
 
@@ -233,7 +426,7 @@ def bench(
 
     Args:
         size: voxels along each axis
-        angles: poses over a full turn
+        angles: how many over a full turn
         repeats: runs that a median is taken of
         device: devices to time; all but the reference by default
         record: JSON file to keep the table and the machine's description in
@@ -268,12 +461,12 @@ def _scores(screen: Console, proven: Proven) -> None:
 
 def _demo_web(out: Path, settings: list[str] | None) -> None:
     from vamgpu.cli.progress import shown
-    from vamgpu.jobs.demo_web import demo_web
+    from vamgpu.jobs.demo import demo_web
 
     screen = console()
-    with shown(screen) as told:
-        done = demo_web(out, settings or (), told=told)
-    _web_scores(screen, done.proof)
+    with shown(screen) as progress:
+        done = demo_web(out, settings or (), progress=progress)
+    _web_scores(screen, done.proven)
     screen.print(f"job     {_path(done.file)}\nframes  {_path(done.folder)}")
     screen.print(f"report  [bold]{_path(done.report.resolve())}[/]")
 
@@ -284,8 +477,8 @@ def _solve_web(job: Path, out: Path | None, settings: list[str] | None, overwrit
     from vamgpu.jobs.web import read_web, solve_web
 
     wanted, screen = read_web(job, settings or ()), console()
-    with shown(screen) as told:
-        folder = solve_web(wanted, out or job.with_suffix(".vam"), overwrite=overwrite, told=told)
+    with shown(screen) as progress:
+        folder = solve_web(wanted, out or job.with_suffix(".vam"), overwrite=overwrite, progress=progress)
     screen.print(f"wrote [bold]{_path(folder.path)}[/]; prove it with: vam prove {_path(folder.path)}")
 
 
@@ -294,10 +487,10 @@ def _prove_web(job: Path, report: Path, device: str | None) -> None:
     from vamgpu.webs.proof import prove_web
 
     screen = console()
-    with shown(screen) as told:
-        told("proof", 0.0)
+    with shown(screen) as progress:
+        progress("proof", 0.0)
         proof = prove_web(job, device)
-        told("report", 0.0)
+        progress("report", 0.0)
         page = proof.report(report)
     _web_scores(screen, proof)
     screen.print(f"report  [bold]{_path(page.resolve())}[/]")
@@ -307,7 +500,7 @@ def _web_scores(screen: Console, proof: WebProof) -> None:
     """The numbers of a web."""
     last = proof.segments[-1].columns[1]
     rows = (
-        ("overlap (IoU)", f"{proof.iou:.4f}", f"at one threshold, {proof.threshold:.3f} of the wanted dose"),
+        ("overlap (IoU)", f"{proof.iou:.4f}", f"at one threshold, {proof.threshold:.3f} of the expected dose"),
         ("narrowest window", f"{proof.window:+.4f}", "least dose in the part - greatest out of it, over the greatest"),
         ("printed", f"{last * proof.grid.edges[0]:.4g} mm", f"{len(proof.segments)} segments, {last} columns"),
     )

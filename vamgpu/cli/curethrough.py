@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
     from vamgpu.curethrough.job import Outcome
 
-group = App(name="curethrough", help="Stereolithography: model what light cures behind a part, and correct the slices.")
+group: App = App(
+    name="curethrough", help="Stereolithography: model what light cures behind a part, and correct the slices."
+)
 
 
 @group.command
@@ -38,9 +40,9 @@ def model(
     job = named(job)
     place = page_path(report or job.with_name(f"{job.stem}-model.html"))
     wanted, screen = read_curethrough(job, settings or ()), console()
-    with shown(screen) as told:
-        found = model_job(wanted, slices=slices, doses=doses, overwrite=overwrite, told=told)
-        told("report", 0.0)
+    with shown(screen) as progress:
+        found = model_job(wanted, slices=slices, doses=doses, overwrite=overwrite, report=place, progress=progress)
+        progress("report", 0.0)
         page = _draw(found, place, wanted.name)
     _lines(screen, found)
     if doses is not None:
@@ -68,9 +70,9 @@ def correct(
     wanted, screen = read_curethrough(job, settings or ()), console()
     place = out if out is not None else wanted.beside(slices)
     page = page_path(report or place.with_name(f"{place.stem}.html"))
-    with shown(screen) as told:
-        found = correct_job(wanted, place, slices=slices, overwrite=overwrite, told=told)
-        told("report", 0.0)
+    with shown(screen) as progress:
+        found = correct_job(wanted, place, slices=slices, overwrite=overwrite, report=page, progress=progress)
+        progress("report", 0.0)
         _draw(found, page, wanted.name)
     _lines(screen, found)
     added = found.correction.added if found.correction is not None else 0

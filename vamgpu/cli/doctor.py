@@ -12,6 +12,8 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
+from vamgpu.cli.remedies import for_graphics, for_processor
+
 LIMIT = 120.0
 """Seconds a driver gets to list its devices or to run one kernel."""
 TOLERANCE = 1e-5
@@ -90,13 +92,12 @@ def _opencl() -> tuple[dict[str, str], list[tuple[str, str, str]]]:
     missing = [(f"opencl:{p.name}", "the platform offers no device", "update or remove its driver") for p in empty]
     kinds = [device.type for device in names.values()]
     if not any(kind & cl.device_type.CPU for kind in kinds):
-        remedy = 'pip install "vamgpu[cpu]" (x86-64), or apt install pocl-opencl-icd'
+        remedy = for_processor()
         if vendors := os.environ.get("OCL_ICD_VENDORS"):
             remedy = f"OCL_ICD_VENDORS={vendors} hides all other drivers: unset it, or {remedy}"
         missing.append(("opencl on the processor", "no platform runs kernels on the processor", remedy))
     if not any(kind & cl.device_type.GPU for kind in kinds):
-        remedy = "install the graphics driver with its OpenCL part (NVIDIA: nvidia-opencl-icd)"
-        missing.append(("opencl on a GPU", "no platform offers a graphics processor", remedy))
+        missing.append(("opencl on a GPU", "no platform offers a graphics processor", for_graphics()))
     return found, missing
 
 
@@ -163,5 +164,5 @@ def _opened(name: str) -> Any:
 
 
 if __name__ == "__main__":
-    answer = _list() if sys.argv[1] == "list" else _probe(sys.argv[2])
+    answer: dict[str, Any] = _list() if sys.argv[1] == "list" else _probe(sys.argv[2])
     sys.stdout.write(json.dumps(answer) + "\n")

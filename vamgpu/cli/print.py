@@ -2,105 +2,205 @@
 
 from __future__ import annotations
 
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import Parameter
 from rich.console import Console
 from rich.markup import escape
 
 from vamgpu.cli.commands import app
-from vamgpu.cli.options import Settings, console
+from vamgpu.cli.options import Settings, Switch, console
+from vamgpu.errors import VamError
 
 if TYPE_CHECKING:
-    from vamgpu.hosts.board import Board
-    from vamgpu.hosts.rig import Plan, Rehearsal
+    import numpy as np
 
-Switch = Annotated[bool, Parameter(negative="")]
+    from vamgpu.hosts.realtime.order import PrintOrder
+    from vamgpu.hosts.rig import PrintPlan
+    from vamgpu.hosts.state import Board, PrintState
+
 DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "solve.iterations=10")
 """A small boat: the chain counts here, not the part."""
 CANCELLED = 130
 """The exit status of a print that somebody stopped, as of any other command."""
+JOBS = (".vam", ".zip", ".sl1", ".sl1s")
+"""Endings of jobs that their runs do not take over; another dot, as in "part-0.2", is of the name."""
+FAILED, INCOMPLETE, HELD = 1, 3, 4
+"""Those of a print that failed, of one that ended with views that lack light, and of one that was left held."""
 
 
 @app.command(name="print")
 def print_(
     *jobs: str, rig: str, speed: str | None = None, turns: int = 1, stop: float | None = None, out: Path | None = None,
-    resume: Path | None = None, settings: Settings = None, device: str | None = None, dry_run: Switch = False,
-    panel: Switch = False, host: str = "127.0.0.1", port: int = 0,
+    resume: Path | None = None, unattended: int = 0, settings: Settings = None, device: str | None = None,
+    dry_run: Switch = False, panel: Switch = False, stay: Switch = False, host: str = "127.0.0.1", port: int = 0,
+    live: Switch = False,
 ) -> int:  # fmt: skip
-    """Print jobs on a rig, one for each of its projectors; the word demo makes and prints a small one.
+    """Print jobs on a rig, one for each of its projectors; the word demo makes and prints a small one, and demo live
+    one that a camera watches, in resin that is not as planned.
+
+    The exit status is 0 for a complete print, 1 for one that failed, 3 for one of which some views lack light, 4 for
+    one that is left held, 130 for one that was cancelled.
 
     Args:
         jobs: folders of vials, of webs or of corrected slices, or demo
         rig: the TOML file of the rig, or emulated
         speed: of vials [deg/s], 40 by default, of webs [mm/s] and of slices [mm/h], or with its unit, such as
             "48 mm/min"; by default what the job was made for
-        turns: how often each picture of a vial is shown, at most where it stops by itself
+        turns: how often each frame of a vial is shown, at most where it stops by itself
         stop: density of scatter at which a vial is done [gray levels/voxel], such as 0.35, by the rig's camera
         out: folder of the run; the job's name with .run by default, with .rehearsal for a dry run
         resume: folder of a run that a host left in the midst, to go on with
-        device: that makes the pictures; the best one by default, NumPy for a rehearsal
+        unattended: how often a print that is held goes on by itself; by default somebody is asked
+        device: that makes the frames; the best one by default, NumPy for a rehearsal
         dry_run: rehearse on emulated machines and a program's clock, whatever the rig
         panel: serve the live page; a rehearsal then takes as long as a print
+        stay: serve the page after the print too, until Ctrl-C
         host: where the page is served; a token is wanted beyond this machine
         port: of the page; a free one by default
+        live: watch a vial with the rig's camera, and plan the rest of its light anew after every turn; turns are then
+            those in which fresh resin gets the light of the job, 16 by default
     """
+    if jobs == ("demo", "live") or live:
+        given = speed is None and stop is None and resume is None and not (dry_run or panel or settings or device)
+        return _live(jobs, rig, turns if turns > 1 else 16, out, plain=given)
     from vamgpu.errors import BadInput
     from vamgpu.hosts.rig import plan, stopping
     from vamgpu.hosts.rigs.config import read_rig
 
     screen, config = console(), read_rig(rig, settings or ())
     if not jobs:
-        raise BadInput("no job was given; wanted the folder of a job for each projector, or the word demo")
+        raise BadInput("no job was given; expected the folder of a job for each projector, or the word demo")
     if resume is not None and out is not None:
         raise BadInput("--out names the folder of a new run, --resume one to go on with; give one of them")
-    if resume is not None and (dry_run or config.wanted.emulated):
-        raise BadInput("a rehearsal has no machines that remember a print; wanted --resume with the rig that began it")
+    if resume is not None and (dry_run or config.setup.emulated):
+        raise BadInput(
+            "a rehearsal has no machines that remember a print; expected --resume with the rig that began it"
+        )
+    if "demo" in jobs and config.setup.rig.machine not in ("vial", "any"):
+        raise BadInput(f"the demo is a vial, and the rig {rig!r} prints {config.setup.rig.machine}; give a job of it")
+    if unattended < 0:
+        raise BadInput(f"--unattended is {unattended}; expected how often a held print goes on by itself, 0 or more")
+    if stay and not panel:
+        raise BadInput("--stay keeps the page after the print, and none is served; add --panel, or take vam panel")
     place = resume or _place(out, jobs[0], dry_run)
     folders = tuple(_demo(screen, place.with_suffix(".job")) if job == "demo" else Path(job) for job in jobs)
-    if dry_run and not config.wanted.emulated:
+    if dry_run and not config.setup.emulated:
         plan(folders, config, speed=speed, turns=turns, device="numpy")  # the rig itself is judged too
     planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device)
     planned = planned if stop is None else stopping(planned, stop)
     for name, value in planned.lines():
         screen.print(f"  {name:<27} [bold]{escape(value)}[/]")
+    from vamgpu.hosts.realtime.order import PrintOrder
+    from vamgpu.hosts.state import Board
+
+    order = PrintOrder.of(
+        folders, config, place, speed=speed, turns=turns, stop=stop, device=device, rehearsed=dry_run,
+        resume=resume is not None, unattended=unattended, page=panel, asks=sys.stdin.isatty(),
+    )  # fmt: skip
+    board = Board(job=" ".join(jobs))
     if not panel:
-        return _printed(screen, planned, place, None, resume is not None)
-    from vamgpu.hosts.board import Board
+        return _printed(screen, planned, order, board)
     from vamgpu.hosts.panel import Panel
 
-    board = Board(job=" ".join(jobs))
-    with Panel(board, host, port) as page:
+    with Panel(board, host, port, runs=place.resolve().parent, run=place.name) as page:
         screen.print(f"page    [bold]{escape(page.url)}[/]")
-        return _printed(screen, planned, place, board, resume is not None)
+        with _outlived(screen) if stay else nullcontext():
+            return _printed(screen, planned, order, board)
+
+
+def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bool) -> int:
+    """Print one vial that is watched, and say what was off, what was found, and what came of it; the exit status."""
+    from vamgpu.errors import BadInput
+    from vamgpu.hosts.live.watched import live
+
+    screen, demo = console(), tuple(jobs) == ("demo", "live")
+    if not plain or len(jobs) != 1 + demo:
+        raise BadInput("a print that is watched takes one job, --rig, --turns and --out; leave out the rest")
+    place = _place(out, "demo" if demo else jobs[0], False)
+    if not demo:
+        ended = live(jobs[0], rig, turns=turns, folder=place)
+        screen.print(escape(str(ended)))
+        screen.print(f"run     [bold]{escape(str(place))}[/]")
+        return _status(ended.state)
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.live_demo import AGED, demo_job
+    from vamgpu.live import Truth
+
+    if rig != "emulated":
+        raise BadInput(f"the demo's resin is emulated, and the rig is {rig!r}; expected --rig emulated")
+    with shown(screen) as progress:
+        job = demo_job(place.with_suffix(".job"), progress=progress)
+    truth = Truth(**AGED)
+    unwatched = live(job, truth=truth, turns=turns, watched=False)
+    ended = live(job, truth=truth, turns=turns, folder=place)
+    off = ", ".join(f"{name} {value:g}" for name, value in AGED.items())
+    screen.print(f"off     {escape(off)}")
+    screen.print(escape(str(ended)))
+    screen.print(f"unwatched overlap {unwatched.iou:.4f}, watched [bold]{ended.iou:.4f}[/]")
+    screen.print(f"run     [bold]{escape(str(place))}[/]")
+    return _status(ended.state)
 
 
 @app.command
 def panel(
-    *jobs: str, rig: str, speed: str | None = None, turns: int = 1, stop: float | None = None, out: Path | None = None,
-    resume: Path | None = None, settings: Settings = None, device: str | None = None, dry_run: Switch = False,
+    *jobs: str, rig: str | None = None, speed: str | None = None, turns: int = 1, stop: float | None = None,
+    out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
+    device: str | None = None, dry_run: Switch = False, attach: Path | None = None,
     host: str = "127.0.0.1", port: int = 8521,
 ) -> int:  # fmt: skip
-    """Print jobs on a rig with the live page, as ``vam print --panel`` does.
+    """Print jobs on a rig with the live page, which stays until Ctrl-C, or watch a print that goes on.
 
     Args:
         jobs: folders of vials, of webs or of corrected slices, or demo
         rig: the TOML file of the rig, or emulated
         speed: as for ``vam print``
-        turns: how often each picture of a vial is shown
+        turns: how often each frame of a vial is shown
         stop: as for ``vam print``
         out: folder of the run
         resume: folder of a run to go on with
+        unattended: as for ``vam print``
         device: as for ``vam print``
         dry_run: rehearse in the time that a print takes, whatever the rig
+        attach: folder of a run that another process prints, to watch and to stop
         host: where the page is served; a token is wanted beyond this machine
         port: of the page
     """
+    from vamgpu.errors import BadInput
+
+    if attach is not None:
+        if jobs or rig is not None:
+            raise BadInput("--attach watches a print that goes on; give no jobs and no rig with it")
+        return _attached(attach, host, port)
+    if rig is None:
+        raise BadInput("no rig was given; expected --rig with its TOML file or the word emulated")
     return print_(
-        *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, settings=settings, device=device,
-        dry_run=dry_run, panel=True, host=host, port=port,
+        *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, unattended=unattended,
+        settings=settings, device=device, dry_run=dry_run, panel=True, stay=True, host=host, port=port,
     )  # fmt: skip
+
+
+@contextmanager
+def _outlived(screen: Console) -> Iterator[None]:
+    """Go on, whatever became of the print, until somebody presses Ctrl-C; then raise what it ended with."""
+    try:
+        yield
+    except VamError as error:
+        screen.print(f"ended   [red]{escape(str(error))}[/]")
+        _wait(screen)
+        raise
+    _wait(screen)
+
+
+def _wait(screen: Console) -> None:
+    screen.print("the page stays; Ctrl-C closes it")
+    with suppress(KeyboardInterrupt):
+        threading.Event().wait()
 
 
 def _place(out: Path | None, job: str, dry_run: bool) -> Path:
@@ -108,9 +208,12 @@ def _place(out: Path | None, job: str, dry_run: bool) -> Path:
     from vamgpu.errors import BadInput, StorageError
 
     first = Path("vamgpu-demo" if job == "demo" else job)
-    if out is None and not first.name:
+    if out is None and first.name in ("", ".."):
         raise BadInput(f"the job {job!r} has no name to call its run by; give the folder of the job, or --out")
-    place = out or first.with_suffix(".rehearsal" if dry_run else ".run")
+    name = first.stem if first.suffix in JOBS else first.name
+    place = out or first.parent / (name + (".rehearsal" if dry_run else ".run"))
+    if job == "demo" and place.suffix == ".job":
+        raise BadInput(f"{str(place)!r} is where the demo puts its job; end the name of its run in .run")
     if place.exists():
         raise StorageError(f"{str(place)!r} exists; a run wants a folder of its own: choose another with --out")
     return place
@@ -120,55 +223,163 @@ def _demo(screen: Console, place: Path) -> Path:
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.demo import demo
 
-    with shown(screen) as told:
-        return demo(place, DEMO, told=told).folder
+    with shown(screen) as progress:
+        return demo(place, DEMO, progress=progress).folder
 
 
-def _printed(screen: Console, planned: Plan, place: Path, board: Board | None, resume: bool) -> int:
+def _attached(run: Path, host: str, port: int) -> int:
+    """Serve the page of a print that goes on, to its end."""
+    from vamgpu.errors import VamError
+    from vamgpu.hosts.panel import Panel
+    from vamgpu.hosts.realtime.watching import attached, watched
+    from vamgpu.hosts.state import Board, PrintState
+
+    screen, board = console(), Board(job=run.name)
+    with attached(run, board) as watch:
+        try:
+            watch.viewed(watch.order.planned())
+        except VamError as error:
+            screen.print(f"pictures  none: {escape(str(error))}")
+        with Panel(board, host, port, runs=run.resolve().parent, run=run.name) as page:
+            screen.print(f"page    [bold]{escape(page.url)}[/]")
+            asked = _asked(screen) if sys.stdin.isatty() else lambda _: False
+            go_on = asked if watch.order.asks and not watch.order.page else None  # else its buttons ask
+            try:
+                state = PrintState(watched(watch, lambda name, text: None, go_on)["state"])
+            except VamError as error:
+                state = _left(error, board, run)
+    screen.print(f"{state.value}: [bold]{escape(str(run))}[/]")
+    return _status(state)
+
+
+def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> int:
     """Print, and say what became of it; the exit status."""
+    from vamgpu.errors import VamError
+    from vamgpu.hosts.account import account
     from vamgpu.hosts.record import read_run, timing
-    from vamgpu.hosts.rig import carry_out, check, close, may_go_on, opened, rehearsal
-    from vamgpu.hosts.state import State
+    from vamgpu.hosts.rig import may_go_on
+    from vamgpu.hosts.state import PrintState
 
-    if resume:
+    place = Path(order.folder)
+    if order.resume:
         may_go_on(planned, place)
-    stand = rehearsal(planned, paced=board is not None) if planned.rehearsed else None
-    machines = opened(planned.rig, camera=planned.stop is not None) if stand is None else stand.machines
+    levels: Sequence[np.ndarray] = ()
+    verdict = ""
     try:
-        found = check(planned, machines)
-        if found is not None:
-            screen.print(f"  {'preflight':<27} [bold]{escape(str(found))}[/]")
-        state, _ = carry_out(planned, machines, place, board, found, resume)
-    finally:
-        close(machines)
+        # nothing is lit by a rehearsal whose time is a program's, and it repeats exactly in one process
+        ended = (_rehearsed if planned.rehearsed and not order.page else _watched)(screen, planned, order, board)
+        state, verdict, levels = PrintState(ended["state"]), ended.get("resin", ""), ended.get("levels", ())
+    except VamError as error:
+        state = _left(error, board, place)
     run = read_run(place)
     late = timing(run.shown)["late_ns"]["max"] * 1e-6
     told = f"at the mirrors {-late:.1f} ms early or more" if late < 0 else f"{late:.1f} ms late at most"
-    screen.print(f"{state.value}: {len(run.shown)} pictures" + (f", {told}" if len(run.shown) else ""))
-    if run.message:
+    screen.print(f"{state.value}: {len(run.shown)} frames" + (f", {told}" if len(run.shown) else ""))
+    if (light := account(run)) is not None:
+        screen.print(f"views   [{'bold' if light.complete else 'yellow'}]{escape(str(light))}[/]")
+    if state is PrintState.HELD:
+        screen.print(f"held    {_onward(planned, place)}; {escape(run.message)}")
+    elif run.message:
         missed = planned.stop is not None and not any(event["event"] == "enough" for event in run.events)
         screen.print(f"stop    [{'yellow' if missed else 'bold'}]{escape(run.message)}[/]")
     screen.print(f"run     [bold]{escape(str(place))}[/]")
-    if stand is not None and len(run.shown):
-        lit = run.shown[(run.shown["engine"] == 0) & (run.shown["dark"] == 0)]
-        seen = None if planned.stop is None else lit["frame"]
-        screen.print(f"resin   {escape(str(stand.witness.verdict(seen)))}")
-        _report(screen, planned, stand, place, None if seen is None else -(-len(seen) // planned.schedule.frames))
-    return CANCELLED if state is State.CANCELLED else 0
+    if verdict:
+        screen.print(f"resin   {escape(verdict)}")
+    _report(screen, planned, levels, place)
+    return _status(state)
 
 
-def _report(screen: Console, planned: Plan, stand: Rehearsal, place: Path, turns: int | None) -> None:
-    """Prove what emulated resin saw of vials whose folders say what they were to print."""
+def _onward(planned: PrintPlan, place: Path) -> str:
+    """How a print that is left held goes on, or why it does not."""
+    from vamgpu.errors import VamError
+    from vamgpu.hosts.rig import may_go_on
+
+    if planned.rehearsed:
+        return "a rehearsal's machines are gone with it: begin it anew"
+    try:
+        may_go_on(planned, place)
+    except VamError as error:
+        return escape(str(error))
+    return f"go on with [bold]--resume {escape(str(place))}[/]"
+
+
+def _left(error: VamError, board: Board, place: Path) -> PrintState:
+    """The state of a print that an error left held, which is told. Raises the error where it did not."""
+    from vamgpu.hosts.record import read_run
+    from vamgpu.hosts.state import PrintState
+
+    kept = read_run(place).state if (place / "state.json").is_file() else None
+    if PrintState.HELD not in (board.now.state, kept):
+        raise error
+    sys.stderr.write(f"held: {error}\n")
+    return PrintState.HELD
+
+
+def _status(state: PrintState) -> int:
+    """The exit status for a state."""
+    from vamgpu.hosts.state import PrintState
+
+    statuses = {
+        PrintState.COMPLETE: 0, PrintState.CANCELLED: CANCELLED, PrintState.INCOMPLETE: INCOMPLETE,
+        PrintState.HELD: HELD,
+    }  # fmt: skip
+    return statuses.get(state, FAILED)
+
+
+def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
+    """Rehearse in this process, as fast as it computes; how it ended."""
+    from vamgpu.hosts.realtime.printing import printed
+    from vamgpu.hosts.rig import rehearsal
+
+    asked = _asked(screen) if order.asks else None
+    return printed(
+        order, planned, rehearsal(planned), board,
+        told=partial(_told, screen), go_on=lambda job: asked is not None and asked(job.states.message),
+    )  # fmt: skip
+
+
+def _watched(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
+    """Print in a process that holds the light, and watch it from this one; how it ended."""
+    from vamgpu.hosts.realtime.watching import may_begin, started, watched
+
+    may_begin(order.folder)
+    with started(order, board) as watch:
+        if order.page:
+            watch.viewed(planned)
+        asked = _asked(screen) if order.asks and not order.page else None
+        return watched(watch, partial(_told, screen), asked)
+
+
+def _told(screen: Console, name: str, text: str) -> None:
+    screen.print(f"  {name:<27} [bold]{escape(text)}[/]")
+
+
+def _asked(screen: Console) -> Callable[[str], bool]:
+    """Asks at the terminal whether a print that is held goes on, with the reason."""
+
+    def go_on(why: str) -> bool:
+        screen.print(f"held    [yellow]{escape(why)}[/]")
+        try:
+            return input("go on? [y/N] ").strip().lower() in ("y", "yes")
+        except EOFError:
+            return False
+
+    return go_on
+
+
+def _report(screen: Console, planned: PrintPlan, levels: Sequence[np.ndarray], place: Path) -> None:
+    """Prove what emulated resin saw of vials, their levels, whose folders say what they were to print."""
     from vamgpu.errors import StorageError
+    from vamgpu.hosts.rigs.rehearsing import as_frames
     from vamgpu.jobs.run import prove
     from vamgpu.printing.simulate import simulate
 
-    for number, work in enumerate(planned.works if planned.kind == "vial" else ()):
+    for number, (work, seen) in enumerate(zip(planned.jobs, levels, strict=False)):
         try:
             known = prove(work.path)
         except StorageError as error:
             screen.print(f"report  none: {escape(str(error))}")
             continue
-        proof = simulate(known.proof.operator, stand.seen(planned, number, turns), known.proof.target)
+        proof = simulate(known.proof.operator, as_frames(planned, seen, number), known.proof.target)
         page = proof.report(place / f"report{f'-{number + 1}' if number else ''}.html", known.plan)
         screen.print(f"report  [bold]{escape(str(page.resolve()))}[/]")

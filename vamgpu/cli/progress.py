@@ -7,31 +7,49 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
 
-from vamgpu.jobs.run import Told
+from vamgpu.jobs.run import StageProgress
 
 STAGES = {
+    "patterns": "reading the patterns",
     "voxels": "voxelizing the part",
     "light": "finding the light",
     "frames": "packing the frames",
     "folder": "writing the job",
+    "read": "reading the job",
     "contrast": "weighing the angles that enter the film",
     "proof": "proving the print from its frames",
+    "bound": "looking for the widest window of any light",
     "report": "drawing the report",
     "model": "modeling the print",
     "correct": "correcting the slices",
     "survey": "looking for what is out of reach",
     "columns": "weighing columns as wholes",
 }
-MEASURED = ("light", "model", "correct", "survey", "columns")
-"""Stages that say how much of them is done."""
+
+
+class _Left(TimeRemainingColumn):
+    """The time left, once a stage has told of some of its work."""
+
+    def render(self, task: Task) -> Text:
+        left = super().render(task)
+        return left.append(" left") if left.plain and "-" not in left.plain else Text()
 
 
 @contextmanager
-def shown(console: Console) -> Iterator[Told]:
+def shown(console: Console) -> Iterator[StageProgress]:
     """A function that shows progress; stages that are over stay as lines with their seconds."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), _Left())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         now = _Now(bar, console)
         yield now
@@ -49,9 +67,9 @@ class _Now:
         if stage != self._stage:
             self.finish()
             self._stage, self._began = stage, time.perf_counter()
-            self._task = self._bar.add_task(STAGES.get(stage, stage), total=1.0 if stage in MEASURED else None)
-        if self._task is not None and stage in MEASURED:
-            self._bar.update(self._task, completed=share)
+            self._task = self._bar.add_task(STAGES.get(stage, stage), total=None)
+        if self._task is not None and share > 0.0:  # a stage that tells no share pulses
+            self._bar.update(self._task, total=1.0, completed=share)
 
     def finish(self) -> None:
         """Turn the running stage into a line."""

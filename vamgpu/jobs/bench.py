@@ -25,7 +25,7 @@ RADIUS = 12.4
 
 @dataclass(frozen=True)
 class Timing:
-    """Medians [s] of one projector on one device: a forward projection of n³ voxels to ``angles`` poses, and back."""
+    """Medians [s] of one projector on one device: a forward projection of n³ voxels at ``angles`` angles, and back."""
 
     device: str
     operator: str
@@ -65,10 +65,24 @@ def projectors(n: int, angles: int, device: Device) -> dict[str, Projection]:
 
 
 def bench(n: int = 128, angles: int = 360, repeats: int = 5, names: Iterable[str] | None = None) -> Iterator[Timing]:
-    """Time the projectors on devices by name, by default all but the reference. Raises `BadInput`, `DeviceError`."""
+    """Time the projectors on devices.
+
+    Args:
+        n: Voxels along an edge of the volume.
+        angles: Angles of the sinogram.
+        repeats: Runs of each projector.
+        names: Devices by name; None takes all but the reference.
+
+    Returns:
+        A record a device, as it is measured.
+
+    Raises:
+        BadInput: A count is below 1.
+        DeviceError: There is no such device.
+    """
     for what, value in (("size", n), ("angles", angles), ("repeats", repeats)):
         if value < 1:
-            raise BadInput(f"{what} is {value}; wanted at least 1")
+            raise BadInput(f"{what} is {value}; expected at least 1")
     chosen = tuple(names) if names is not None else tuple(name for name in devices() if name != "numpy")
     for name in chosen:
         device = open_device(name)
@@ -81,7 +95,14 @@ def bench(n: int = 128, angles: int = 360, repeats: int = 5, names: Iterable[str
 
 
 def table(timings: Iterable[Timing]) -> list[dict[str, Any]]:
-    """Timings as plain records, with voxel-rays a second: n³ · angles over the time."""
+    """Turn timings into plain records.
+
+    Args:
+        timings: Those of `bench`.
+
+    Returns:
+        A record each, with voxel-rays a second: n³ · angles over the time.
+    """
     return [asdict(t) | {"giga_updates": t.n**3 * t.angles / t.forward / 1e9} for t in timings]
 
 

@@ -1,9 +1,7 @@
-"""From what a job file says to the operator that it is solved with, and from a manifest back to it."""
+"""From what a job file says to the operator that it is solved with."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Mapping
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -12,46 +10,48 @@ import numpy as np
 
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.diffusion import Spread
-from vamgpu.errors import BadInput, JobError, OpticsWarning, OutOfMemory, StorageError
-from vamgpu.geometry import Beam, Turntable
-from vamgpu.jobs.angles import motion_of
+from vamgpu.curethrough.resin import read_columns
+from vamgpu.errors import BadInput, JobError, OutOfMemory, StorageError
+from vamgpu.geometry import FULL_TURN, Beam, Turntable
 from vamgpu.jobs.material import diffusion_of
-from vamgpu.jobs.model import BeamSection, FramesSection, JobFile, WobbleSection
+from vamgpu.jobs.model import (
+    BeamSection,
+    BodySection,
+    FramesSection,
+    JobFile,
+    TargetSection,
+    TurntableSection,
+    WobbleSection,
+)
 from vamgpu.jobs.read import Job
 from vamgpu.operators.compose import Composed
 from vamgpu.operators.defocus import Defocused
-from vamgpu.operators.light import OpenAir
-from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.moves import Wobbled
 from vamgpu.operators.oblique import Oblique, Rising
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.wobble import Wobble
-from vamgpu.schema import write
-from vamgpu.schema.read import read
-from vamgpu.storage.turntable import described, turntable_from
+from vamgpu.scene import Body, Scene
 from vamgpu.targets.target import Target
+from vamgpu.units import deg, rad
 
 SPARE = 2
 """Pixels a beam reaches beyond the part on every side where the job does not say how many it has."""
-OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0, "footprint": "exact"}
-"""What beams were taken for by folders that do not say it."""
+ANGLES = {"angle_deg": deg, "angle_rad": rad}
+"""Columns that angles may stand in, and their units."""
 
 
 def target_of(job: Job, device: Device) -> Target:
-    """The voxels of the part. Raises what `Target.from_mesh` raises, and `JobError` for a shape that does not exist."""
-    section = job.wanted.target
-    source: Any
-    if section.mesh is not None:
-        source = job.folder / section.mesh
-    else:
-        from vamgpu.targets import shapes
-
-        if section.shape not in shapes.names():
-            known = ", ".join(shapes.names())
-            raise JobError(f"target.shape: got {section.shape!r}; wanted one of {known}: correct the name")
-        source = shapes.build(str(section.shape))
+    """The voxels of the part, or of all bodies. Raises what `Target.from_mesh` raises, and `JobError` for a shape that
+    does not exist."""
+    section = job.file.target
+    scene = scene_of(job.file, job.folder)
+    if scene is not None:
+        return scene.target(
+            pitch=section.pitch, margin=section.margin, shape=section.shape_of_grid, device=device, name=job.name
+        )
     return Target.from_mesh(
-        source,
+        _source("target.shape", section, job.folder),
         height=section.height,
         factor=section.factor,
         pitch=section.pitch,
@@ -61,31 +61,91 @@ def target_of(job: Job, device: Device) -> Target:
     )
 
 
-def projection_of(wanted: JobFile, target: Target, device: Device, folder: Path = Path()) -> Any:
+def scene_of(file: JobFile, folder: Path) -> Scene | None:
+    """The bodies of a job whose paths begin at ``folder``; None for a part alone. Raises `JobError`, `BadInput`."""
+    if not file.body:
+        return None
+    given = {key: getattr(file.target, key) for key in ("orientation", "origin", "void")}
+    bodies = []
+    for number, section in enumerate(file.body):
+        fields = section.model_dump(exclude={"mesh", "shape"})
+        bodies.append(Body(_source(f"body.{number}.shape", section, folder), **fields))
+    return Scene(bodies, factor=file.target.factor or 1.0, **given)
+
+
+def _source(key: str, section: TargetSection | BodySection, folder: Path) -> Any:
+    """The file of a mesh, or a bundled shape. Raises `JobError`."""
+    if section.mesh is not None:
+        return folder / section.mesh
+    from vamgpu.targets import shapes
+
+    if section.shape not in shapes.names():
+        known = ", ".join(shapes.names())
+        raise JobError(f"{key}: got {section.shape!r}; expected one of {known}: correct the name")
+    return shapes.build(str(section.shape))
+
+
+def motion_of(section: TurntableSection, folder: Path) -> Turntable:
+    """The turntable of a job whose paths begin at ``folder``. Raises `JobError`."""
+    if isinstance(section.angles, str):
+        return read_angles(folder / section.angles)
+    return Turntable.arc(section.angles, FULL_TURN if section.range is None else min(section.range, FULL_TURN))
+
+
+def read_angles(path: Path) -> Turntable:
+    """Measured angles of a CSV file, a row each in the order they are shown, with their times if it has them.
+
+    Args:
+        path: of a table with a header: angle_deg or angle_rad, and dwell where angles are lit for unequal times.
+
+    Raises:
+        JobError: other columns, a line that holds no numbers, or angles that `Turntable` refuses.
+    """
+    try:
+        table = read_columns(path)
+        unit = next((name for name in ANGLES if name in table), None)
+        if unit is None or set(table) - {unit, "dwell"}:
+            raise BadInput(
+                f"{path.name} has columns {', '.join(table)}; expected angle_deg or angle_rad, and dwell where angles "
+                "are lit for unequal times"
+            )
+        return Turntable(table[unit] * ANGLES[unit], table.get("dwell"))
+    except (BadInput, StorageError) as error:
+        raise JobError(f"turntable.angles: {error}") from error
+
+
+def projection_of(
+    file: JobFile, target: Target, device: Device, folder: Path = Path(), motion: Turntable | None = None
+) -> Any:
     """The projector of a job whose paths are relative to ``folder``, with all that stands in its light.
+
+    ``motion`` takes the place of the job's turntable.
 
     Raises `TargetTooLarge` where light does not reach the whole part, `JobError` for a file of angles that is none,
     `StorageError`, `BadInput` for a calibration that cannot be read and for parts that do not go together.
     """
-    vessel = next((one for one in (wanted.vial, wanted.vat, wanted.vessel) if one is not None), None)
+    vessel = next((one for one in (file.vial, file.vat, file.vessel) if one is not None), None)
     check = getattr(vessel, "check_fits", None)
     if check is not None:
         check(target.radius)
-    motion = motion_of(wanted.turntable, folder)
-    wobble = None if wanted.wobble is None else wobble_of(wanted.wobble, motion)
-    section, light = wanted.beam, wanted.light if wanted.light is not None else vessel
+    motion = motion_of(file.turntable, folder) if motion is None else motion
+    wobble = None if file.wobble is None else wobble_of(file.wobble, motion)
+    section, light = file.beam, file.light if file.light is not None else vessel
     pixels = section.pixels or _covering(target, light, section.pitch, wobble)
     beam = beam_of(section, pixels, folder)
+    scene = scene_of(file, folder)
     try:
-        if wanted.light is not None:
+        if scene is not None and scene.inserts:
+            return scene.operator(target, beam, motion, vessel, device=device)
+        if file.light is not None:
             A: Any = Oblique(target.grid, beam, motion, light, wobble, device)
             wobble = None
         else:
             A = Projection(target.grid, beam, motion, vessel, device, footprint=section.footprint)
-        if wanted.defocus is not None:
-            A = Defocused(A, wanted.defocus(), **wanted.defocus.beside)
+        if file.defocus is not None:
+            A = Defocused(A, file.defocus(), **file.defocus.beside)
         A = A if wobble is None else Wobbled(A, wobble)
-        return A if wanted.tiles is None else wanted.tiles(operator=A)
+        return A if file.tiles is None else file.tiles(operator=A)
     except MemoryError as error:
         raise OutOfMemory(
             f"a beam of {pixels[0]} × {pixels[1]} pixels of {beam.pitch:g} mm needs more memory than this machine has "
@@ -93,9 +153,9 @@ def projection_of(wanted: JobFile, target: Target, device: Device, folder: Path 
         ) from error
 
 
-def with_diffusion(wanted: JobFile, A: Any, folder: Path = Path()) -> Any:
+def with_diffusion(file: JobFile, A: Any, folder: Path = Path()) -> Any:
     """A job's projector whose dose has diffused as [resin] says; the projector itself where it says nothing."""
-    diffusion = diffusion_of(wanted.resin, folder)
+    diffusion = diffusion_of(file.resin, folder)
     return A if diffusion is None else Composed(A, Spread(A.grid, diffusion, A.device))
 
 
@@ -110,7 +170,7 @@ def beam_of(section: BeamSection, pixels: tuple[int, int], folder: Path) -> Beam
 
 
 def wobble_of(section: WobbleSection, motion: Turntable) -> Wobble:
-    """Where the axis stands at every pose."""
+    """Where the axis stands at every angle."""
     if section.radius is not None:
         return Wobble.circle(section.radius, section.phase, motion)
     return Wobble(section.across, section.along)
@@ -137,48 +197,3 @@ def packing_of(section: FramesSection, folder: Path) -> dict[str, Any]:
     options = section.model_dump()
     options["gray"] = GrayCurve.load(folder / section.gray) if section.gray is not None else None
     return options
-
-
-def describe(A: LinearOperator) -> dict[str, Any]:
-    """An operator in plain values, for a manifest. Raises `BadInput` for what only Python can describe."""
-    if not isinstance(A, Projection):
-        return write(A)
-    return {
-        "grid": write(A.grid),
-        "beam": {**write(A.beam), "footprint": A.footprint},
-        "turntable": described(A.motion),
-        "vessel": None if A.vessel is None else write(A.vessel),
-    }
-
-
-def projection_from(description: dict[str, Any], device: Device) -> Any:
-    """The operator that `describe` described. Raises `StorageError` for a description that is not one.
-
-    Warns:
-        OpticsWarning: the description is older than the beam's optics, and means light without any.
-    """
-    try:
-        table = dict(description)
-        if "kind" in table:
-            return read("operator", table, units=False, device=device)
-        beam, vessel = _with_optics(table["beam"]), table["vessel"]
-        footprint, motion = beam.pop("footprint"), turntable_from(table["turntable"])
-        grid, light = (read(name, part, units=False) for name, part in (("grid", table["grid"]), ("beam", beam)))
-        around = None if vessel is None else read("vessel", vessel, units=False)
-    except StorageError:
-        raise
-    except (KeyError, TypeError, ValueError, BadInput) as error:
-        raise StorageError(f"the manifest garbles its geometry: {error}; write the job again") from error
-    return Projection(grid, light, motion, around, device, footprint=footprint)
-
-
-def _with_optics(beam: Mapping[str, Any]) -> dict[str, Any]:
-    """A described beam with all its fields. Folders without optics were solved for a perfect lens and single rays."""
-    if set(OPTICS) <= set(beam):
-        return dict(beam)
-    warnings.warn(
-        "the folder says nothing of the beam's fill and point spread: it was solved for pixels lit all over and a "
-        "perfect lens, and is read so (fill 1, spread 0); solve it again for the light that a lens makes",
-        OpticsWarning, stacklevel=3,
-    )  # fmt: skip
-    return OPTICS | dict(beam)

@@ -8,44 +8,36 @@ from typing import TYPE_CHECKING, Any
 
 from vamgpu.errors import BadInput
 from vamgpu.jobs.model import JobFile
-from vamgpu.jobs.record import PlanRecord
 from vamgpu.methods.dual import Colors, DualPlan, superpose
 from vamgpu.methods.part import reach_of
+from vamgpu.methods.saved import PlanRecord
 from vamgpu.metrics import score, score_slices
 from vamgpu.operators.reductions import window
-from vamgpu.schema import fields_of
+from vamgpu.optics.beams import with_absorption
 
 if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof
 
 
-def recolored(wanted: JobFile) -> JobFile:
+def recolored(file: JobFile) -> JobFile:
     """A job whose vessel absorbs as it does for the second color. Raises `BadInput` for one that has no resin."""
-    assert wanted.colors is not None
+    assert file.colors is not None
     for name in ("vial", "vat", "vessel"):
-        vessel = getattr(wanted, name)
+        vessel = getattr(file, name)
         if vessel is not None:
-            return wanted.model_copy(update={name: _absorbing(vessel, wanted.colors.absorption)})
-    raise BadInput("[colors] got no vessel; wanted [vial], [vat] or [vessel], whose resin absorbs the two differently")
+            return file.model_copy(update={name: with_absorption(vessel, file.colors.absorption)})
+    raise BadInput(
+        "[colors] got no vessel; expected [vial], [vat] or [vessel], whose resin absorbs the two differently"
+    )
 
 
-def _absorbing(vessel: Any, absorption: float) -> Any:
-    """A vessel, or the one within its wrappers, of another absorption."""
-    names = {field.name for field in fields_of(type(vessel))}
-    if "absorption" in names:
-        return replace(vessel, absorption=absorption)
-    if "vessel" in names and vessel.vessel is not None:
-        return replace(vessel, vessel=_absorbing(vessel.vessel, absorption))
-    raise BadInput(f"[colors] got {vessel!r}, which has no absorption; wanted a vessel that holds resin")
-
-
-def superposed(wanted: JobFile, visible: Any, uv: Any, target: Any, told: Callable[[float], None]) -> DualPlan:
+def superposed(file: JobFile, visible: Any, uv: Any, target: Any, progress: Callable[[float], None]) -> DualPlan:
     """Light of both colors for a target."""
-    assert wanted.colors is not None
-    rule = wanted.colors.rule
+    assert file.colors is not None
+    rule = file.colors.rule
     passes = getattr(rule, "iterations", None) or getattr(rule, "passes", None) or 1
-    colors = Colors(visible, uv, strength=wanted.colors.strength)
-    return superpose(colors, target, rule, progress=lambda record: told(min(record.number / passes, 1.0)))
+    colors = Colors(visible, uv, strength=file.colors.strength)
+    return superpose(colors, target, rule, progress=lambda record: progress(min(record.number / passes, 1.0)))
 
 
 def recorded(plan: DualPlan, target: Any) -> PlanRecord:

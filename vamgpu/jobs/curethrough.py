@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -15,15 +15,16 @@ from vamgpu.backend import open_device
 from vamgpu.curethrough.correction import Correction
 from vamgpu.curethrough.job import Outcome, correct_stack, model
 from vamgpu.curethrough.layers import LayerPrinter
+from vamgpu.curethrough.output import made_with
 from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.curethrough.profile import Flat, Parallel, Profile
 from vamgpu.curethrough.sliced import MeshStack
 from vamgpu.curethrough.stack import ARCHIVES, layer_height, open_stack
-from vamgpu.curethrough.weighed import Told
+from vamgpu.curethrough.weighed import StageProgress
 from vamgpu.errors import JobError, SliceWarning
-from vamgpu.jobs.read import checked, read_text
-from vamgpu.schema.quantities import Background, Count, Dose, Exposure, Irradiance, Length, Speed, Thickness
-from vamgpu.schema.read import Listed, Section
+from vamgpu.jobs.read import CheckedJob
+from vamgpu.schema.quantities import Background, Count, Dose, ExposureTime, Irradiance, Length, Speed, Thickness
+from vamgpu.schema.section import Listed, Section
 
 EXAMPLE = """\
 # The continuous printer of the cure-through paper.
@@ -52,15 +53,15 @@ class PrinterSection(Section):
 
     absorption_height: depth in which light falls to 1/e.  critical_dose: from which the resin is solid.  slice_height:
     from slice to slice.  speed: of the platform.  exposure: of each slice.  dead_zone: depth that never cures.
-    light, dark: irradiance of levels 255 and 0.  gray: file whose table [gray] says what lies between, and how dark
-    level 0 is.
+    light: irradiance of level 255.  dark: irradiance of level 0.  gray: file whose table [gray] says what lies
+    between, and how dark level 0 is.
     """
 
     absorption_height: Length
     critical_dose: Dose
     slice_height: Length
     speed: Speed | None = None
-    exposure: Exposure | None = None
+    exposure: ExposureTime | None = None
     light: Irradiance
     dark: Background | None = None
     gray: str | None = None
@@ -69,11 +70,11 @@ class PrinterSection(Section):
     @model_validator(mode="after")
     def _one_of_each(self) -> PrinterSection:
         if (self.speed is None) == (self.exposure is None):
-            raise ValueError('wanted exactly one of speed = "1000 mm/h" and exposure = "2 s"')
+            raise ValueError('expected exactly one of speed = "1000 mm/h" and exposure = "2 s"')
         if self.dark is not None and self.gray is not None:
-            raise ValueError("wanted dark or gray, not both: the gray curve says how dark level 0 is")
+            raise ValueError("expected dark or gray, not both: the gray curve says how dark level 0 is")
         if self.exposure is not None and self.dead_zone:
-            raise ValueError("wanted a dead_zone only with a speed: layer by layer there is none")
+            raise ValueError("expected a dead_zone only with a speed: layer by layer there is none")
         return self
 
 
@@ -95,9 +96,9 @@ class SlicesSection(Section):
     @model_validator(mode="after")
     def _one_of_each(self) -> SlicesSection:
         if self.path is not None and self.mesh is not None:
-            raise ValueError('wanted path = "slices" or mesh = "part.stl", not both')
+            raise ValueError('expected path = "slices" or mesh = "part.stl", not both')
         if (self.mesh is None) != (self.pitch is None):
-            raise ValueError('wanted mesh = "part.stl" and pitch = "50 um" together')
+            raise ValueError('expected mesh = "part.stl" and pitch = "50 um" together')
         return self
 
 
@@ -128,19 +129,15 @@ class CurethroughFile(Section):
     correct: CorrectSection = CorrectSection()
 
 
-@dataclass(frozen=True)
-class CurethroughJob:
-    """A checked job. given: its keys as written.  folder: what its paths are relative to."""
+class CurethroughJob(CheckedJob[CurethroughFile]):
+    """A checked job of stereolithography."""
 
-    wanted: CurethroughFile
-    given: dict[str, Any]
-    folder: Path
-    name: str
+    model: ClassVar[type[CurethroughFile]] = CurethroughFile
 
     @property
     def machine(self) -> Printer | LayerPrinter:
         """Printer and resin. Raises `StorageError`, `BadInput` for a gray curve that cannot be read."""
-        section = self.wanted.printer
+        section = self.file.printer
         curve = None
         if section.gray is not None:
             from vamgpu.printing.gray import GrayCurve
@@ -156,30 +153,30 @@ class CurethroughJob:
     @property
     def correction(self) -> Correction:
         """What to correct, and how. Raises `BadInput` where light or darkness do not suffice."""
-        section, machine = self.wanted.correct, self.machine
+        section, machine = self.file.correct, self.machine
         profile: Profile = Flat() if section.most is None else Flat(section.most)
         if section.profile == "parallel":
             if not isinstance(machine, Printer):
-                raise JobError('correct.profile = "parallel": wanted a printer with a speed; use "flat"')
+                raise JobError('correct.profile = "parallel": expected a printer with a speed; use "flat"')
             profile = Parallel(section.share, machine.absorption_height, machine.phi_min, machine.phi_max)
-        threshold = self.wanted.slices.threshold
+        threshold = self.file.slices.threshold
         return Correction(machine, profile, section.tail, threshold, section.platform, section.dither)
 
     def stack(self, slices: Path | None = None) -> AbstractContextManager[Any]:
         """The slices, or those at a path that takes their place. Raises `SliceError`, `MeshError`, `JobError`."""
-        section = self.wanted.slices
+        section = self.file.slices
         if slices is None and section.mesh is not None:
             from vamgpu.targets.mesh import load_mesh
 
             assert section.pitch is not None
             solid = load_mesh(self.folder / section.mesh, height=section.height, factor=section.factor)
-            return MeshStack(solid, section.pitch, self.wanted.printer.slice_height, section.pixels,
-                             self.wanted.correct.device)  # fmt: skip
+            return MeshStack(solid, section.pitch, self.file.printer.slice_height, section.pixels,
+                             self.file.correct.device)  # fmt: skip
         place = slices if slices is not None else None if section.path is None else self.folder / section.path
         if place is None:
-            raise JobError('the job names no slices; wanted path = "slices" or mesh = "part.stl" in [slices]')
+            raise JobError('the job names no slices; expected path = "slices" or mesh = "part.stl" in [slices]')
         stack = open_stack(place)
-        said, height = layer_height(stack), self.wanted.printer.slice_height
+        said, height = layer_height(stack), self.file.printer.slice_height
         if said is not None and abs(said - height) > DIFFERENT * height:
             warnings.warn(
                 f"{str(place)!r} says its layers are {1e3 * said:g} µm high, the job says {1e3 * height:g} µm; the "
@@ -191,7 +188,7 @@ class CurethroughJob:
 
     def beside(self, slices: Path | None = None) -> Path:
         """Where corrected slices go unless told otherwise: beside the originals."""
-        section = self.wanted.slices
+        section = self.file.slices
         if slices is None and section.path is None:
             return self.folder / f"{self.name}-corrected"
         place = slices if slices is not None else self.folder / str(section.path)
@@ -200,39 +197,67 @@ class CurethroughJob:
         return place.with_name(f"{name}-corrected{place.suffix if archive else ''}")
 
 
-def read_curethrough(path: str | Path, settings: Iterable[str] = ()) -> CurethroughJob:
-    """Read a TOML job file; ``settings`` are ``key=value`` that replace its values. Raises `JobError`."""
-    return parse_curethrough(
-        read_text(path), settings, source=str(path), folder=Path(path).parent, name=Path(path).stem
-    )
-
-
-def parse_curethrough(
-    text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(), name: str = "job"
-) -> CurethroughJob:
-    """A job from TOML text. Raises `JobError` naming every wrong value at once."""
-    return CurethroughJob(*checked(CurethroughFile, text, settings, source=source), folder, name)
+read_curethrough: Callable[..., CurethroughJob] = CurethroughJob.read
+parse_curethrough: Callable[..., CurethroughJob] = CurethroughJob.parse
 
 
 def model_job(
     job: CurethroughJob, *, slices: Path | None = None, doses: Path | None = None, overwrite: bool = False,
-    told: Told = lambda stage, share: None,
+    report: Path | None = None, progress: StageProgress = lambda stage, share: None,
 ) -> Outcome:  # fmt: skip
-    """What a job's slices print as; as `vamgpu.curethrough.job.model`."""
-    device = open_device(job.wanted.correct.device)
+    """What a job's slices print as they are; as `vamgpu.curethrough.job.model`.
+
+    Args:
+        job: The job.
+        slices: A stack that takes the place of the job's.
+        doses: A folder or zip for images of the dose.
+        overwrite: Replace what stands at ``doses``.
+        report: The page that is drawn next. Where it is missing, and the output holds what this very job wrote, an
+            earlier run was killed in between: it is done again, in place of a complaint that the output exists.
+        progress: Is told the stage and its share that is done.
+
+    Returns:
+        The modeled stack.
+    """
+    device = open_device(job.file.correct.device)
     with job.stack(slices) as stack:
-        return model(job.machine, stack, threshold=job.wanted.slices.threshold, doses=doses, device=device,
-                     overwrite=overwrite, told=told)  # fmt: skip
+        record = _record(job, stack)
+        overwrite = overwrite or (doses is not None and _unreported(doses, report, record))
+        return model(job.machine, stack, threshold=job.file.slices.threshold, doses=doses, device=device,
+                     overwrite=overwrite, record=record, progress=progress)  # fmt: skip
 
 
 def correct_job(
-    job: CurethroughJob, out: Path, *, slices: Path | None = None, overwrite: bool = False,
-    told: Told = lambda stage, share: None,
+    job: CurethroughJob, out: Path, *, slices: Path | None = None, overwrite: bool = False, report: Path | None = None,
+    progress: StageProgress = lambda stage, share: None,
 ) -> Outcome:  # fmt: skip
-    """Correct a job's slices and write them to ``out``; as `vamgpu.curethrough.job.correct_stack`."""
-    correction, device = job.correction, open_device(job.wanted.correct.device)
+    """Correct a job's slices and write them; as `vamgpu.curethrough.job.correct_stack`.
+
+    Args:
+        job: The job.
+        out: A folder or zip.
+        slices: A stack that takes the place of the job's.
+        overwrite: Replace what stands at ``out``.
+        report: The page that is drawn next. Where it is missing, and the output holds what this very job wrote, an
+            earlier run was killed in between: it is done again, in place of a complaint that the output exists.
+        progress: Is told the stage and its share that is done.
+
+    Returns:
+        The stack before and after.
+    """
+    correction, device = job.correction, open_device(job.file.correct.device)
     with job.stack(slices) as stack:
+        record = _record(job, stack)
         return correct_stack(
-            correction, stack, out, device=device, whole_columns=job.wanted.correct.whole_columns, overwrite=overwrite,
-            record={"job": job.given}, told=told,
+            correction, stack, out, device=device, whole_columns=job.file.correct.whole_columns,
+            overwrite=overwrite or _unreported(out, report, record), record=record, progress=progress,
         )  # fmt: skip
+
+
+def _record(job: CurethroughJob, stack: Any) -> dict[str, Any]:
+    """What slices are made with: the keys of the job, and which slices it read."""
+    return {"job": job.given, "slices": {"name": Path(getattr(stack, "place", "")).name, "shape": list(stack.shape)}}
+
+
+def _unreported(place: Path, report: Path | None, record: Mapping[str, Any]) -> bool:
+    return report is not None and not os.path.lexists(report) and made_with(place, record)

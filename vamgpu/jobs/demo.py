@@ -1,14 +1,21 @@
-"""The main job on a part of our own, in the vial of the air-bath paper: something to look at within a minute."""
+"""Something to look at within a minute or two: a boat in the vial of the air-bath paper, a film on a roller."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from vamgpu.errors import StorageError
-from vamgpu.jobs.read import parse_job
-from vamgpu.jobs.run import Proven, Told, _quietly, prove, solve
+from vamgpu.jobs.read import CheckedJob, Job
+from vamgpu.jobs.run import Proven, StageProgress, _quietly, prove, solve
+
+if TYPE_CHECKING:
+    from vamgpu.webs.proof import WebProof
+
+Proof = TypeVar("Proof")
+Checked = TypeVar("Checked", bound=CheckedJob[Any])
 
 JOB = """\
 # A boat in a vial of 24.8 mm that turns in air. The pitch of the beam is measured in air: refraction narrows its
@@ -51,39 +58,114 @@ critical_dose = "50 mJ/cm3"
 """
 
 
+WEB_JOB = """\
+# A film of 3 mm on a roller of 15 mm in water: a gyroid of endless length, of which 80 mm are printed here.
+
+[film]
+thickness = "3 mm"
+resin_index = 1.49
+bath_index = 1.33
+absorption = "2.2 1/cm"
+
+[roller]
+radius = "7.5 mm"
+step = "0.6 deg"
+
+[lens]
+bins = 3
+
+[web]
+length = "80 mm"
+speed = "48 mm/min"
+
+[target]
+lattice = "SheetGyroid"
+cell = "6 mm"
+
+[beam]
+pitch = "100 um"
+height = "3 mm"
+
+[solve]
+iterations = 100
+core = 1.0
+"""
+
+
 @dataclass(frozen=True, eq=False)
-class Demo:
-    """What a demo left: the job file, the job folder, the report, and the proof it shows."""
+class Demo(Generic[Proof]):
+    """What a demo left: the job file, the folder of frames, the report, and the proof it shows."""
 
     file: Path
     folder: Path
     report: Path
-    proven: Proven
+    proven: Proof
 
 
-def demo(out: str | Path, settings: Iterable[str] = (), *, told: Told = _quietly) -> Demo:
-    """Solve, write and prove the bundled boat in the folder ``out``; ``settings`` as for `read_job`.
+def demo(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgress = _quietly) -> Demo[Proven]:
+    """Solve, write and prove the bundled boat.
 
-    An earlier demo there is replaced; its report goes first, so that no report stands beside another job. Raises
-    `StorageError` and what `solve` and `prove` raise.
+    An earlier demo there is replaced; its report goes first, so that no report stands beside another job.
+
+    Args:
+        out: The folder to write into.
+        settings: ``key=value``, as for `read_job`.
+        progress: Is told the stage and its share that is done.
+
+    Returns:
+        What was written, and its proof.
+
+    Raises:
+        StorageError: The folder cannot be written; `solve` and `prove` say what else.
     """
+    job, left = _begun(Job, JOB, out, "boat", settings, "report.html")
+    solve(job, left.folder, overwrite=True, progress=progress)
+    proven = prove(left.folder, job.file.solve.device, progress=progress)
+    progress("report", 0.0)
+    proven.report(left.report)
+    return replace(left, proven=proven)
+
+
+def demo_web(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgress = _quietly) -> Demo[WebProof]:
+    """Solve, write and prove a gyroid film; an earlier demo there is replaced as by `demo`.
+
+    Args:
+        out: The folder to write into.
+        settings: ``key=value``, as for `read_web`.
+        progress: Is told the stage and its share that is done.
+
+    Returns:
+        What was written, and its proof.
+
+    Raises:
+        StorageError: The folder cannot be written; `solve_web` says what else.
+    """
+    from vamgpu.jobs.web import WebJob, contrasts, solve_web
+    from vamgpu.webs.proof import prove_web
+
+    job, left = _begun(WebJob, WEB_JOB, out, "gyroid", settings, "web.html")
+    solve_web(job, left.folder, overwrite=True, progress=progress)
+    progress("proof", 0.0)
+    proof = prove_web(left.folder, job.file.solve.device)
+    progress("contrast", 0.0)
+    found = contrasts(device=job.file.solve.device)
+    progress("report", 0.0)
+    proof.report(left.report, title="A gyroid film", contrast=found)
+    return replace(left, proven=proof)
+
+
+def _begun(
+    kind: type[Checked], text: str, out: str | Path, name: str, settings: Iterable[str], page: str
+) -> tuple[Checked, Demo[Any]]:
+    """The job of a demo, its file written, and the report of an earlier one removed. Raises `StorageError`."""
     place = Path(out)
-    job = parse_job(JOB, settings, source="the demo's job", folder=place, name="boat")
-    file, folder, report = place / "boat.toml", place / "boat.vam", place / "report.html"
-    lay_out(file, JOB, report)
-    solve(job, folder, overwrite=True, told=told)
-    told("proof", 0.0)
-    proven = prove(folder, job.wanted.solve.device)
-    told("report", 0.0)
-    return Demo(file, folder, proven.report(report), proven)
-
-
-def lay_out(file: Path, text: str, report: Path) -> None:
-    """Write a demo's job file into its folder, and remove the report of an earlier one. Raises `StorageError`."""
+    job = kind.parse(text, settings, source="the demo's job", folder=place, name=name)
+    left = Demo(place / f"{name}.toml", place / f"{name}.vam", place / page, None)
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        report.unlink(missing_ok=True)
-        file.write_text(text, encoding="utf-8")
+        place.mkdir(parents=True, exist_ok=True)
+        left.report.unlink(missing_ok=True)
+        left.file.write_text(text, encoding="utf-8")
     except OSError as error:
-        where = str(file.parent)
-        raise StorageError(f"cannot write in {where!r}: {error.strerror}; choose another folder (--out)") from error
+        told = f"cannot write in {str(place)!r}: {error.strerror}; choose another folder (--out)"
+        raise StorageError(told) from error
+    return job, left

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from textwrap import wrap
 from typing import Any
 
 from vamgpu.errors import BadInput
-from vamgpu.jobs.curethrough import CurethroughFile
+from vamgpu.jobs.curethrough import EXAMPLE, CurethroughFile
+from vamgpu.jobs.demo import JOB, WEB_JOB
 from vamgpu.jobs.limits import MachineFile
 from vamgpu.jobs.model import JobFile
 from vamgpu.jobs.web import WebFile
-from vamgpu.schema.explain import Key, explain, json_schema, keys
-from vamgpu.schema.read import model_in
+from vamgpu.schema.explain import LEFT_OUT, NO_LIMIT, Key, explain, first_of, json_schema, keys, what
+from vamgpu.schema.noun import docs_of
+from vamgpu.schema.read import Nouns, model_in
 from vamgpu.schema.registry import families, find
+from vamgpu.storage.reading import parse_toml
 
 FILES: dict[str, type[Any]] = {"vial": JobFile, "web": WebFile, "machine": MachineFile, "slices": CurethroughFile}
 """What a file is for → its model."""
+EXAMPLES = {"vial": JOB, "web": WEB_JOB, "machine": WEB_JOB, "slices": EXAMPLE}
+"""What a file is for → one that is sound."""
 HEADS = {
     "vial": "Jobs of a vial or another vessel that turns",
     "web": "Jobs of an endless web",
@@ -35,10 +44,16 @@ def reference() -> str:
 
 
 def keys_of(name: str) -> tuple[Key, ...]:
-    """The keys of one table: that of a file, such as "beam" or "web.beam", or a noun, such as "vessel.fan".
+    """List the keys of one table.
+
+    Args:
+        name: That of a file, such as "beam" or "web.beam", or a noun, such as "vessel.fan".
+
+    Returns:
+        The keys in the order of the file.
 
     Raises:
-        BadInput: there is no such table.
+        BadInput: There is no such table.
     """
     first, _, second = name.partition(".")
     if first in families() and second:
@@ -51,13 +66,121 @@ def keys_of(name: str) -> tuple[Key, ...]:
             return keys(model)
     if first in families():
         nouns = ", ".join(f"{first}.{kind}" for kind in families()[first].nouns)
-        raise BadInput(f"{first} is a family; wanted one of {nouns}")
+        raise BadInput(f"{first} is a family; expected one of {nouns}")
     tables = dict.fromkeys(table for file in FILES.values() for table in file.model_fields)
-    raise BadInput(f"no table {name!r}; wanted one of {', '.join(tables)}, or a noun such as vessel.fan")
+    raise BadInput(f"no table {name!r}; expected one of {', '.join(tables)}, or a noun such as vessel.fan")
 
 
 def schema_of(name: str) -> dict[str, Any]:
-    """The JSON Schema of a file; ``name`` is a key of `FILES`. Raises `BadInput`."""
+    """Write the JSON Schema of a file.
+
+    Args:
+        name: A key of `FILES`.
+
+    Returns:
+        The schema, in JSON's own types.
+
+    Raises:
+        BadInput: There is no such file.
+    """
     if name not in FILES:
-        raise BadInput(f"no file {name!r}; wanted one of {', '.join(FILES)}")
+        raise BadInput(f"no file {name!r}; expected one of {', '.join(FILES)}")
     return json_schema(FILES[name])
+
+
+def commented(name: str) -> str:
+    """Write a job file that is ready to be solved, with every other key in remarks that say what it is for.
+
+    Args:
+        name: A key of `FILES`.
+
+    Returns:
+        TOML.
+
+    Raises:
+        BadInput: There is no such file.
+    """
+    if name not in EXAMPLES:
+        raise BadInput(f"no file {name!r}; expected one of {', '.join(EXAMPLES)}")
+    given, file = parse_toml(EXAMPLES[name]), FILES[name]
+    lines = _remark(f"{HEADS[name]}, written by `vam init`. Keys behind # are left out, and show their default; `vam "
+                    "keys` explains all of them too.")  # fmt: skip
+    for table, field in file.model_fields.items():
+        values = given.get(table)
+        model = model_in(field.annotation, field.metadata, values or {})
+        off = "# " if values is None else ""
+        doc = docs_of(file, [table]).get(table, "") if model is None else first_of(model)
+        lines += ["", *_remark(doc or what(field.annotation))]
+        lines.append(f"{off}[{table}]" + ("" if model is not None else f"  # {_kinds(field)}"))
+        for key in () if model is None else keys(model):
+            lines += _remark(f"{key.doc or key.name}: {key.what}" if key.what else key.doc or key.name)
+            known = values is not None and key.name in values
+            value = _toml(values[key.name]) if known and values is not None else _usual(key.default)
+            lines.append(f"{off if known else '# '}{key.name} = {value}")
+    return "\n".join(lines) + "\n"
+
+
+def _remark(text: str) -> list[str]:
+    return [f"# {line}" for line in wrap(text, 116)]
+
+
+def _kinds(field: Any) -> str:
+    """What a table of any noun may be, where to read on."""
+    nouns = next((part for part in field.metadata if isinstance(part, Nouns)), None)
+    names = [] if nouns is None else [f"{family}.{kind}" for family, kind in nouns.choices]
+    return f"kind = …; see vam keys {names[0]}" if names else "see vam keys"
+
+
+def _usual(default: str) -> str:
+    """A default as a remark shows it."""
+    return "…" if default in ("", LEFT_OUT, NO_LIMIT) else default
+
+
+def _toml(value: Any) -> str:
+    """A value as TOML has it."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(part)}" for key, part in value.items()) + " }"
+    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list) else json.dumps(value, ensure_ascii=False)
+
+
+def toml_text(tables: Mapping[str, Any]) -> str:
+    """Write tables as a TOML file.
+
+    Args:
+        tables: Name → keys, or a list of such for a table that may be there several times.
+
+    Returns:
+        TOML.
+    """
+    lines: list[str] = []
+    for name, table in tables.items():
+        for one in table if isinstance(table, list) else [table]:
+            head = f"[[{name}]]" if isinstance(table, list) else f"[{name}]"
+            lines += [head, *(f"{key} = {_toml(value)}" for key, value in one.items()), ""]
+    return "\n".join(lines)
+
+
+def explained(name: str) -> tuple[Key, ...]:
+    """List what a name stands for: the keys of a table or a noun, the nouns of a family, or one key.
+
+    Args:
+        name: Such as "beam", "vessel.fan", "vessel" or "target.pitch".
+
+    Returns:
+        Keys, or nouns with what they are.
+
+    Raises:
+        BadInput: There is nothing of that name.
+    """
+    try:
+        return keys_of(name)
+    except BadInput as error:
+        table, _, last = name.rpartition(".")
+        if name in families():
+            usual = families()[name].default
+            nouns = ((kind, "the usual one" if kind == usual else "–") for kind in families()[name].nouns)
+            return tuple(Key(f"{name}.{kind}", "a table", how, first_of(find(name, kind))) for kind, how in nouns)
+        with suppress(BadInput):
+            if found := tuple(key for key in keys_of(table) if key.name == last):
+                return found
+        raise error

@@ -8,14 +8,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import ConfigDict, Field, model_validator
 
+from vamgpu.jobs.model import Plain
 from vamgpu.jobs.read import checked, read_text
+from vamgpu.optics.film import Film
 from vamgpu.schema.quantities import Density, Length, Speed, Viscosity
-from vamgpu.schema.read import Section, noun
-from vamgpu.webs.limits import Limits
+from vamgpu.schema.read import Partial, noun
+from vamgpu.schema.section import Section
+from vamgpu.webs.display import Display
+from vamgpu.webs.limits import WebLimits
 
 MACHINE = """\
 # The machine of the roll-to-roll paper at its greatest speed.
@@ -52,16 +56,14 @@ density = "1100 kg/m3"
 """An example of such a file."""
 
 
-Roll = noun("wrap", kind="roller", without=("film",))
+Roll = Annotated[Partial, noun("wrap", kind="roller", without=("film",))]
 Depth = Annotated[Length, Field(description="of the projector: where its light is less than √2 wider")]
-Lens = noun("lens", without=("index",), beside={"depth_of_focus": (Depth, 3.8)})
+Lens = Annotated[Partial, noun("lens", without=("index",), beside={"depth_of_focus": (Depth, 3.8)})]
 """A lens that focuses in the bath of the film."""
-Plain: Any = Field(default={}, validate_default=True)
-"""A table that may be left out."""
 
 
 class WebSection(Section):
-    """What is wanted of the web.
+    """What the web is to be.
 
     speed: of its neutral line.  length: to be printed.
     """
@@ -70,27 +72,27 @@ class WebSection(Section):
     length: Length = 600.0
 
 
-class ResinSection(Section):
+class WebResinSection(Section):
     """How the uncured resin flows.
 
     density: of the resin.  viscosity: a gel has none.
     """
 
-    density: Density = Limits.density
+    density: Density = WebLimits.density
     viscosity: Viscosity | None = None
 
 
 class MachineFile(Section):
     """The tables of a machine."""
 
-    model_config = ConfigDict(extra="ignore")
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="ignore")
 
-    film: noun("film")  # type: ignore[valid-type]
-    roller: Roll  # type: ignore[valid-type]
+    film: Annotated[Film, noun("film")]
+    roller: Roll
     web: WebSection
-    lens: Lens = Plain  # type: ignore[valid-type]
-    display: noun("display") = Plain  # type: ignore[valid-type]
-    resin: ResinSection = ResinSection()
+    lens: Lens = Plain
+    display: Annotated[Display, noun("display")] = Plain
+    resin: WebResinSection = WebResinSection()
 
     @model_validator(mode="before")
     @classmethod
@@ -103,16 +105,28 @@ class MachineFile(Section):
         return data
 
 
-def read_limits(path: str | Path, settings: Iterable[str] = ()) -> Limits:
-    """The limits of the machine of a TOML file. Raises `JobError`, and `BadInput` where its parts do not fit."""
+def read_limits(path: str | Path, settings: Iterable[str] = ()) -> WebLimits:
+    """Read the limits of a web's machine from a TOML file.
+
+    Args:
+        path: The file.
+        settings: ``key=value`` that replace its values.
+
+    Returns:
+        The limits.
+
+    Raises:
+        JobError: The file cannot be read, or a key is wrong.
+        BadInput: The machine's parts do not fit.
+    """
     return parse_limits(read_text(path), settings, source=str(path))
 
 
-def parse_limits(text: str, settings: Iterable[str] = (), *, source: str = "machine") -> Limits:
+def parse_limits(text: str, settings: Iterable[str] = (), *, source: str = "machine") -> WebLimits:
     """The limits of a machine from TOML text. Raises `JobError` naming every wrong value, and `BadInput`."""
     file, _ = checked(MachineFile, text, settings, source=source)
     lens = file.lens(index=file.film.bath_index)
-    return Limits(
+    return WebLimits(
         file.roller(film=file.film), lens, file.display, file.web.speed, file.web.length,
         file.lens.beside["depth_of_focus"], file.resin.density, file.resin.viscosity,
     )  # fmt: skip

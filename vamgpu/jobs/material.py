@@ -10,16 +10,16 @@ from vamgpu.chemistry.materials.resin import Resin
 from vamgpu.errors import BadInput, MaterialError, OutsideData
 from vamgpu.quantity import parse
 from vamgpu.schema.noun import fields_of
-from vamgpu.schema.read import Misplaced
 from vamgpu.schema.registry import find
+from vamgpu.schema.section import Misplaced
 
 TABLES = ("vial", "vat", "vessel", "light")
 
 
 def with_material(data: Any, folder: Path | None) -> Any:
-    """The tables of a file, with index, absorption and critical dose of its [resin] where they are wanted and absent.
+    """The tables of a file, with index, absorption and critical dose of its [resin] where they are needed and absent.
 
-    Raises `Misplaced` for a material that is unknown or lacks what is wanted.
+    Raises `Misplaced` for a material that is unknown or lacks what is needed.
     """
     table = data.get("resin") if isinstance(data, dict) else None
     if not isinstance(table, dict) or not isinstance(table.get("material"), str):
@@ -77,4 +77,4 @@ def _at(ask: Any, table: dict[str, Any], where: tuple[str, ...]) -> float:
     except OutsideData as error:
         raise Misplaced(f"{error}; or write {where[-1]} = … into [{'.'.join(where[:-1])}]", *where) from error
     except ValueError as error:
-        raise Misplaced(f'got {table.get("wavelength")!r}; {error}', "resin", "wavelength") from error
+        raise Misplaced(f"got {table.get('wavelength')!r}; {error}", "resin", "wavelength") from error

@@ -6,18 +6,25 @@ this file say what is to be made of them.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
-from vamgpu.geometry import FULL_TURN
+from vamgpu.chemistry.diffusion import Diffusion
+from vamgpu.geometry import FULL_TURN, Vessel
 from vamgpu.jobs.material import with_material
+from vamgpu.methods.dual.passes import Rule
+from vamgpu.methods.method import Method
+from vamgpu.methods.tolerances import Tolerances
+from vamgpu.operators.oblique import Rising
+from vamgpu.optics.vat import Vat
+from vamgpu.optics.vial import Vial
 from vamgpu.schema.quantities import (
     Absorption,
     Angle,
     Count,
     Dose,
-    Exposure,
+    ExposureTime,
     Fill,
     Irradiance,
     Length,
@@ -29,37 +36,92 @@ from vamgpu.schema.quantities import (
     Turn,
     Wavelength,
 )
-from vamgpu.schema.read import Listed, Misplaced, OneOrMany, Section, noun
+from vamgpu.schema.read import OneOrMany, Partial, noun
+from vamgpu.schema.section import Listed, Misplaced, Named, Section
 
 Row = tuple[float, float, float]
 Places = Annotated[Any, OneOrMany(Place, Annotated[tuple[Place, ...], Listed])]
 Missed = Annotated[Positive, Field(description="largest share by which the width may miss its formula")]
 TOLERANCE = {"tolerance": (Missed, 0.02)}
 LENGTH = Quantity("a length", least=0.0)
+MOST_ANGLES = 1_000_000
+"""Angles of a turn: more are a slip of the keys, and fail after minutes, for want of memory."""
+Plain: Any = Field(default={}, validate_default=True)
+"""A table that may be left out."""
+
+
+Role = Literal["print", "gray", "keep out", "don't care", "insert"]
+
+
+class BodySection(Section):
+    """One body of several, where it was drawn; see docs/tasks.md. [target] says the voxels of all.
+
+    mesh: file of the body (STL, PLY, OBJ, 3MF).  shape: a bundled one in place of a mesh, such as "boat".  role: what
+    is asked of its voxels.  name: in reports.  dose: of gray or keep out, a share of the dose that prints.
+    tolerance: of a gray dose, a share of it.  weight: of its voxels in methods that lower a loss.  priority: the
+    higher one has the voxels that bodies share.  index: of an insert that light passes.  absorption: of an insert
+    that light passes.
+    """
+
+    mesh: Annotated[str | None, Named] = None
+    shape: str | None = None
+    role: Role = "print"
+    name: str | None = None
+    dose: Positive | None = None
+    tolerance: Positive = 0.2
+    weight: Positive = 1.0
+    priority: float | None = None
+    index: Annotated[float | None, Field(ge=1, lt=10)] = None
+    absorption: Absorption | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> BodySection:
+        if (self.mesh is None) == (self.shape is None):
+            raise ValueError('expected exactly one of mesh = "part.stl" and shape = "boat"')
+        if (self.dose is None) == (self.role in ("gray", "keep out")):
+            raise ValueError(f'role is "{self.role}"; expected a dose of gray and keep out, and of no other role')
+        if self.role != "insert" and (self.index is not None or self.absorption is not None):
+            raise ValueError(f'role is "{self.role}"; expected index and absorption of inserts alone')
+        return self
 
 
 class TargetSection(Section):
-    """The part: a mesh file or a bundled shape, its size and its voxels.
+    """The part: a mesh file or a bundled shape, its size and its voxels; those of all bodies where there are [[body]].
 
     mesh: file of the part (STL, PLY, OBJ, 3MF).  shape: a bundled one in place of a mesh, such as "boat".  height: of
     the part along z.  factor: by which it is scaled, in place of a height.  pitch: edge of a voxel.  orientation: 3 × 3
-    matrix that turns the part first.  margin: voxels between the part and the rim.
+    matrix that turns the part first.  margin: voxels between the part and the rim.  shape_of_grid: voxels along x, y
+    and z, beside bodies; by default as many as they need.  origin: point of the bodies' frame that comes to the middle
+    of the axis.  void: limit of the dose where no body is, a share of the dose that prints.
     """
 
-    mesh: str | None = None
+    mesh: Annotated[str | None, Named] = None
     shape: str | None = None
     height: Length | None = None
     factor: Positive | None = None
     pitch: Length
     orientation: Annotated[tuple[Row, Row, Row] | None, Listed] = None
     margin: Annotated[int, Field(ge=0)] = 2
+    shape_of_grid: Annotated[tuple[Count, Count, Count] | None, Listed] = None
+    origin: Annotated[Row | None, Listed] = None
+    void: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_of_each(self) -> TargetSection:
+    def _one_of_each(self, info: ValidationInfo) -> TargetSection:
+        alone = [name for name in ("mesh", "shape", "height") if getattr(self, name) is not None]
+        beside = [name for name in ("shape_of_grid", "origin", "void") if getattr(self, name) is not None]
+        if (info.context or {}).get("bodies"):
+            if alone:
+                raise ValueError(
+                    f"got {', '.join(alone)} beside [[body]]; expected it in a [[body]] of its own: move it"
+                )
+            return self
+        if beside:
+            raise ValueError(f"got {', '.join(beside)} without a [[body]]; remove it")
         if (self.mesh is None) == (self.shape is None):
-            raise ValueError('wanted exactly one of mesh = "part.stl" and shape = "boat"')
+            raise ValueError('expected exactly one of mesh = "part.stl" and shape = "boat"')
         if (self.height is None) == (self.factor is None):
-            raise ValueError('wanted exactly one of height = "11.5 mm" and factor = 1.0')
+            raise ValueError('expected exactly one of height = "11.5 mm" and factor = 1.0')
         return self
 
 
@@ -70,29 +132,32 @@ def _length_or_file(text: Any) -> float | str:
     try:
         return LENGTH.read(text)
     except ValueError as error:
-        raise ValueError(f"{error}; or the path of a calibration: spread = \"mtf/result.toml\"") from error
+        raise ValueError(f'{error}; or the path of a calibration: spread = "mtf/result.toml"') from error
 
 
 class BeamSection(Section):
     """The projector's light.
 
     pitch: edge of a pixel in air.  pixels: columns and rows; by default as many as the part needs.  fill: share of a
-    pixel's area that is lit.  spread: standard deviation of the point spread, measured where the pitch is, "0 um" for a
-    perfect lens, or the result of `vam calibrate mtf`; half a pixel where nothing is said.  footprint: how a pixel
+    pixel's area that is lit.  spread: standard deviation of the point spread, a length in air, "0 um" for a perfect
+    lens, or the result of `vam calibrate mtf`; half a pixel where nothing is said.  footprint: how a pixel
     meets a voxel: "exact", by its area, or "joseph", by one ray.
     """
 
     pitch: Length
     pixels: Annotated[tuple[Count, Count] | None, Listed] = None
     fill: Fill = 1.0
-    spread: Annotated[float | str, BeforeValidator(_length_or_file)] | None = None
+    spread: Annotated[float | str, BeforeValidator(_length_or_file), Named] | None = None
     footprint: Literal["exact", "joseph"] = "exact"
 
 
 def _count_or_file(value: Any) -> Any:
     named = isinstance(value, str) and value.lower().endswith(".csv")
     if not named and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
-        raise ValueError('wanted a whole number of angles ≥ 1, or a file of measured ones: angles = "measured.csv"')
+        raise ValueError('expected a whole number of angles ≥ 1, or a file of measured ones: angles = "measured.csv"')
+    if isinstance(value, int) and value > MOST_ANGLES:
+        raise ValueError(f"expected {MOST_ANGLES:,} angles of a turn at most: a turn of 10 minutes at 1,000 frames a "
+                         "second has 600,000")  # fmt: skip
     return value
 
 
@@ -102,7 +167,7 @@ class TurntableSection(Section):
     angles: how many, or a CSV file of measured ones.  range: part of a turn that they are even over.
     """
 
-    angles: Annotated[int | str, BeforeValidator(_count_or_file)] = 360
+    angles: Annotated[int | str, BeforeValidator(_count_or_file), Named] = 360
     range: Angle | None = None
 
     @model_validator(mode="after")
@@ -110,15 +175,16 @@ class TurntableSection(Section):
         if self.range is not None and isinstance(self.angles, str):
             raise ValueError(f"got a range and the file {self.angles!r}, which has its own; remove one of both")
         if self.range is not None and self.range > FULL_TURN * (1.0 + 1e-9):
-            raise Misplaced(f"got {self.range:.6g} rad; wanted 360 deg at most: correct the value", "range")
+            raise Misplaced(f"got {self.range:.6g} rad; expected 360 deg at most: correct the value", "range")
         return self
 
 
 class WobbleSection(Section):
-    """Where the axis stands.
+    """How far the axis of rotation is off its place: an offset across and along, or a circle.
 
-    across, along: off its place across the light and along it, always or at every pose.  radius: of a circle that it
-    runs once a turn instead.  phase: angle from x of the point of the table that carries it.
+    across: offset across the light, one for all angles or one for each.  along: offset along the light, one for all
+    angles or one for each.  radius: of a circle that the axis runs once a turn, in place of offsets.  phase: angle,
+    from x, of the point of the turntable that the axis goes through.
     """
 
     across: Places = 0.0
@@ -129,7 +195,7 @@ class WobbleSection(Section):
     @model_validator(mode="after")
     def _one_of_both(self) -> WobbleSection:
         if self.radius is not None and self.model_fields_set & {"across", "along"}:
-            raise ValueError('wanted radius = "50 um", or across and along, not both')
+            raise ValueError('expected radius = "50 um", or across and along, not both')
         return self
 
 
@@ -147,16 +213,16 @@ class ResinSection(Section):
     wavelength: Wavelength | None = None
     inhibitor: str | None = None
     temperature: Annotated[float, Quantity("a temperature", above=0.0)] | None = None
-    exposure: Exposure | None = None
-    diffusion: noun("diffusion") | None = None  # type: ignore[valid-type]
+    exposure: ExposureTime | None = None
+    diffusion: Annotated[Diffusion, noun("diffusion")] | None = None
     precompensate: bool = False
 
     @model_validator(mode="after")
     def _whole(self) -> ResinSection:
         if self.inhibitor is not None and (self.material is None or self.exposure is None or self.diffusion):
-            raise ValueError('wanted inhibitor = "oxygen" with material and exposure = "20 s", and no diffusion')
+            raise ValueError('expected inhibitor = "oxygen" with material and exposure = "20 s", and no diffusion')
         if self.precompensate and self.inhibitor is None and self.diffusion is None:
-            raise Misplaced("wanted diffusion or an inhibitor: there is nothing to compensate for", "precompensate")
+            raise Misplaced("expected diffusion or an inhibitor: there is nothing to compensate for", "precompensate")
         return self
 
 
@@ -169,34 +235,35 @@ class ColorsSection(Section):
 
     absorption: Absorption
     strength: Positive = 1.0
-    rule: noun("rule") = Field(default={}, validate_default=True)  # type: ignore[valid-type]
+    rule: Annotated[Rule, noun("rule")] = Plain
 
 
 class SolveSection(Section):
     """How light is found.
 
     method: by its name, with its own parameters; the table [method] sets them.  iterations: in all; the method's own by
-    default.  tolerance: share of the first loss at which to stop.  pairs: projector pairs that may be spent.  device:
-    where to compute; the best one here by default.
+    default.  tolerance: share of the first loss at which to stop.  evaluations: projector evaluations that may be
+    spent.  device: where to compute; the best one here by default.
     """
 
     method: str = "default"
     iterations: Count | None = None
     tolerance: NonNegative = 0.0
-    pairs: Positive | None = None
+    evaluations: Positive | None = None
+    renamed: ClassVar[dict[str, str]] = {"pairs": "evaluations"}
     device: str | None = None
 
 
 class FramesSection(Section):
-    """How light becomes pictures.
+    """How light becomes frames.
 
-    bits: of a pixel.  gray: file of the projector's gray curve.  flip_r, flip_z: mirror columns, rows.  shift: columns
-    and rows by which pictures are moved.  quantile: of the lit pixels that a full-on pixel shows.  dither: round to the
-    nearest level, or carry the error on to the next angle.
+    bits: of a pixel.  gray: file of the projector's gray curve.  flip_r: mirror columns.  flip_z: mirror rows.
+    shift: columns and rows by which frames are moved.  quantile: of the lit pixels that a full-on pixel shows.
+    dither: round to the nearest level, or carry the error on to the next angle.
     """
 
     bits: Literal[1, 8] = 8
-    gray: str | None = None
+    gray: Annotated[str | None, Named] = None
     flip_r: bool = False
     flip_z: bool = False
     shift: Annotated[tuple[float, float], Listed] = (0.0, 0.0)
@@ -220,22 +287,25 @@ class JobFile(Section):
     """A whole job file.
 
     [vessel] is any container, [vial] and [vat] the usual two. [light] is light that rises, a cone or inclined, or a
-    vessel whose light is one ray a pixel, past which an axis may wobble along the light too.
+    vessel whose light is one ray a pixel, past which an axis may wobble along the light too. [tolerances] are how far
+    the print may be off: its light is one for all their corners.
     """
 
     target: TargetSection
+    body: Annotated[tuple[BodySection, ...], Listed] = ()
     beam: BeamSection
     turntable: TurntableSection = TurntableSection()
-    vial: noun("vessel", kind="vial") | None = None  # type: ignore[valid-type]
-    vat: noun("vessel", kind="vat") | None = None  # type: ignore[valid-type]
-    vessel: noun("vessel") | None = None  # type: ignore[valid-type]
-    light: noun("light", "vessel") | None = None  # type: ignore[valid-type]
+    vial: Annotated[Vial, noun("vessel", kind="vial")] | None = None
+    vat: Annotated[Vat, noun("vessel", kind="vat")] | None = None
+    vessel: Annotated[Vessel, noun("vessel")] | None = None
+    light: Annotated[Rising | Vessel, noun("light", "vessel")] | None = None
     wobble: WobbleSection | None = None
-    defocus: noun("defocus", beside=TOLERANCE) | None = None  # type: ignore[valid-type]
-    tiles: noun("operator", kind="tiles", without=("operator",)) | None = None  # type: ignore[valid-type]
+    defocus: Annotated[Partial, noun("defocus", beside=TOLERANCE)] | None = None
+    tiles: Annotated[Partial, noun("operator", kind="tiles", without=("operator",))] | None = None
+    tolerances: Annotated[Tolerances, noun("tolerances")] | None = None
     resin: ResinSection = ResinSection()
     colors: ColorsSection | None = None
-    method: noun("method") | None = None  # type: ignore[valid-type]
+    method: Annotated[Method, noun("method")] | None = None
     solve: SolveSection = SolveSection()
     frames: FramesSection = FramesSection()
     print: PrintSection | None = None
@@ -243,6 +313,8 @@ class JobFile(Section):
     @model_validator(mode="before")
     @classmethod
     def _of_a_material(cls, data: Any, info: ValidationInfo) -> Any:
+        if isinstance(info.context, dict):
+            info.context["bodies"] = isinstance(data, dict) and bool(data.get("body"))
         return with_material(data, (info.context or {}).get("folder"))
 
     @model_validator(mode="after")
@@ -251,13 +323,22 @@ class JobFile(Section):
         if len(said) > 1:
             raise Misplaced(f"got both [{said[0]}] and [{said[1]}]; remove one", said[1])
         if said and self.light is not None:
-            raise Misplaced(f"got [{said[0]}] and [light]; wanted the vessel in [light.vessel]", said[0])
+            raise Misplaced(f"got [{said[0]}] and [light]; expected the vessel in [light.vessel]", said[0])
         if self.light is not None and self.beam.footprint != "exact":
             raise Misplaced('got "joseph" and [light], whose pixels are one ray anyway; remove it', "beam", "footprint")
         if self.method is not None and self.solve.method != "default":
             raise Misplaced("got a method here and [method]; remove one", "solve", "method")
         if self.method is not None and self.colors is not None:
-            raise Misplaced("got [method] and [colors]; wanted the rule of two colors in [colors.rule]", "method")
+            raise Misplaced("got [method] and [colors]; expected the rule of two colors in [colors.rule]", "method")
+        if self.tolerances is not None and self.colors is not None:
+            raise Misplaced("got [tolerances] and [colors]; expected one color with these", "tolerances")
+        if self.body and not any(body.role in ("print", "gray") for body in self.body):
+            raise Misplaced("got no [[body]] that is printed; expected one of role print or gray", "body")
+        if self.body and (self.colors is not None or self.resin.precompensate):
+            raise Misplaced("got [[body]] with [colors] or precompensate; expected one part with these", "body")
+        standing = any(body.role == "insert" for body in self.body)
+        if standing and (self.light or self.defocus or self.tiles or self.wobble):
+            raise Misplaced("got an insert with [light], [defocus], [tiles] or [wobble]; remove one", "body")
         if self.resin.precompensate and not hasattr(self.method, "diffusion"):
-            raise Misplaced('wanted [method] kind = "recipe", which starts from the target', "resin", "precompensate")
+            raise Misplaced('expected [method] kind = "recipe", which starts from the target', "resin", "precompensate")
         return self

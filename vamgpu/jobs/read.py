@@ -1,74 +1,130 @@
-"""Read a job file, and say of every wrong value where it stands, what it is, what was wanted and what to do."""
+"""Read a job file, and say of every wrong value where it stands, what it is, what was expected and what to do."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from vamgpu.deprecated import Renamed
 from vamgpu.errors import JobError
 from vamgpu.jobs.lines import key_lines, line_of
 from vamgpu.jobs.model import JobFile
 from vamgpu.schema.read import complaint, model_in
+from vamgpu.schema.registry import nearest_of
+from vamgpu.storage import reading
+from vamgpu.storage.reading import parse_toml
+
+MOST_TOLD = 100
+"""Wrong values of a file that are told at once; the spelling of each is looked up."""
+
+File = TypeVar("File", bound=BaseModel)
 
 
 @dataclass(frozen=True)
-class Job:
+class CheckedJob(Generic[File]):
     """A checked job. given: its keys as written, ``--set`` included.  folder: what its paths are relative to."""
 
-    wanted: JobFile
+    file: File
     given: dict[str, Any]
     folder: Path
     name: str
+    wanted: ClassVar[Renamed] = Renamed("file")
+    model: ClassVar[type[BaseModel]]
+
+    @classmethod
+    def read(cls, path: str | Path, settings: Iterable[str] = ()) -> Self:
+        """Read a TOML job file.
+
+        Args:
+            path: The file.
+            settings: ``key=value`` that replace its values.
+
+        Returns:
+            The job.
+
+        Raises:
+            JobError: The file or one that it names is not there, or a key is wrong; the message names the line.
+        """
+        place = Path(path)
+        return cls.parse(read_text(place), settings, source=str(path), folder=place.parent, name=place.stem, files=True)
+
+    @classmethod
+    def parse(
+        cls, text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(), name: str = "job",
+        files: bool = False,
+    ) -> Self:  # fmt: skip
+        """A job from TOML text. files: those that it names must be there. Raises `JobError` naming every wrong key."""
+        file: Any
+        file, given = checked(cls.model, text, settings, source=source, folder=folder, files=files)
+        return cls(file, given, folder, name)
+
+    @classmethod
+    def of(
+        cls, tables: dict[str, Any], settings: Iterable[str] = (), *, folder: Path = Path(), name: str = "job"
+    ) -> Self:
+        """A job from tables, as TOML would have them; arguments and errors as for `parse`."""
+        file: Any
+        file, given = validated(cls.model, tables, settings, source=name, folder=folder)
+        return cls(file, given, folder, name)
 
 
-Wanted = TypeVar("Wanted", bound=BaseModel)
+class Job(CheckedJob[JobFile]):
+    """A checked job of a vessel that turns."""
 
-
-def read_job(path: str | Path, settings: Iterable[str] = ()) -> Job:
-    """Read a TOML job file; ``settings`` are ``key=value`` that replace its values. Raises `JobError`."""
-    file = Path(path)
-    return parse_job(read_text(path), settings, source=str(path), folder=file.parent, name=file.stem)
+    model: ClassVar[type[JobFile]] = JobFile
 
 
 def read_text(path: str | Path) -> str:
     """The text of a job file. Raises `JobError`."""
     try:
-        return Path(path).read_text(encoding="utf-8-sig")
+        return reading.read_text(path, reading.MOST_TOML)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise JobError(f"cannot read job file {str(path)!r}: {reason}; wanted a TOML file: check the path") from error
-
-
-def parse_job(
-    text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(), name: str = "job"
-) -> Job:
-    """A job from TOML text. Raises `JobError` naming every wrong value at once."""
-    return Job(*checked(JobFile, text, settings, source=source, folder=folder), folder, name)
+        raise JobError(f"cannot read job file {str(path)!r}: {reason}; expected a TOML file: check the path, or let "
+                       "`vam init` write one") from error  # fmt: skip
 
 
 def checked(
-    model: type[Wanted], text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path()
-) -> tuple[Wanted, dict[str, Any]]:
+    model: type[File], text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(),
+    files: bool = False, current: Callable[[dict[str, Any]], Mapping[tuple[str, ...], tuple[str, ...]]] | None = None,
+) -> tuple[File, dict[str, Any]]:  # fmt: skip
     """TOML text as a model of a file, and its keys as written; ``folder`` is what paths in it are relative to.
+
+    files: those that it names must be there.  current: brings tables of an earlier version up to date, in place, and
+    returns old key → new key.
 
     Raises `JobError` naming every wrong value at once.
     """
     try:
-        data = tomllib.loads(text)
+        data = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise JobError(f"{source}: not valid TOML: {error}; correct that line") from error
+    return validated(model, data, settings, text=text, source=source, folder=folder, files=files, current=current)
+
+
+def validated(
+    model: type[File], data: dict[str, Any], settings: Iterable[str] = (), *, text: str = "", source: str = "job",
+    folder: Path = Path(), files: bool = False,
+    current: Callable[[dict[str, Any]], Mapping[tuple[str, ...], tuple[str, ...]]] | None = None,
+) -> tuple[File, dict[str, Any]]:  # fmt: skip
+    """Tables as a model of a file; arguments and errors as for `checked`, ``text`` is where their lines are told by."""
     replaced = {_replace(data, setting) for setting in settings}
+    moved = {} if current is None else current(data)
+    replaced |= {new + key[len(old) :] for old, new in moved.items() for key in replaced if key[: len(old)] == old}
     try:
-        return model.model_validate(data, context={"folder": folder}), data
+        return model.model_validate(data, context={"folder": folder, "files": files}), data
     except ValidationError as error:
         lines = key_lines(text)
-        found = [_complaint(entry, source, lines, replaced, model, data) for entry in error.errors()]
+        for old, new in moved.items():
+            lines |= {new + key[len(old) :]: at for key, at in lines.items() if key[: len(old)] == old}
+        every = error.errors()
+        found = [_complaint(entry, source, lines, replaced, model, data) for entry in every[:MOST_TOLD]]
+        found += [f"{source}: {len(every) - MOST_TOLD} more wrong values"] if len(every) > MOST_TOLD else []
         raise JobError("\n".join(found)) from error
 
 
@@ -77,7 +133,7 @@ def _replace(data: dict[str, Any], setting: str) -> tuple[str, ...]:
     dotted, separator, text = setting.partition("=")
     key = tuple(part.strip() for part in dotted.split("."))
     if not separator or not all(key):
-        raise JobError(f"--set {setting}: wanted key=value, such as --set solve.iterations=20")
+        raise JobError(f"--set {setting}: expected key=value, such as --set solve.iterations=20")
     table: Any = data
     for part in key[:-1]:
         table = table.setdefault(part, {})
@@ -90,7 +146,7 @@ def _replace(data: dict[str, Any], setting: str) -> tuple[str, ...]:
 def toml_value(text: str) -> Any:
     """A value as TOML reads it; text that is no TOML value is taken as it stands."""
     try:
-        read = tomllib.loads(f"value = {text}")
+        read = parse_toml(f"value = {text}")
     except tomllib.TOMLDecodeError:
         return text
     return read["value"] if len(read) == 1 else text
@@ -102,30 +158,54 @@ def _complaint(
 ) -> str:  # fmt: skip
     between = getattr(entry.get("ctx", {}).get("error"), "key", ())
     key = tuple(str(part) for part in (*entry["loc"], *between))
-    named = tuple(part for part in key if not part.isdigit())
+    named = _as_written(tuple(part for part in key if not part.isdigit()), file, data)
     if any(named[: len(changed)] == changed for changed in replaced):
         place = "--set"
     else:
         line = line_of(lines, named)
         place = f"{source}, line {line}" if line else source
+    if entry["type"] == "missing" and isinstance(entry["input"], (list, tuple)) and key[-1].isdigit():
+        key = key[:-1]  # what is missing in a list has no name
     subject = ".".join(key) or "job"
     if entry["type"] == "extra_forbidden":
         return f"{place}: {subject}: unknown key; {_spelling(named, file, data)}"
     return f"{place}: {subject}{complaint(entry, _remedy(key))}"
 
 
-def _spelling(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]) -> str:
+def _models(
+    key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]
+) -> Iterator[tuple[type[BaseModel], dict[str, Any]]]:
+    """The model and the data of a file and of the tables that a key leads through."""
     model = file
-    for part in key[:-1]:
+    yield model, data
+    for part in key:
         field = model.model_fields.get(part)
         data = data.get(part, {}) if isinstance(data, dict) else {}
         model = model if field is None else model_in(field.annotation, field.metadata, data) or model
+        yield model, data
+
+
+def _as_written(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]) -> tuple[str, ...]:
+    """A key with its last part under the old name, where the file has it under that."""
+    if not key:
+        return key
+    *_, (model, table) = _models(key[:-1], file, data)
+    old = {new: old for old, new in getattr(model, "renamed", {}).items() if isinstance(table, dict) and old in table}
+    return (*key[:-1], old.get(key[-1], key[-1]))
+
+
+def _spelling(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]) -> str:
+    *_, (model, _) = _models(key[:-1], file, data)
     known = list(model.model_fields)
-    close = get_close_matches(key[-1], known, n=1, cutoff=0.5)
-    return f"did you mean {close[0]!r}?" if close else f"wanted one of {', '.join(known)}: correct or remove it"
+    close = nearest_of(key[-1], known)
+    return f"did you mean {close!r}?" if close else f"expected one of {', '.join(known)}: correct or remove it"
 
 
 def _remedy(key: tuple[str, ...]) -> str:
     if not key:
         return "add it"
     return f"add the table [{key[0]}]" if len(key) == 1 else f"add {key[-1]} = … to [{'.'.join(key[:-1])}]"
+
+
+read_job: Callable[..., Job] = Job.read
+parse_job: Callable[..., Job] = Job.parse

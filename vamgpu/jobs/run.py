@@ -2,39 +2,67 @@
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vamgpu.backend import open_device
-from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.errors import JobError, StorageError
-from vamgpu.jobs.build import describe, packing_of, projection_from, projection_of, target_of, with_diffusion
+from vamgpu.errors import BadInput, Cancelled, JobError, MeshWarning, OutOfMemory, StorageError
+from vamgpu.jobs.build import packing_of, projection_of, target_of, with_diffusion
 from vamgpu.jobs.read import Job
-from vamgpu.jobs.record import PlanRecord
+from vamgpu.methods.saved import (
+    IMPORTED,
+    INTERRUPTED,
+    PlanRecord,
+    describe,
+    operator_from,
+    target_from,
+    tolerances_from,
+)
 from vamgpu.schema.registry import family, find, nearest
-from vamgpu.storage.folder import Entry, Folder
+from vamgpu.storage.atomic import clear
+from vamgpu.storage.folder import Folder, digest
 from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:
-    from vamgpu.methods.plan import Step
+    from vamgpu.methods.plan import Plan, Step
+    from vamgpu.methods.tolerances import Tolerances
+    from vamgpu.printing.pack import Solved
     from vamgpu.printing.proof import Proof
 
-Told = Callable[[str, float], None]
-"""Told of progress: what is being done, and how much of it is done, 0..1."""
+StageProgress = Callable[[str, float], None]
+"""Notified of progress: what is being done, and how much of it is done, 0..1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Proven:
-    """A proof and the record of the plan behind it."""
+    """A proof and the record of the plan behind it.
+
+    Args:
+        proof: The proof.
+        plan: How the light was found; without a history where this library did not.
+    """
 
     proof: Proof
     plan: PlanRecord
 
     def report(self, path: str | Path) -> Path:
-        """Write the report; raises `StorageError`."""
+        """Write the report.
+
+        Args:
+            path: Where to, ending in .html.
+
+        Returns:
+            The path written.
+
+        Raises:
+            StorageError: The page cannot be written.
+        """
         return self.proof.report(path, self.plan)
 
 
@@ -42,108 +70,232 @@ def _quietly(stage: str, share: float) -> None:
     """Tell nobody."""
 
 
-def solve(job: Job, path: str | Path, *, overwrite: bool = False, told: Told = _quietly) -> Folder:
-    """Find the light of a job, pack it, and write its folder, whole or not at all.
+def solve(
+    job: Job, path: str | Path, *, overwrite: bool = False, start: str | Path | None = None,
+    progress: StageProgress = _quietly,
+) -> Folder:  # fmt: skip
+    """Find the light of a job, and write its folder, or go on with one that was interrupted.
 
-    Raises what the parts raise: `BadInput`, `MeshError`, `TargetTooLarge`, `DeviceError`, `StorageError`.
+    A run that is stopped by Ctrl-C leaves the plan it had reached, which can be proven; the next run goes on from it.
+
+    Args:
+        job: The job.
+        path: The folder to write.
+        overwrite: Replace a job folder that stands there.
+        start: Folder of a plan whose light is the first guess, of as many angles and pixels. Where method and geometry
+            are those of the job, and the run was interrupted, it goes on as if it never had been.
+        progress: Is told the stage and its share that is done.
+
+    Returns:
+        The folder.
+
+    Raises:
+        BadInput: A value of the job is out of range.
+        MeshError: The mesh cannot be used.
+        TargetTooLarge: The part reaches beyond the grid.
+        DeviceError: The device is not there, or its memory is used up.
+        StorageError: The folder cannot be written.
+        Cancelled: On Ctrl-C; the folder holds the plan that was reached.
     """
     from vamgpu.printing.folder import save_frames
     from vamgpu.printing.pack import pack
 
-    wanted, place = job.wanted, Path(path)
-    for taken in (place, second(place)) if wanted.colors is not None else (place,):
+    file, place = job.file, Path(path)
+    for taken in (place, second(place)) if file.colors is not None else (place,):
         _refuse_taken(taken, overwrite)
-    method = wanted.method or _method(wanted.solve.method)
-    device = open_device(wanted.solve.device)
-    packing = packing_of(wanted.frames, job.folder)
-    told("voxels", 0.0)
+    method = file.method or _method(file.solve.method)
+    device = open_device(file.solve.device)
+    packing = packing_of(file.frames, job.folder)
+    progress("voxels", 0.0)
     target = target_of(job, device)
-    lights, record = (_both if wanted.colors is not None else _one)(job, method, target, device, told)
-    told("frames", 0.0)
+    inputs: dict[str, Any] = {
+        "job": job.given, "print": None if file.print is None else file.print.model_dump()
+    }  # fmt: skip
+    if file.colors is not None:
+        lights, record = _both(job, target, device, progress)
+        inputs |= {"plan": asdict(record), "colors": {"strength": file.colors.strength}}
+    else:
+        try:
+            begun = start if start is not None or overwrite or not is_interrupted(place) else place
+            lights = [_one(job, method, target, device, progress, begun)]
+        except Cancelled as error:
+            if not os.path.lexists(place) or is_interrupted(place):
+                _keep(error, place, inputs)
+            raise
+    progress("frames", 0.0)
     packed = [pack(light, **packing) for light in lights]
-    told("folder", 0.0)
-    inputs = {
-        "job": job.given,
-        "target": {key: getattr(target, key) for key in ("name", "radius", "volume", "height")},
-        "plan": asdict(record),
-        "print": None if wanted.print is None else wanted.print.model_dump(),
-    }
-    if wanted.colors is not None:
-        inputs["colors"] = {"strength": wanted.colors.strength}
-    arrays = {"target": Entry(target.on(device), ("x", "y", "z"))}
-    folders = []
-    for light, frames, where in zip(lights, packed, (place, second(place)), strict=False):
-        own = {**inputs, "geometry": describe(light.operator)}
-        folders.append(save_frames(where, frames, inputs=own, arrays=arrays, overwrite=overwrite))
+    progress("folder", 0.0)
+    places = (place, second(place))
+    folders = [
+        save_frames(where, frames, inputs=inputs, overwrite=overwrite or is_interrupted(where))
+        for frames, where in zip(packed, places, strict=False)
+    ]
     return folders[0]
 
 
-@dataclass(frozen=True, eq=False)
-class _Light:
-    """Light and the operator that makes dose of it, as `pack` takes them."""
+def _keep(error: Cancelled, place: Path, inputs: dict[str, Any]) -> None:
+    """Write what an interrupted run had reached, so that the next one goes on from there."""
+    from vamgpu.methods.saved import save_plan
 
-    sinogram: DeviceArray
-    operator: Any
+    if error.plan is None:
+        return
+    plan: Any = error.plan
+    save_plan(plan, place, inputs={**inputs, INTERRUPTED: len(plan.history)}, overwrite=True)
 
 
-def _one(job: Job, method: Any, target: Target, device: Device, told: Told) -> tuple[list[_Light], PlanRecord]:
-    """The light of a job, and what is remembered of how it was found."""
+def is_interrupted(path: str | Path) -> bool:
+    """Whether a folder holds the plan of a run that was stopped before its end.
+
+    Args:
+        path: The folder.
+
+    Returns:
+        The answer; False where there is no job.
+    """
+    try:
+        return INTERRUPTED in Folder.open(path).manifest.inputs
+    except StorageError:
+        return False
+
+
+def _one(
+    job: Job, method: Any, target: Target, device: Device, progress: StageProgress, begun: str | Path | None
+) -> Plan:  # fmt: skip
+    """The light of a job, found anew or from the light of an earlier plan on."""
     from vamgpu.methods import optimize
 
-    wanted, limit = job.wanted, job.wanted.solve.iterations or method.iterations
-    light = projection_of(wanted, target, device, job.folder)
-    A = with_diffusion(wanted, light, job.folder)
-    describe(A)  # refuse what no manifest can describe before the long work
-    told("light", 0.0)
-    if wanted.resin.precompensate:  # the method itself lets the dose of the plain light diffuse
+    file, limit = job.file, job.file.solve.iterations or method.iterations
+    light = projection_of(file, target, device, job.folder)
+    A = with_diffusion(file, light, job.folder)
+    describe(A, {})  # refuse what no manifest can describe before the long work
+    progress("light", 0.0)
+    if file.resin.precompensate:  # the method itself lets the dose of the plain light diffuse
         method = replace(method, diffusion=A.inner.diffusion)
+    solved = light if file.resin.precompensate else A
     plan = optimize(
-        light if wanted.resin.precompensate else A, target, method=method, iterations=limit,
-        tolerance=wanted.solve.tolerance, pairs=wanted.solve.pairs, progress=_share(told, limit),
+        solved, target, method=method, iterations=limit, tolerance=file.solve.tolerance,
+        evaluations=file.solve.evaluations, tolerances=file.tolerances, progress=_share(progress, limit),
+        **_onward(begun, solved, target, method, file.tolerances),
     )  # fmt: skip
-    return [_Light(plan.sinogram, A)], PlanRecord.of(plan)
+    return replace(plan, operator=A)
 
 
-def _both(job: Job, method: Any, target: Target, device: Device, told: Told) -> tuple[list[_Light], PlanRecord]:
+def _onward(
+    place: str | Path | None, operator: Any, target: Target, method: Any, tolerances: Tolerances | None
+) -> dict[str, Any]:  # fmt: skip
+    """How `optimize` goes on from a plan: where it stopped if all is the same, else with its light as the start."""
+    from vamgpu.methods.saved import load_plan
+
+    if place is None:
+        return {}
+    begun = load_plan(place, operator.device)
+    same = begun.state and begun.method == method and begun.tolerances == tolerances
+    if same and _known(begun.operator, begun.target) == _known(operator, target):
+        return {"resume": replace(begun, operator=operator)}
+    return {"start": begun.sinogram}
+
+
+def _known(operator: Any, target: Any) -> tuple[Any, ...]:
+    """What a plan is for, to be compared; a `Target`, or None."""
+    arrays: dict[str, Any] = {}
+    described = describe(operator, arrays)
+    return described, {name: digest(values) for name, values in arrays.items()}, target and digest(target.numpy())
+
+
+def _both(job: Job, target: Target, device: Device, progress: StageProgress) -> tuple[list[Solved], PlanRecord]:
     """The same for a job of two colors; one light where its rule sends no second."""
     from vamgpu.jobs.colors import recolored, recorded, superposed
+    from vamgpu.printing.pack import Solved
 
     operators: list[Any] = []
-    for wanted in (job.wanted, recolored(job.wanted)):
-        light = projection_of(wanted, target, device, job.folder)
-        operators.append(with_diffusion(wanted, light, job.folder))
-        describe(operators[-1])
-    told("light", 0.0)
-    plan = superposed(job.wanted, operators[0], operators[1], target, lambda share: told("light", share))
-    found = [_Light(light, A) for light, A in zip((plan.visible, plan.uv), operators, strict=True) if light is not None]
+    for file in (job.file, recolored(job.file)):
+        light = projection_of(file, target, device, job.folder)
+        operators.append(with_diffusion(file, light, job.folder))
+        describe(operators[-1], {})
+    progress("light", 0.0)
+    plan = superposed(job.file, operators[0], operators[1], target, lambda share: progress("light", share))
+    found = [
+        Solved(light, A, target)
+        for light, A in zip((plan.visible, plan.uv), operators, strict=True)
+        if light is not None
+    ]
     return found, recorded(plan, target)
 
 
-def prove(path: str | Path, device: str | None = None) -> Proven:
-    """Simulate a written job from its frames' bytes and gray curve. Raises `StorageError`, `DeviceError`.
+def prove(
+    path: str | Path, device: str | None = None, *, evaluations: float = 0.0, tolerances: bool = False,
+    progress: StageProgress = _quietly,
+) -> Proven:  # fmt: skip
+    """Simulate a written job from its frames' bytes and gray curve.
 
-    The folder of the first of two colors stands for both.
+    Args:
+        path: The folder; that of the first of two colors stands for both.
+        device: Device by name; None takes the best one.
+        evaluations: Projector evaluations to find the widest window that any light can have; 0 leaves it unknown.
+        tolerances: Prove it at every corner of the job's tolerances too; by rays traced for each.
+        progress: Is told the stage and its share that is done.
+
+    Returns:
+        The proof and the record of the plan.
+
+    Raises:
+        StorageError: The folder is missing, damaged or changed.
+        DeviceError: The device is not there.
+        BadInput: The widest window is asked for two colors, or by too few evaluations; or corners are, of a job without
+            tolerances or of two colors.
     """
-    from vamgpu.printing.folder import load_frames
+    from vamgpu.methods import bound
+    from vamgpu.printing.corners import prove_corners
+    from vamgpu.printing.folder import frames_of
     from vamgpu.printing.simulate import simulate
 
     folder, place = Folder.open(path), open_device(device)
     inputs = folder.manifest.inputs
     try:
-        geometry, part, plan, exposure = (inputs[key] for key in ("geometry", "target", "plan", "print"))
-        name, facts = part["name"], {key: float(part[key]) for key in ("radius", "volume", "height")}
-    except (KeyError, TypeError) as error:
-        raise StorageError(f"{str(path)!r} lacks {error} in its manifest; write it with `vam solve`") from error
-    A = projection_from(geometry, place)
-    target = Target(A.grid, name, folder.array("target"), facts["radius"], facts["volume"], facts["height"])
-    proof = simulate(A, load_frames(path, place), target, **(exposure or {}))
-    if inputs.get("colors") and second(Path(path)).exists():
-        from vamgpu.jobs.colors import subtracted
+        exposure, colors = dict(inputs.get("print") or {}), inputs.get("colors")
+        strength = float(colors["strength"]) if colors else 0.0
+        signature(simulate).bind(None, None, None, **exposure)
+        record = PlanRecord.read(inputs.get("plan") or IMPORTED)
+    except (KeyError, TypeError, ValueError) as error:
+        raise StorageError(
+            f"{str(path)!r} lacks or garbles {error} in its manifest; write it with `vam solve`"
+        ) from error
+    progress("read", 0.0)
+    try:
+        A = operator_from(folder, place)
+        target = target_from(folder, A.grid, solid=False)
+        if mended := ((inputs.get("target") or {}).get("solid") or {}).get("mended"):
+            warnings.warn(f"the mesh was mended before it was solved for: {'; '.join(map(str, mended))}", MeshWarning,
+                          stacklevel=2)  # fmt: skip
+        if target is None:
+            raise StorageError(f"{str(path)!r} has no target to judge a print by; save the plan, or write the job with "
+                               "`vam solve`")  # fmt: skip
+        progress("frames", 0.0)
+        frames = frames_of(folder, place)
+        progress("proof", 0.0)
+        proof = simulate(A, frames, target, progress=lambda share: progress("proof", share), **exposure)
+        if evaluations:
+            if strength:
+                raise BadInput(f"{str(path)!r} has two colors, whose doses no bound is known for; prove it without one")
+            progress("bound", 0.0)
+            found = bound(A, target, evaluations=evaluations, progress=_spent(progress, evaluations))
+            proof = replace(proof, bound=found)
+        if tolerances:
+            off = tolerances_from(folder)
+            if off is None or strength:
+                what = "two colors" if strength else "no tolerances"
+                raise BadInput(f"{str(path)!r} has {what}; expected [tolerances] in the job it was solved for, and one "
+                               "color")  # fmt: skip
+            proof = replace(proof, corners=prove_corners(A, frames, target, off))
+        if strength and os.path.exists(second(Path(path))):
+            from vamgpu.jobs.colors import subtracted
 
-        other = second(Path(path))
-        B = projection_from(Folder.open(other).manifest.inputs["geometry"], place)
-        proof = subtracted(proof, float(inputs["colors"]["strength"]), B, load_frames(other, place))
-    return Proven(proof, PlanRecord.read(plan))
+            beside = Folder.open(second(Path(path)))
+            proof = subtracted(proof, strength, operator_from(beside, place), frames_of(beside, place))
+    except MemoryError as error:
+        raise OutOfMemory(f"the light of {str(path)!r} takes more memory than there is: {error}; check its manifest, "
+                          "or prove it on a larger machine") from error  # fmt: skip
+    return Proven(proof, record)
 
 
 def second(path: Path) -> Path:
@@ -153,7 +305,8 @@ def second(path: Path) -> Path:
 
 def _refuse_taken(place: Path, overwrite: bool) -> None:
     """Say before the work, not after it, that the place is taken."""
-    if place.exists() and not overwrite:
+    clear(place)
+    if os.path.lexists(place) and not overwrite and not is_interrupted(place):
         raise StorageError(f"{str(place)!r} exists; choose another path, or allow overwriting it (--overwrite)")
 
 
@@ -162,10 +315,15 @@ def _method(name: str) -> Any:
     methods = family("method")
     known = ("default", *methods.nouns)
     if name not in known:
-        raise JobError(f"solve.method: got {name!r}; wanted one of {', '.join(known)}{nearest(name, known)}")
-    return find("method", str(methods.default) if name == "default" else name)()
+        raise JobError(f"solve.method: got {name!r}; expected one of {', '.join(known)}{nearest(name, known)}")
+    return find("method", "best" if name == "default" else name)()
 
 
-def _share(told: Told, limit: int) -> Callable[[Step], None]:
+def _share(progress: StageProgress, limit: int) -> Callable[[Step], None]:
     """An optimizer's steps as a share of its iterations."""
-    return lambda step: told("light", step.iteration / limit)
+    return lambda step: progress("light", step.iteration / limit)
+
+
+def _spent(progress: StageProgress, evaluations: float) -> Callable[[Step], None]:
+    """The steps of a bound as a share of its evaluations."""
+    return lambda step: progress("bound", min(step.evaluations / evaluations, 1.0))

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
-import numpy as np
 from pydantic import model_validator
 
-from vamgpu.errors import JobError
-from vamgpu.jobs.limits import Lens, ResinSection, Roll
-from vamgpu.jobs.read import checked, read_text
-from vamgpu.jobs.run import Told, _quietly
+from vamgpu.errors import JobError, StorageError
+from vamgpu.jobs.limits import Lens, Roll, WebResinSection
+from vamgpu.jobs.read import CheckedJob, read_text
+from vamgpu.jobs.run import StageProgress, _quietly
+from vamgpu.methods.bclp import BCLP
+from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
 from vamgpu.schema.quantities import Count, Length, NonNegative, Positive, Speed
-from vamgpu.schema.read import Section, noun
+from vamgpu.schema.read import noun
+from vamgpu.schema.section import Named, Section
+from vamgpu.storage.numpy_files import map_npy
+from vamgpu.storage.reading import is_file, parse_toml
+from vamgpu.webs.display import Display
 from vamgpu.webs.store import RECORD, WebFolder
 from vamgpu.webs.stream import Stream
 
@@ -39,16 +43,18 @@ class WebTarget(Section):
     cell: Length | None = None
     strut: Length | None = None
     level: float | None = None
-    mesh: str | None = None
+    mesh: Annotated[str | None, Named] = None
     period: Length | None = None
-    tiles: str | None = None
+    tiles: Annotated[str | None, Named] = None
 
     @model_validator(mode="after")
     def _one(self) -> WebTarget:
         if sum(part is not None for part in (self.lattice, self.mesh, self.tiles)) != 1:
-            raise ValueError('wanted exactly one of lattice = "SheetGyroid", mesh = "part.stl" and tiles = "part.npy"')
+            raise ValueError(
+                'expected exactly one of lattice = "SheetGyroid", mesh = "part.stl" and tiles = "part.npy"'
+            )
         if (self.mesh is None) != (self.period is None):
-            raise ValueError('wanted mesh = "part.stl" and period = "5 mm" together')
+            raise ValueError('expected mesh = "part.stl" and period = "5 mm" together')
         return self
 
 
@@ -86,65 +92,66 @@ class WebSolve(Section):
 
 
 class WebFrames(Section):
-    """How light becomes pictures.
+    """How light becomes frames.
 
     gray: file of the projector's gray curve.  scale: light of a full-on pixel.
     """
 
-    gray: str | None = None
+    gray: Annotated[str | None, Named] = None
     scale: Positive | None = None
 
 
 class WebFile(Section):
     """A whole job file of a web. The tables of the machine are those that its limits are told from."""
 
-    film: noun("film")  # type: ignore[valid-type]
-    roller: Roll  # type: ignore[valid-type]
+    film: Annotated[Film, noun("film")]
+    roller: Roll
     web: WebLength
     target: WebTarget
     beam: WebBeam
-    lens: Lens | None = None  # type: ignore[valid-type]
-    display: noun("display") | None = None  # type: ignore[valid-type]
-    resin: ResinSection | None = None
-    method: noun("method", kind="bclp") | None = None  # type: ignore[valid-type]
+    lens: Lens | None = None
+    display: Annotated[Display, noun("display")] | None = None
+    resin: WebResinSection | None = None
+    method: Annotated[BCLP, noun("method", kind="bclp")] | None = None
     solve: WebSolve = WebSolve()
     frames: WebFrames = WebFrames()
 
 
-@dataclass(frozen=True)
-class WebJob:
-    """A checked job of a web. folder: what its paths are relative to."""
+class WebJob(CheckedJob[WebFile]):
+    """A checked job of a web."""
 
-    wanted: WebFile
-    given: dict[str, Any]
-    folder: Path
-    name: str
+    model: ClassVar[type[WebFile]] = WebFile
+
+
+read_web: Callable[..., WebJob] = WebJob.read
+parse_web: Callable[..., WebJob] = WebJob.parse
 
 
 def is_web(path: str | Path) -> bool:
-    """Whether a job file is that of a web: it has a roller. A file that is no TOML is none."""
+    """Whether a job file is that of a web: it has a roller.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The answer; False for a file that is no TOML.
+    """
     try:
-        return "roller" in tomllib.loads(read_text(path))
+        return "roller" in parse_toml(read_text(path))
     except tomllib.TOMLDecodeError:
         return False
 
 
 def is_web_folder(path: str | Path) -> bool:
-    """Whether a folder holds the frames of a web."""
-    return (Path(path) / RECORD).is_file()
+    """Whether a folder holds the frames of a web.
 
+    Args:
+        path: The folder.
 
-def read_web(path: str | Path, settings: Iterable[str] = ()) -> WebJob:
-    """Read the job file of a web. Raises `JobError`."""
-    file = Path(path)
-    return parse_web(read_text(path), settings, source=str(path), folder=file.parent, name=file.stem)
-
-
-def parse_web(
-    text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(), name: str = "web"
-) -> WebJob:
-    """A job of a web from TOML text. Raises `JobError` naming every wrong value at once."""
-    return WebJob(*checked(WebFile, text, settings, source=source), folder, name)
+    Returns:
+        The answer.
+    """
+    return is_file(Path(path) / RECORD)
 
 
 def stream_of(job: WebJob) -> Stream:
@@ -152,34 +159,35 @@ def stream_of(job: WebJob) -> Stream:
     from vamgpu.methods import BCLP
     from vamgpu.printing.gray import GrayCurve
 
-    wanted = job.wanted
-    roller = roller_of(wanted)
-    pitch = wanted.beam.pitch
-    beam = roller.beam(pitch, max(1, round(wanted.beam.height / pitch)))
+    file = job.file
+    roller = roller_of(file)
+    pitch = file.beam.pitch
+    beam = roller.beam(pitch, max(1, round(file.beam.height / pitch)))
     return Stream(
         target_of(job),
         roller,
         beam,
-        lens=None if wanted.lens is None else wanted.lens(index=wanted.film.bath_index),
-        method=BCLP.paper_002() if wanted.method is None else wanted.method,
-        length=wanted.web.length,
-        iterations=wanted.solve.iterations,
-        core=wanted.solve.core,
-        overlap=wanted.solve.overlap,
-        gray=None if wanted.frames.gray is None else GrayCurve.load(job.folder / wanted.frames.gray),
-        scale=wanted.frames.scale,
-        device=wanted.solve.device,
+        lens=None if file.lens is None else file.lens(index=file.film.bath_index),
+        method=BCLP.paper_002() if file.method is None else file.method,
+        length=file.web.length,
+        iterations=file.solve.iterations,
+        core=file.solve.core,
+        overlap=file.solve.overlap,
+        gray=None if file.frames.gray is None else GrayCurve.load(job.folder / file.frames.gray),
+        scale=file.frames.scale,
+        speed=file.web.speed,
+        device=file.solve.device,
     )
 
 
-def roller_of(wanted: WebFile) -> Roller:
+def roller_of(file: WebFile) -> Roller:
     """The machine of a job."""
-    return wanted.roller(film=wanted.film)
+    return file.roller(film=file.film)
 
 
 def target_of(job: WebJob) -> Any:
     """What is printed, as a stream takes it."""
-    section = job.wanted.target
+    section = job.file.target
     if section.lattice is not None:
         return _lattice(section)
     if section.mesh is not None:
@@ -189,10 +197,10 @@ def target_of(job: WebJob) -> Any:
         assert section.period is not None
         return Repeated(load_mesh(job.folder / section.mesh, center=False), section.period)
     try:
-        return np.load(job.folder / str(section.tiles), mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError) as error:
+        return map_npy(job.folder / str(section.tiles))
+    except StorageError as error:
         raise JobError(
-            f"target.tiles: cannot read {section.tiles!r}: {error}; wanted a NumPy file [l, rho, z]"
+            f"target.tiles: cannot read {section.tiles!r}: {error}; expected a NumPy file [l, rho, z]"
         ) from error
 
 
@@ -203,7 +211,7 @@ def _lattice(section: WebTarget) -> Any:
     name = known.get(str(section.lattice).replace(" ", "").replace("-", "").lower())
     if name is None:
         raise JobError(
-            f"target.lattice: got {section.lattice!r}; wanted one of {', '.join(lattices.__all__)}: correct the name"
+            f"target.lattice: got {section.lattice!r}; expected one of {', '.join(lattices.__all__)}: correct the name"
         )
     lattice = getattr(lattices, name)
     options = {key: getattr(section, key) for key in ("cell", "strut", "level") if getattr(section, key) is not None}
@@ -213,15 +221,33 @@ def _lattice(section: WebTarget) -> Any:
     return lattice(**options)
 
 
-def solve_web(job: WebJob, path: str | Path, *, overwrite: bool = False, told: Told = _quietly) -> WebFolder:
+def solve_web(
+    job: WebJob, path: str | Path, *, overwrite: bool = False, progress: StageProgress = _quietly
+) -> WebFolder:
     """Write the frames of a web to a folder, or go on with one that was interrupted.
 
-    Raises what the parts raise: `BadInput`, `TileError`, `MeshError`, `DeviceError`, `StorageError`.
+    Args:
+        job: The job.
+        path: The folder to write.
+        overwrite: Replace a folder that stands there.
+        progress: Is told the stage and its share that is done.
+
+    Returns:
+        The folder.
+
+    Raises:
+        BadInput: A value of the job is out of range.
+        TileError: The lattice does not fit its tile.
+        MeshError: The mesh cannot be used.
+        DeviceError: The device is not there, or its memory is used up.
+        StorageError: The folder cannot be written.
     """
-    told("voxels", 0.0)
+    progress("voxels", 0.0)
     stream = stream_of(job)
-    told("light", 0.0)
-    return stream.write(path, overwrite=overwrite, told=lambda done, of: told("light", done / of if of else 0.0))
+    progress("light", 0.0)
+    return stream.write(
+        path, overwrite=overwrite, progress=lambda done, of: progress("light", done / of if of else 0.0)
+    )
 
 
 def contrasts(

@@ -15,10 +15,17 @@ def light_sent(light: DeviceArray) -> float:
 
 
 def light_efficiency(light: DeviceArray, full: float | None = None) -> float:
-    """Mean over all pixels and poses of the light, over ``full``, the light of a full-on pixel.
+    """Divide the mean light of all pixels and angles by that of a full-on pixel.
 
-    light: sinogram [angle, r, z].  full: its own greatest value by default, as in B. Nicolet et al., ACM Trans. Graph.
-    43 (2024), "Inverse rendering for tomographic volumetric additive manufacturing".
+    As in B. Nicolet et al., ACM Trans. Graph. 43 (2024), "Inverse rendering for tomographic volumetric additive
+    manufacturing".
+
+    Args:
+        light: Sinogram [angle, r, z].
+        full: Light of a full-on pixel, in the unit of the sinogram's light [light]; its own greatest value by default.
+
+    Returns:
+        The share.
     """
     ends = extremes(Parts.whole(light))
     peak = float(ends.greatest[0, IN]) if full is None else full

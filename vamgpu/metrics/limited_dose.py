@@ -43,12 +43,12 @@ def limited_dose(
 
     Straight rays without absorption, so that only the range of angles differs. Squares of what leaves the bands about
     1 and 0 are brought down by accelerated projected gradients from the clipped projections.  pitch: voxel edge [mm].
-    ratio: m = n_medium/n_resin.  angles: poses over a full turn.  Raises `BadInput`, `DeviceError`.
+    ratio: m = n_medium/n_resin.  angles: how many over a full turn.  Raises `BadInput`, `DeviceError`.
     """
     part = np.asarray(target, np.float64)
     if part.ndim != 2 or part.shape[0] != part.shape[1] or not np.isin(part, (0.0, 1.0)).all() or not part.any():
         raise BadInput(f"the target has shape {part.shape}; expected a square [l, rho] of 0 and 1, not all 0")
-    light = _Light(part.shape[0], positive("pitch [mm]", pitch), steepest(ratio), angles, device)
+    light = _LimitedAngles(part.shape[0], positive("pitch [mm]", pitch), steepest(ratio), angles, device)
     norm = light.norm()
     sent = np.maximum(light.forward(part), 0.0)
     dose = light.back(sent)
@@ -69,7 +69,7 @@ def responded(dose: npt.ArrayLike) -> Array:
     return 1.0 / (1.0 + np.exp(-STEEPNESS * (np.asarray(dose, np.float64) - MIDDLE)))
 
 
-class _Light:
+class _LimitedAngles:
     """Projection of a plane [l, rho] within a range of angles about ρ, which lies along the grid's x."""
 
     def __init__(self, n: int, pitch: float, limit: float, angles: int, device: str | Device | None) -> None:

@@ -52,9 +52,20 @@ def merit(
 ) -> Merit:
     """Judge a print of `exposure_disk`: connected components of what is solid, the disk's own the one at the axis.
 
-    printed: boolean [x, y] or [x, y, z], voxels of ``pitch`` [mm], sharing a face to be connected.  The other lengths
-    [mm] are those of the shape.  A half disk counts as connected if at least half of it is solid and part of the
-    component of the disk. Raises `BadInput` for another shape or where the middle of the disk is not solid.
+    A half disk counts as connected if at least half of it is solid and part of the component of the disk.
+
+    Args:
+        printed: Boolean [x, y] or [x, y, z]; voxels that share a face are connected.
+        pitch: Of the voxels [mm].
+        diameter: Of the disk [mm].
+        pixel: Width of a pixel [mm].
+        half_disk_radius: Radius of the half disks [mm].
+
+    Returns:
+        The half disks that are connected.
+
+    Raises:
+        BadInput: The shape is another, or the middle of the disk is not solid.
     """
     from scipy.ndimage import label
 

@@ -12,13 +12,13 @@ from vamgpu.metrics.triangle_search import Array, TriangleSearch, barycentric
 from vamgpu.targets.repair import repaired
 from vamgpu.targets.solid import Solid
 
-__all__ = ["Array", "Found", "Nearest", "as_points", "barycentric"]
+__all__ = ["Array", "NearestPoints", "Nearest", "as_points", "barycentric"]
 
 Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class NearestPoints:
     """The nearest points of a surface. point: (n, 3) [mm].  normal: (n, 3), outward, of the face.
 
     distance: (n,) [mm], > 0 outside, < 0 inside.
@@ -42,13 +42,15 @@ class Nearest:
         normals: outward unit normal of each of those.
     """
 
+    normals: Array
+
     def __init__(self, solid: Solid, longest: float = 0.0) -> None:
-        self.solid = repaired(solid)
-        self.search = TriangleSearch(self.solid.vertices[self.solid.faces], longest)
+        self.solid: Solid = repaired(solid)
+        self.search: TriangleSearch = TriangleSearch(self.solid.vertices[self.solid.faces], longest)
         self._faces, self._corners = self.solid.faces[self.search.kept], self.search.corners
         self.normals, self._edge_normal, self._vertex_normal = _normals(self._faces, self._corners)
 
-    def __call__(self, points: npt.ArrayLike, *, exact: bool = True, most: int | None = None) -> Found:
+    def __call__(self, points: npt.ArrayLike, *, exact: bool = True, most: int | None = None) -> NearestPoints:
         """Nearest points of the surface for points (n, 3) [mm]. Raises `BadInput`.
 
         exact: False looks at a few triangles of each point's neighborhood only, which is faster and almost right.
@@ -58,7 +60,7 @@ class Nearest:
         best, weight, face = self.search(asked, exact=exact, most=most)
         point = np.einsum("nk,nki->ni", weight, self._corners[face])
         side = np.einsum("ni,ni->n", asked - point, self._pseudo(face, weight))
-        return Found(point, self.normals[face], np.where(side < 0, -best, best))
+        return NearestPoints(point, self.normals[face], np.where(side < 0, -best, best))
 
     def _pseudo(self, face: Indices, weight: Array) -> Array:
         """Normal of the face, edge or corner that a nearest point lies on."""

@@ -17,9 +17,16 @@ EVERYWHERE = 1e18
 class Parts:
     """A dose judged by a target: a voxel is in the part where the target's fraction reaches ``level``, else out of it.
 
-    dose, target: fields [x, y, z] on one device.  level: fraction from which a voxel counts as in.  reach: voxels
-    farther [voxels] from the axis are not counted; None stands for the inscribed cylinder, the default everywhere.
-    Raises `ShapeMismatch`, `DeviceError`, `BadInput`.
+    Args:
+        dose, target: Fields [x, y, z] on one device.
+        level: Fraction from which a voxel counts as in.
+        reach: Voxels farther [voxels] from the axis are not counted; None stands for the inscribed cylinder, the
+            default everywhere.
+
+    Raises:
+        ShapeMismatch: Shapes do not fit.
+        DeviceError: Arrays are on different devices.
+        BadInput: A value is out of its range.
     """
 
     dose: DeviceArray
@@ -41,5 +48,12 @@ class Parts:
 
     @classmethod
     def whole(cls, field: DeviceArray) -> Parts:
-        """Every sample of a field in class `IN`, e.g. of a sinogram."""
+        """Count every sample of a field in class `IN`, e.g. of a sinogram.
+
+        Args:
+            field: Any field [x, y, z].
+
+        Returns:
+            The parts.
+        """
         return cls(field, field, level=-EVERYWHERE, reach=EVERYWHERE)

@@ -8,22 +8,32 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
-from vamgpu.metrics.histogram import above, extremes
-from vamgpu.metrics.overlap import best_threshold
+from vamgpu.metrics.histogram import BINS, Extremes, above, extremes, tallied
 from vamgpu.metrics.parts import IN, OUT, Parts
 from vamgpu.metrics.window import Windows, windows
+
+PASSES = 8
+"""Passes at most; each divides what is left of the range by up to 510."""
 
 
 @dataclass(frozen=True)
 class Scores:
     """What one dose and one threshold make of a target.
 
-    windows: process windows over ``peak``.  threshold: dose from which a voxel counts as printed, chosen for the best
-    ``iou`` (intersection over union).  error_rate: VER, judged voxels on the wrong side of that threshold over all.
-    overlap_rate: voxels out of the part with at least the least dose in it, over all (C. Rackson et al., Addit. Manuf.
-    48 (2021) 102367).  dose_range: IPDR, greatest − least dose in the part over ``peak``.  least_in, greatest_in,
-    greatest_out, peak, threshold: in units of the dose.  total_in: Σ dose over the part.  in_voxels, out_voxels: how
-    many were judged.  missing: in the part but not printed.  excess: printed but out of the part.
+    Args:
+        windows: Process windows over ``peak``.
+        threshold: Dose from which a voxel counts as printed, chosen for the best ``iou``.
+        iou: Ratio of the intersection of part and print to their union.
+        error_rate: VER, judged voxels on the wrong side of that threshold over all.
+        overlap_rate: Voxels out of the part with at least the least dose in it, over all (C. Rackson et al., Addit.
+            Manuf. 48 (2021) 102367).
+        dose_range: IPDR, greatest − least dose in the part over ``peak``. least_in, greatest_in,.
+        least_in, greatest_in, greatest_out, peak: Least and greatest dose in the part, greatest out of it, and greatest
+            of all.
+        total_in: Σ dose over the part.
+        in_voxels, out_voxels: How many were judged.
+        missing: In the part but not printed.
+        excess: Printed but out of the part.
     """
 
     windows: Windows
@@ -49,14 +59,27 @@ class Scores:
 
 
 def score(
-    dose: DeviceArray, target: DeviceArray, *, level: float = 0.5, reach: float | None = None,
+    dose: DeviceArray,
+    target: DeviceArray,
+    *,
+    level: float = 0.5,
+    reach: float | None = None,
     threshold: float | None = None,
 ) -> Scores:
-    """Judge a dose [x, y, z] by a target's fractions [x, y, z] on the same device.
+    """Judge a dose by a target.
 
-    level: fraction from which a voxel is in the part.  reach: radius [voxels] of the judged cylinder; the inscribed one
-    by default.  threshold: the best one by default.  Raises `BadInput` for a target without a voxel in the cylinder,
-    `ShapeMismatch`, `DeviceError`.
+    Args:
+        dose: Dose [x, y, z] on a device.
+        target: Fractions [x, y, z] on the same device.
+        level: Fraction from which a voxel is in the part.
+        reach: Radius [voxels] of the judged cylinder; the inscribed one by default.
+        threshold: Dose from which a voxel counts as printed; the best one by default.
+
+    Returns:
+        The scores.
+
+    Raises:
+        BadInput: The target has no voxel in the cylinder.
     """
     parts = Parts(dose, target, level, reach)
     ends = extremes(parts)
@@ -94,3 +117,41 @@ def _voxels(parts: Parts) -> tuple[int, int]:
             "center the target on the axis or choose a finer pitch"
         )
     return int(found[OUT]), int(found[IN])
+
+
+def best_threshold(parts: Parts, ends: Extremes, voxels: tuple[int, int]) -> float:
+    """The dose from which a voxel should count as printed for the greatest intersection over union with the part.
+
+    Midway between part and rest where they are apart. Elsewhere the doses both have are searched: each pass looks
+    closer at the bins inside which the intersection over union could still rise. A float32 number.
+    """
+    least, greatest = float(ends.least[0, IN]), float(ends.greatest[0, OUT])
+    if least > greatest:
+        return _between(max(greatest, 0.0), least)
+    low, high = least, float(np.nextafter(np.float32(greatest), np.float32(np.inf)))
+    best, found = least, -1.0
+    for _ in range(PASSES):
+        edges = np.linspace(low, high, BINS - 1)
+        reached = tallied(parts, np.full(2, low), np.full(2, high), BINS)[0, :, ::-1].cumsum(axis=1)[:, ::-1][:, 1:]
+        ious = reached[IN] / np.maximum(voxels[IN] + reached[OUT], 1)
+        if ious.max() > found:
+            found = float(ious.max())
+            best = float(np.median(edges[_longest_run(ious == found)]))
+        bound = reached[IN, :-1] / np.maximum(voxels[IN] + reached[OUT, 1:], 1)
+        open_bins = np.flatnonzero(bound > found)
+        if not open_bins.size:
+            break
+        low, high = float(edges[open_bins[0]]), float(edges[open_bins[-1] + 1])
+    return float(np.float32(best))
+
+
+def _between(low: float, high: float) -> float:
+    """A float32 number above low and at most high, midway if there is one."""
+    middle = float(np.float32(0.5 * (low + high)))
+    return middle if low < middle <= high else high
+
+
+def _longest_run(chosen: np.ndarray) -> np.ndarray:
+    """Indices of the longest run of True."""
+    index = np.flatnonzero(chosen)
+    return max(np.split(index, np.flatnonzero(np.diff(index) > 1) + 1), key=len)

@@ -15,11 +15,16 @@ from vamgpu.metrics.window import ranks
 
 @dataclass(frozen=True, eq=False)
 class SliceScores:
-    """Scores of every slice, arrays (nz,), all over ONE peak and at ONE threshold: those of the volume.
+    """Scores of every slice, all over one peak and at one threshold: those of the volume. NaN where a slice holds
+    nothing of the part.
 
-    window: least dose in the part − greatest out of it; trimmed: its 1 % and 99 % quantiles; dose_range: IPDR. NaN
-    where a slice holds nothing of the part.  iou: 1 where neither part nor print has a voxel.  error_rate: VER.
-    in_voxels, out_voxels, missing, excess: voxels.
+    Args:
+        window: Least dose in the part − greatest out of it, over the peak, (nz,).
+        trimmed: The same of the 1 % and 99 % quantiles, (nz,).
+        dose_range: IPDR, (nz,).
+        iou: Intersection over union, (nz,); 1 where neither part nor print has a voxel.
+        error_rate: VER, (nz,).
+        in_voxels, out_voxels, missing, excess: Numbers of voxels, (nz,).
     """
 
     window: np.ndarray
@@ -36,7 +41,17 @@ class SliceScores:
 def score_slices(
     dose: DeviceArray, target: DeviceArray, whole: Scores, *, level: float = 0.5, reach: float | None = None
 ) -> SliceScores:
-    """Judge every slice of a dose by the threshold and the peak of ``whole``; arguments as for `score`."""
+    """Judge every slice of a dose by the threshold and the peak of the whole.
+
+    Args:
+        dose: Dose [x, y, z] on a device.
+        target: Fractions [x, y, z] on the same device.
+        whole: Scores of the volume.
+        level, reach: As for `score`, a fraction and a radius [voxels].
+
+    Returns:
+        The scores of the slices.
+    """
     parts = Parts(dose, target, level, reach)
     ends = extremes(parts, per_slice=True)
     counts = above(parts, whole.threshold, per_slice=True)

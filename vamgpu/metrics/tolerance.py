@@ -138,11 +138,14 @@ class _Tally:
         self.peak = 0.0
 
     def add(self, dose: Array, depth: Array, disc: npt.NDArray[np.bool_] | None) -> None:
-        """Doses [x, y, z] and the depths [mm] where they are; disc: [x, y], what counts, or None for everything."""
+        """Doses [x, y, z] and the depths [mm] where they are, NaN where nothing is asked; disc: [x, y], or all."""
         if not np.isfinite(dose).all():
             raise BadInput("a slab's dose holds NaN or infinity; expected finite numbers")
         if disc is not None:
             dose, depth = dose[disc], depth[disc]
+        known = ~np.isnan(depth)
+        if not known.all():  # nothing is asked there
+            dose, depth = dose[known], depth[known]
         self.peak = max(self.peak, float(dose.max(initial=0.0)))
         inside = depth >= 0
         value, step = self._binned(dose[inside], depth[inside])

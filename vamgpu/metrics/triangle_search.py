@@ -41,12 +41,12 @@ class TriangleSearch:
         from scipy.spatial import KDTree
 
         double = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        self.kept = double > 0
-        self.corners = corners[self.kept]
+        self.kept: np.ndarray = double > 0
+        self.corners: np.ndarray = corners[self.kept]
         pieces, self._parent = _pieces(self.corners, max(longest, float(np.sqrt(2.0 * double.sum() / _PIECES))))
         self._middles = (pieces[:, 0] + pieces[:, 1] + pieces[:, 2]) / 3.0
         self._reaches = np.max([_length(pieces[:, k] - self._middles) for k in range(3)], axis=0)
-        self.reach = float(self._reaches.max())
+        self.reach: float = float(self._reaches.max())
         self._tree = KDTree(self._middles, leafsize=_LEAF)
 
     def __call__(self, points: Array, *, exact: bool = True, most: int | None = None) -> tuple[Array, Array, Indices]:

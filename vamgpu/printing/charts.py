@@ -19,7 +19,12 @@ from vamgpu.reports.style import INK
 HALF = 5.6
 """Width [inch] of a chart in a card beside another."""
 
-ABSCISSA = {"pairs": "projector pairs", "projector_pairs": "projector pairs", "iteration": "iteration"}
+ABSCISSA = {
+    "evaluations": "projector evaluations",
+    "pairs": "projector evaluations",
+    "projector_pairs": "projector evaluations",
+    "iteration": "iteration",
+}
 """Fields of a history it may be plotted over, best first, and their labels."""
 ORDINATE = {"loss": "loss", "window": "strict window"}
 
@@ -86,7 +91,7 @@ def tolerance_chart(found: ToleranceWindow) -> str:
 
 
 def convergence_chart(history: Sequence[Any]) -> str | None:
-    """Loss, and the process window where it was recorded, over projector pairs; None without a history."""
+    """Loss, and the process window where it was recorded, over projector evaluations; None without a history."""
     table = columns(history)
     over = next((name for name in ABSCISSA if name in table), None)
     shown = [name for name in ORDINATE if name in table and np.isfinite(table[name]).any()]

@@ -27,7 +27,7 @@ class Dose:
 def dose_unit(A: Projection, dwell: float, *, unit: float = 1.0, absorption: float | None = None) -> float:
     """pixel_area · dwell / voxel_volume: what Aᵀ(light) is to be multiplied by to be a dose in mJ/mm³.
 
-    dwell: exposure of a pose [s], the mean of all where they are lit for unequal times.  unit: irradiance in air
+    dwell: exposure of an angle [s], the mean of all where they are lit for unequal times.  unit: irradiance in air
     [mW/mm²] of one unit of light.  absorption: of the resin [1/mm], only where ``A`` absorbs no light: there Aᵀ(light)
     is a fluence, of which thin resin absorbs that share per mm. Raises `BadInput` where nothing, or two things, say how
     much is absorbed.
@@ -50,7 +50,7 @@ def absorbed_dose(
 ) -> Dose:
     """Aᵀ(irradiance) · pixel_area · dwell / voxel_volume.
 
-    light: of every pixel and pose [angle, r, z] on the device of ``A``; times ``unit`` it is mW/mm² in air. Other
+    light: of every pixel and angle [angle, r, z] on the device of ``A``; times ``unit`` it is mW/mm² in air. Other
     arguments and errors as for `dose_unit`.
     """
     factor = dose_unit(A, dwell, unit=unit, absorption=absorption)
@@ -59,4 +59,6 @@ def absorbed_dose(
 
 def absorbs(A: Projection) -> bool:
     """Whether the light of a projection is attenuated on its way, so that Aᵀ is an absorbed dose."""
-    return A.vessel is not None and A.vessel.absorption > 0
+    extinction = getattr(getattr(A, "medium", None), "extinction", None)
+    vessel = getattr(A, "vessel", None)
+    return (vessel is not None and vessel.absorption > 0) or extinction is not None

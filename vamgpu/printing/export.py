@@ -1,18 +1,20 @@
-"""Frames as pictures and films other programs read; every format keeps every bit."""
+"""Frames as images and films that other programs read; lossless but for films that any player decodes."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.geometry import positive
+from vamgpu.geometry import counts, positive
 from vamgpu.printing.folder import describe
+from vamgpu.quantity import positive as number
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.manifest import plain
 
@@ -20,13 +22,114 @@ if TYPE_CHECKING:
     from vamgpu.printing.frames import Frames
 
 
-def export(frames: Frames, path: str | Path, *, fps: float = 30.0, overwrite: bool = False) -> Path:
-    """Write frames in the format that the path's ending names, and return the path.
+@dataclass(frozen=True)
+class Canvas:
+    """The picture that a projector is handed, and where frames lie on it; what they leave is black.
 
-    none: a folder of PNG pictures ``frame_0000.png``… and ``frames.json``; ``.tif``, ``.tiff``: one page a frame;
-    ``.npz``: the bytes, levels' light and settings; ``.mp4``: lossless H.264 of ``fps`` frames a second. 1-bit frames
-    become black and white pictures. All appear whole or not at all; a folder is not overwritten. Raises `BadInput`,
-    `StorageError`.
+    Args:
+        size: Columns and rows; None takes those of the frames.
+        offset: Columns to the right and rows upwards by which the frames' middle is off that of the canvas.
+        rotation: Of the frames, counterclockwise [deg]. Quarter turns keep every level; others spread light over
+            neighboring pixels, in linear interpolation of the light and not of its levels.
+        flip_r: Mirror the frames left to right, beside what they are already.
+        flip_z: Mirror them top to bottom.
+        repeats: How often the turn is shown.
+
+    Raises:
+        BadInput: A value is out of its range.
+    """
+
+    size: tuple[int, int] | None = None
+    offset: tuple[int, int] = (0, 0)
+    rotation: float = 0.0
+    flip_r: bool = False
+    flip_z: bool = False
+    repeats: int = 1
+
+    def __post_init__(self) -> None:
+        if self.size is not None:
+            object.__setattr__(self, "size", counts("canvas size", self.size, 2))
+        counts("canvas repeats", (self.repeats,), 1)
+        number("canvas rotation [deg]", abs(self.rotation), zero=True)
+        try:
+            right, up = (int(part) for part in self.offset)
+        except (TypeError, ValueError) as error:
+            raise BadInput(f"canvas offset is {self.offset!r}; expected (right, up), two numbers of pixels") from error
+        object.__setattr__(self, "offset", (right, up))
+
+    def images(self, frames: Frames) -> Iterator[np.ndarray]:
+        """The pictures one after the other.
+
+        Args:
+            frames: What is shown.
+
+        Returns:
+            Gray levels uint8 [row, column], those of a turn ``repeats`` times.
+
+        Raises:
+            BadInput: Frames of 1 bit are rotated by parts of a quarter turn.
+            ShapeMismatch: They do not fit the canvas.
+        """
+        turn = frames.gray_levels()
+        for _ in range(self.repeats):
+            for levels in turn:
+                yield self._placed(self._turned(levels, frames))
+
+    def _turned(self, levels: np.ndarray, frames: Frames) -> np.ndarray:
+        levels = levels[:, ::-1] if self.flip_r else levels
+        levels = levels[::-1] if self.flip_z else levels
+        if self.rotation % 90 == 0:
+            return np.rot90(levels, round(self.rotation / 90))
+        if frames.bits == 1:
+            raise BadInput(f"frames of 1 bit are rotated by {self.rotation:g}°; expected a multiple of 90°, for a "
+                           "mirror is on or off: export 8 bits")  # fmt: skip
+        from scipy.ndimage import rotate
+
+        light = np.pad(frames.gray(levels) - frames.gray.black, 1)  # so that no pixel at the rim is lost
+        light = rotate(light, self.rotation, reshape=True, order=1)
+        return frames.gray.inverse(light + frames.gray.black)
+
+    def _placed(self, levels: np.ndarray) -> np.ndarray:
+        if self.size is None and self.offset == (0, 0):
+            return np.ascontiguousarray(levels)
+        columns, rows = self.size or levels.shape[::-1]
+        top = (rows - levels.shape[0]) // 2 - self.offset[1]
+        left = (columns - levels.shape[1]) // 2 + self.offset[0]
+        if top < 0 or left < 0 or top + levels.shape[0] > rows or left + levels.shape[1] > columns:
+            raise BadInput(
+                f"frames of {levels.shape[1]} × {levels.shape[0]} pixels, {self.offset} off the middle, do not fit a "
+                f"canvas of {columns} × {rows}; expected all of them on it: take a smaller offset or a larger canvas"
+            )
+        canvas = np.zeros((rows, columns), np.uint8)
+        canvas[top : top + levels.shape[0], left : left + levels.shape[1]] = levels
+        return canvas
+
+
+def export(
+    frames: Frames, path: str | Path, *, fps: float = 30.0, overwrite: bool = False, canvas: Canvas | None = None,
+    players: bool = False,
+) -> Path:  # fmt: skip
+    """Write frames in the format that the path's ending names.
+
+    No ending: a folder of PNG images ``frame_0000.png``… and ``frames.json``; ``.tif``, ``.tiff``: one page a frame;
+    ``.npz``: the bytes, the light of the levels and the settings; ``.mp4``: lossless H.264 in gray, or a film that any
+    player decodes. Frames of 1 bit become black and white. All appear whole or not at all.
+
+    Args:
+        frames: The frames.
+        path: The file or the new folder, in a folder that is there.
+        fps: Frames per second of a film [Hz].
+        overwrite: Whether a file may be replaced; a folder never is.
+        canvas: Where frames lie on a larger picture, and how often they are shown; not for ``.npz``.
+        players: Write a film in yuv420p, which projectors and common players decode, at levels from 16 to 235 and an
+            even size; levels come back within a few.
+
+    Returns:
+        The path.
+
+    Raises:
+        BadInput: The ending is unknown, a number out of its range, or the frames do not fit the canvas.
+        StorageError: Something is in the way, its folder is missing, or it cannot be written.
     """
     place = Path(path)
     writer = FORMATS.get(place.suffix.lower())
@@ -34,35 +137,81 @@ def export(frames: Frames, path: str | Path, *, fps: float = 30.0, overwrite: bo
         raise BadInput(f"cannot export {place.name!r}: expected .tif, .tiff, .npz, .mp4, or no ending for a PNG folder")
     if overwrite and place.is_dir():
         raise StorageError(f"{str(path)!r} is a folder; remove it or choose another path")
-    rate = positive("frames per second", fps)
+    check_folder(place)
+    if canvas is not None and writer is _npz:
+        raise BadInput("an .npz file holds the frames themselves; expected no canvas: export images or a film with it")
+    if players and writer is not _mp4:
+        raise BadInput(f"players read films, and {place.name!r} is none; expected a path ending in .mp4")
+    shown = _Shown(frames, canvas, positive("frames per second", fps), players)
     with replacing(place, overwrite=overwrite) as draft:
-        writer(frames, draft, rate)
+        writer(shown, draft)
     return place
 
 
-def _png(frames: Frames, draft: Path, fps: float) -> None:
+def check_folder(place: Path) -> None:
+    """Refuse a path in a folder that does not exist: a slip of the keys would make folders at odd places.
+
+    Args:
+        place: Where something is to be written.
+
+    Raises:
+        StorageError: Its folder is missing.
+    """
+    if not place.parent.is_dir():
+        raise StorageError(f"cannot write {str(place)!r}: the folder {str(place.parent)!r} does not exist; make it, or "
+                           "choose another path")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What is written: frames, where they lie, and how a film shows them."""
+
+    frames: Frames
+    canvas: Canvas | None
+    fps: float
+    players: bool
+
+    @property
+    def images(self) -> Iterator[np.ndarray]:
+        return (self.canvas or Canvas()).images(self.frames)
+
+    @property
+    def count(self) -> int:
+        return self.frames.shape[0] * (1 if self.canvas is None else self.canvas.repeats)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What the pictures say of themselves, by which `vam import` reads them."""
+        beside: dict[str, Any] = {} if self.canvas is None else {"canvas": self.canvas}
+        if self.frames.flat_field is not None:
+            beside["flat_field"] = "made up for in the levels, and kept nowhere here"
+        return plain({**describe(self.frames), **beside})
+
+
+def _png(shown: _Shown, draft: Path) -> None:
     from PIL import Image
 
     draft.mkdir()
-    pictures = frames.pictures()
-    digits = max(4, len(str(len(pictures) - 1)))
-    for index, picture in enumerate(pictures):
-        image = Image.fromarray(picture)
-        image = image if frames.bits == 8 else image.convert("1")
+    digits = max(4, len(str(shown.count - 1)))
+    for index, levels in enumerate(shown.images):
+        image = Image.fromarray(levels)
+        image = image if shown.frames.bits == 8 else image.convert("1")
         image.save(draft / f"frame_{index:0{digits}d}.png")
-    (draft / "frames.json").write_text(json.dumps(plain(describe(frames)), indent=2) + "\n", encoding="utf-8")
+    (draft / "frames.json").write_text(json.dumps(shown.description, indent=2) + "\n", encoding="utf-8")
 
 
-def _tiff(frames: Frames, draft: Path, fps: float) -> None:
+def _tiff(shown: _Shown, draft: Path) -> None:
     import tifffile
 
-    description = json.dumps(plain(describe(frames)))
+    images = shown.frames.gray_levels() if shown.canvas is None else np.stack(list(shown.images))
+    description = json.dumps(shown.description)
     tifffile.imwrite(
-        draft, frames.pictures(), photometric="minisblack", compression="zlib", description=description, metadata=None
-    )
+        draft, images, photometric="minisblack", compression="zlib", description=description, metadata=None
+    )  # fmt: skip
 
 
-def _npz(frames: Frames, draft: Path, fps: float) -> None:
+def _npz(shown: _Shown, draft: Path) -> None:
+    frames = shown.frames
     fields = {
         "images": frames.images.numpy(),
         "bits": np.array(frames.bits),
@@ -76,21 +225,22 @@ def _npz(frames: Frames, draft: Path, fps: float) -> None:
         np.savez_compressed(file, **fields)
 
 
-def _mp4(frames: Frames, draft: Path, fps: float) -> None:
+def _mp4(shown: _Shown, draft: Path) -> None:
     import av
     from av.error import FFmpegError
 
-    _, rows, columns = frames.shape
+    how = PLAYERS if shown.players else LOSSLESS
     try:
         with av.open(str(draft), "w", format="mp4") as film:
-            rate = Fraction(fps).limit_denominator(1001)
-            stream = film.add_stream("libx264", rate=rate, options={"qp": "0", "preset": "fast"})
-            stream.width, stream.height, stream.pix_fmt = columns, rows, "gray"
-            stream.codec_context.color_range = FULL_RANGE
-            for picture in frames.pictures():
-                image = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="gray")
-                image.color_range = FULL_RANGE
-                film.mux(stream.encode(image))
+            film.metadata["comment"] = json.dumps(shown.description)
+            rate = Fraction(shown.fps).limit_denominator(1001)
+            stream = film.add_stream("libx264", rate=rate, options=how.options)
+            for index, levels in enumerate(shown.images):
+                levels = np.pad(levels, [(0, size % how.even) for size in levels.shape]) if how.even else levels
+                if index == 0:
+                    stream.height, stream.width = levels.shape
+                    stream.pix_fmt, stream.codec_context.color_range = how.pixels, how.range
+                film.mux(stream.encode(how.frame(levels)))
             film.mux(stream.encode())
     except FFmpegError as error:
         if isinstance(error, OSError):
@@ -98,10 +248,39 @@ def _mp4(frames: Frames, draft: Path, fps: float) -> None:
         raise StorageError(f"cannot encode {draft.name!r}: {error}; export PNG or TIFF instead") from error
 
 
-FULL_RANGE = 2
-"""FFmpeg's number for pixel values from 0 to 255; without it players stretch 16 to 235."""
+FULL_RANGE, LIMITED_RANGE = 2, 1
+"""FFmpeg's numbers for pixel values from 0 to 255, and from 16 to 235; without the first players stretch the others."""
+LOW, HIGH = 16, 235
 
-FORMATS: dict[str, Callable[[Frames, Path, float], None]] = {
+
+@dataclass(frozen=True)
+class _Film:
+    """A way to encode. even: what sizes are made a multiple of; 0 for any."""
+
+    pixels: str
+    range: int
+    even: int
+    options: dict[str, str]
+
+    def frame(self, levels: np.ndarray) -> Any:
+        """A picture as the encoder takes it."""
+        import av
+
+        if self.range == FULL_RANGE:
+            image = av.VideoFrame.from_ndarray(np.ascontiguousarray(levels), format=self.pixels)
+        else:
+            rows, columns = levels.shape
+            planes = np.full((rows * 3 // 2, columns), 128, np.uint8)  # no color
+            planes[:rows] = np.rint(LOW + levels * ((HIGH - LOW) / 255.0))
+            image = av.VideoFrame.from_ndarray(planes, format=self.pixels)
+        image.color_range = self.range
+        return image
+
+
+LOSSLESS = _Film("gray", FULL_RANGE, 0, {"qp": "0", "preset": "fast"})
+PLAYERS = _Film("yuv420p", LIMITED_RANGE, 2, {"crf": "4", "preset": "medium", "profile": "high", "bf": "0"})
+
+FORMATS: dict[str, Callable[[_Shown, Path], None]] = {
     "": _png,
     ".tif": _tiff,
     ".tiff": _tiff,

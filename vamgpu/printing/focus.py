@@ -1,7 +1,7 @@
-"""Frames for a focus that follows a roller: every column of a picture is shown while the lens focuses on its film.
+"""Frames for a focus that follows a roller: every column of a pattern is shown while the lens focuses on its film.
 
-The film's middle lies at depth −√(r²−x²) from the roller's axis, against the light. A picture is cut by columns into
-one picture for each focus plane of the lens, and those are shown one after the other within a pose.
+The film's middle lies at depth −√(r²−x²) from the roller's axis, against the light. A pattern is cut by columns into
+one frame for each focus plane of the lens, and those are shown one after the other at each angle.
 
 Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", Fig. 4 and sections S4 and S14.
 """
@@ -28,9 +28,13 @@ Shown = TypeVar("Shown", Frames, DeviceArray, np.ndarray)
 class FocusMasks:
     """Focus planes of a projector and the columns of light that each of them shows; every column belongs to one.
 
-    columns, pitch: of the beam, pitch in mm.  midline: radius [mm] of the film's middle about the roller's axis.
-    planes: depths [mm] of the focus planes along the light from the axis, rising, thus the outermost first.
-    Raises `BadInput`.
+    Args:
+        columns, pitch: Columns of the beam, and their pitch [mm].
+        midline: Radius [mm] of the film's middle about the roller's axis.
+        planes: Depths [mm] of the focus planes along the light from the axis, rising, thus the outermost first.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
     columns: int
@@ -51,7 +55,17 @@ class FocusMasks:
     def around(cls, beam: Beam, radius: float, thickness: float, bins: int = 3) -> FocusMasks:
         """Planes that make the largest defocus of any column as small as ``bins`` of them can.
 
-        radius: of the roller [mm].  thickness: of the film on it [mm].  Raises `BadInput`.
+        Args:
+            beam: The beam.
+            radius: Of the roller [mm].
+            thickness: Of the film on it [mm].
+            bins: How many focus planes.
+
+        Returns:
+            The masks.
+
+        Raises:
+            BadInput: A value is out of its range.
         """
         middle = positive("radius [mm]", radius) + 0.5 * positive("thickness [mm]", thickness)
         count = counts("bins", (bins,), 1)[0]
@@ -75,11 +89,25 @@ class FocusMasks:
         return len(self.planes)
 
     def depth(self, x: ArrayLike) -> np.ndarray:
-        """Depth [mm] of the film's middle at offsets x [mm] from the axis; same shape; 0 beyond the mid-line."""
+        """Tell the depth of the film's middle.
+
+        Args:
+            x: Offsets from the axis [mm], (...).
+
+        Returns:
+            Depths [mm], (...); 0 beyond the mid-line.
+        """
         return midline_depth(x, self.midline)
 
     def bin(self, x: ArrayLike) -> np.ndarray:
-        """Index of the plane nearest to the film's middle at offsets x [mm]; same shape, the outer one of two alike."""
+        """Find the plane nearest to the film's middle, the outer one of two alike.
+
+        Args:
+            x: Offsets from the axis [mm], (...).
+
+        Returns:
+            Index of the plane, [...].
+        """
         planes = np.array(self.planes)
         return np.searchsorted(0.5 * (planes[1:] + planes[:-1]), self.depth(x), side="left")
 
@@ -99,7 +127,17 @@ class FocusMasks:
         return np.abs(self.depth(self.x) - np.array(self.planes)[self.bin(self.x)])
 
     def of_frames(self, frames: Frames) -> np.ndarray:
-        """Which columns of a picture each plane shows, bool (bins, columns): flips and shift taken into account."""
+        """Tell which columns of a frame each plane shows, flips and shift taken into account.
+
+        Args:
+            frames: The frames.
+
+        Returns:
+            Boolean (bins, columns).
+
+        Raises:
+            ShapeMismatch: The frames have another number of columns.
+        """
         if frames.columns != self.columns:
             raise ShapeMismatch(f"the frames have {frames.columns} columns; the masks are for {self.columns}")
         x = self.x - frames.settings.shift[0] * self.pitch
@@ -120,23 +158,23 @@ def bins_needed(beam: Beam, radius: float, thickness: float, defocus: float) -> 
 
 
 def split(shown: Shown, masks: FocusMasks) -> tuple[Shown, ...]:
-    """One set of pictures, or of light, for each focus plane; their sum is ``shown`` to the last bit.
+    """One set of frames, or of light, for each focus plane; their sum is ``shown`` to the last bit.
 
-    shown: `Frames`; light [angle, r, z] on a device or in NumPy; or the bytes of 8-bit pictures, uint8
+    shown: `Frames`; light [angle, r, z] on a device or in NumPy; or the bytes of 8-bit frames, uint8
     [angle, row, column], neither flipped nor shifted. Everything stays where it is. A dark mirror of frames still gives
     the gray curve's black level, in every bin. Raises `ShapeMismatch`, `BadInput`.
     """
     if isinstance(shown, Frames):
         return tuple(_frames(shown, mask) for mask in masks.of_frames(shown))
-    picture = isinstance(shown, np.ndarray) and shown.dtype == np.uint8
-    axis = 2 if picture else 1
+    frames = isinstance(shown, np.ndarray) and shown.dtype == np.uint8
+    axis = 2 if frames else 1
     if not isinstance(shown, (np.ndarray, DeviceArray)) or len(shown.shape) != 3:
         raise BadInput(f"got {type(shown).__name__}; expected Frames or three-dimensional light or bytes")
     if shown.shape[axis] != masks.columns:
         raise ShapeMismatch(f"got the shape {shown.shape} with {shown.shape[axis]} columns; expected {masks.columns}")
     if isinstance(shown, DeviceArray):
         return tuple(_light(shown, mask) for mask in masks.masks)
-    return tuple(np.where(mask if picture else mask[:, None], shown, shown.dtype.type(0)) for mask in masks.masks)
+    return tuple(np.where(mask if frames else mask[:, None], shown, shown.dtype.type(0)) for mask in masks.masks)
 
 
 def slots(angles: int, bins: int, *, turning: bool = True) -> np.ndarray:

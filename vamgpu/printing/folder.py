@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
+from vamgpu.methods.saved import inputs_of, light_of, pixel_pitch, sinogram_of
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
+from vamgpu.printing.pack import Solved, pack
 from vamgpu.printing.placement import Placement
 from vamgpu.storage.folder import Entry, Folder, write_folder
 from vamgpu.storage.turntable import described, turntable_from
+
+QUANTILE = 0.99999
+"""Of the lit pixels that a full-on one shows, where a folder holds light that nobody has packed yet."""
 
 
 def save_frames(
@@ -21,15 +28,31 @@ def save_frames(
     *,
     inputs: Mapping[str, Any] | None = None,
     arrays: Mapping[str, Entry] | None = None,
+    details: Mapping[str, Any] | None = None,
     overwrite: bool = False,
 ) -> Folder:
     """Write frames to a job folder: Zarr arrays, one chunk a frame, and ``manifest.json``.
 
-    inputs: what the job was asked for, kept in the manifest.  arrays: others to keep beside the frames, such as target
-    and sinogram.  Raises `StorageError` (nothing is left then), `BadInput`.
+    Frames of a plan are kept as its plain light, float32, and how it was packed beside it: a machine that is known
+    makes frames of the light itself. Others are kept as their bytes.
+
+    inputs: what the job was asked for, kept in the manifest; by default geometry, target and record of the frames'
+    plan.  arrays: others to keep beside the frames.  details: of those.
+
+    Raises `StorageError` (nothing is left then), `BadInput`.
     """
-    columns = "column" if frames.bits == 8 else "byte"
-    entries = {"frames": Entry(frames.images, ("angle", "row", columns))}
+    plan, own = frames.plan, {}
+    known: dict[str, Any] = {}
+    if plan is None:
+        columns = "column" if frames.bits == 8 else "byte"
+        entries = {"frames": Entry(frames.images, ("angle", "row", columns))}
+    else:
+        entries = {"frames": Entry(light_of(plan.sinogram), ("angle", "row", "column"), spacing=pixel_pitch(plan))}
+        if "geometry" not in (inputs or {}) and getattr(plan, "operator", None) is not None:
+            try:
+                known, own = inputs_of(plan)
+            except BadInput as error:  # they can be printed, if not proven
+                known = {"undescribed": str(error)}
     if frames.flat_field is not None:
         entries["flat_field"] = Entry(frames.flat_field, ("row", "column"))
     taken = set(entries) & set(arrays or {})
@@ -37,9 +60,9 @@ def save_frames(
         raise BadInput(f"the names {', '.join(sorted(taken))} are the frames' own; name the other arrays differently")
     return write_folder(
         path,
-        {**entries, **(arrays or {})},
-        inputs=inputs or {},
-        details={"frames": describe(frames)},
+        {**own, **entries, **(arrays or {})},
+        inputs={**known, **(inputs or {})},
+        details={"saved": "frames", "frames": describe(frames), **(details or {})},
         device=f"{frames.device.name} ({frames.device.description})",
         overwrite=overwrite,
     )
@@ -47,23 +70,47 @@ def save_frames(
 
 def load_frames(path: str | Path, device: str | Device | None = None) -> Frames:
     """Frames of a job folder, proven by their hashes, on a device. Raises `StorageError`."""
-    folder = Folder.open(path)
+    return frames_of(Folder.open(path), open_device(device))
+
+
+def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
+    """Frames of an open job folder; its light is packed as it was, or as `pack` does where nobody did yet.
+
+    Args:
+        folder: The folder.
+        place: Device that makes the frames.
+        plan: What the folder keeps of their plan, if that was read already.
+
+    Raises:
+        StorageError: The folder is damaged.
+    """
+    name, flat = str(folder.path), None
+    stored = folder.record("frames")
+    packed = stored.dtype == "uint8"
     try:
         details = folder.manifest.details["frames"]
-        settings = Placement(**{**details["settings"], "shift": tuple(details["settings"]["shift"])})
-        known: dict[str, Any] = {key: details[key] for key in ("bits", "scale", "columns")}
-        gray = GrayCurve.parse(details["gray"])
         poses = details.get("turntable")  # folders of earlier versions do not say
-        known["motion"] = None if poses is None else turntable_from(poses)
-    except (KeyError, TypeError, BadInput) as error:
-        raise StorageError(f"the manifest of {str(path)!r} garbles its frames: {error}; write the job again") from error
-    flat = folder.array("flat_field") if "flat_field" in folder.manifest.arrays else None
+        motion = None if poses is None else turntable_from(poses)
+        settings, gray, known = Placement(quantile=QUANTILE), GrayCurve.linear(), {"bits": 8}
+        if packed or "bits" in details:
+            settings = Placement(**{**details["settings"], "shift": tuple(details["settings"]["shift"])})
+            known = {key: details[key] for key in ("bits", "scale")}
+            gray = GrayCurve.parse(details["gray"])
+    except (KeyError, TypeError, AttributeError, BadInput) as error:
+        raise StorageError(f"the manifest of {name!r} garbles its frames: {error}; write the job again") from error
+    if "flat_field" in folder.manifest.arrays:
+        flat = folder.array("flat_field")
     try:
-        return Frames.from_bytes(
-            folder.array("frames"), device, gray=gray, settings=settings, flat_field=flat, **known
-        )
+        if packed:
+            return Frames.from_bytes(folder.array("frames"), place, gray=gray, settings=settings, flat_field=flat,
+                                     motion=motion, columns=details.get("columns"), **known)  # fmt: skip
+        source = plan or Solved(sinogram_of(folder.array("frames"), place), None)
+        how = {key: getattr(settings, key) for key in ("flip_r", "flip_z", "shift", "dither")}
+        how |= {"quantile": settings.quantile or 1.0, **known}
+        made = pack(Solved(source.sinogram, None), gray=gray, flat_field=flat, **how)
+        return replace(made, settings=settings, motion=motion, packed=(made.images, source))
     except BadInput as error:
-        raise StorageError(f"the frames of {str(path)!r} do not fit its manifest: {error}; write it again") from error
+        raise StorageError(f"the frames of {name!r} do not fit its manifest: {error}; write it again") from error
 
 
 def describe(frames: Frames) -> dict[str, Any]:

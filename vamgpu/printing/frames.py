@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.card import card, drawable
+from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Turntable, positive
 from vamgpu.kernels.pack import unpack
@@ -19,13 +22,23 @@ from vamgpu.printing.placement import Placement
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """One picture a pose. Row 0 shows the largest z, column 0 the smallest r, before the flips of ``settings``.
+    """One frame for each angle. Row 0 shows the largest z, column 0 the smallest r, before the flips of ``settings``.
 
-    images: uint8 table on a device, [angle, row, column] where ``bits`` is 8 and [angle, row, ⌈columns / 8⌉] where it
-    is 1, the leftmost column in the highest bit.  gray: light of the levels.  scale: irradiance of a full-on pixel, in
-    the plan's units.  columns: pixels a row.  flat_field: relative brightness [row, column] of full-on mirrors, the
-    brightest 1; None where all are alike.  motion: the poses that pictures are for, once for each tile; None where
-    nobody said, or of a web.  Raises `BadInput`, `ShapeMismatch`.
+    Args:
+        images: Table uint8 on a device, [angle, row, column] where ``bits`` is 8 and [angle, row, ⌈columns / 8⌉] where
+            it is 1, the leftmost column in the highest bit.
+        bits: Of a pixel, 8 or 1.
+        gray: Light of the levels.
+        scale: Irradiance of a full-on pixel, in the plan's units.
+        columns: Pixels a row.
+        settings: How frames are flipped and shifted.
+        flat_field: Relative brightness [row, column] of full-on mirrors, the brightest 1; None where all are alike.
+        motion: The angles that frames are for, once for each tile; None where nobody said, or of a web.
+        packed: The very bytes [angle, row, column] that were made of a plan, and that plan; see `plan`.
+
+    Raises:
+        BadInput: A value is out of its range.
+        ShapeMismatch: Shapes do not fit.
     """
 
     images: DeviceArray
@@ -36,6 +49,7 @@ class Frames:
     settings: Placement = field(default_factory=Placement)
     flat_field: np.ndarray | None = None
     motion: Turntable | None = None
+    packed: tuple[DeviceArray, Any] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.bits not in (1, 8):
@@ -49,7 +63,7 @@ class Frames:
             )
         if self.motion is not None and self.shape[0] % self.motion.angles:
             raise ShapeMismatch(
-                f"{self.shape[0]} pictures are for {self.motion} angles; expected a picture for each, or for each in "
+                f"{self.shape[0]} frames are for {self.motion} angles; expected a frame for each, or for each in "
                 "every tile: pack the light of the same turntable"
             )
         if self.flat_field is not None:
@@ -57,19 +71,39 @@ class Frames:
 
     @classmethod
     def from_bytes(cls, images: np.ndarray, device: str | Device | None = None, **fields: Any) -> Frames:
-        """Frames of a NumPy array of bytes, put on a device; ``fields`` are those of the class."""
+        """Frames of a NumPy array of bytes, put on a device; ``fields`` are those of the class.
+
+        Args:
+            images: Bytes as for `Frames.images`, uint8 [angle, row, column].
+            device: Where to compute; the best device here by default.
+            **fields: The other fields of the class.
+
+        Returns:
+            The frames, their bytes on the device.
+
+        Raises:
+            BadInput: The array is not of uint8.
+        """
         if images.dtype != np.uint8:
             raise BadInput(f"the bytes of frames are {images.dtype}; expected uint8")
         return cls(open_device(device).upload(images, table=True), **fields)
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Pictures, rows and columns."""
+        """Frames, rows and columns."""
         return (self.images.shape[0], self.images.shape[1], self.columns)
 
     @property
+    def plan(self) -> Any:
+        """The plan that was packed, or its light and operator; None for frames of bytes, and for bytes changed since.
+
+        It holds the plain light that a job folder keeps, and that another machine's frames are made of.
+        """
+        return self.packed[1] if self.packed is not None and self.packed[0] is self.images else None
+
+    @property
     def nbytes(self) -> int:
-        """Bytes of all pictures."""
+        """Bytes of all frames."""
         return int(np.prod(self.images.shape, dtype=np.int64))
 
     @property
@@ -81,20 +115,63 @@ class Frames:
         angles, rows, columns = self.shape
         return f"Frames({angles} of {rows} × {columns}, {self.bits} bits, on {self.device.name!r})"
 
+    def _repr_html_(self) -> str:
+        angles, rows, columns = self.shape
+        first = self.gray_levels()[0] if drawable(self.shape) else None
+        numbers = {
+            "frames": f"{angles:,} of {columns:,} × {rows:,} pixels",
+            "depth": f"{self.bits} bit{'s' if self.bits > 1 else ''} a pixel, {self.nbytes / 1e6:.3g} MB",
+            "a full-on pixel": f"{self.scale:.4g} of the dose's unit per mm",
+            "on": self.device.name,
+        }
+        return card("Frames", numbers, {"the first frame": None if first is None else first[::-1].T})
+
     def on(self, device: str | Device | None) -> Frames:
-        """The same frames with their bytes on another device."""
+        """Copy the bytes to another device.
+
+        Args:
+            device: Where to compute; the best device here by default.
+
+        Returns:
+            The same frames there.
+        """
         there = open_device(device)
         if there is self.device:
             return self
-        return replace(self, images=there.upload(self.images.numpy(), table=True))
+        images = there.upload(self.images.numpy(), table=True)
+        return replace(self, images=images, packed=None if self.plan is None else (images, self.plan))
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write a job folder that `vamgpu.load` reads, and that ``vam print`` takes.
+
+        Frames of a plan are kept as its plain light, with the plan's operator and target, so that ``vam prove`` takes
+        the folder and each machine makes frames of its own; others as their bytes.
+
+        Args:
+            path: The folder.
+            overwrite: Replace a job folder that stands there.
+
+        Returns:
+            The path.
+
+        Raises:
+            StorageError: The path is taken, or cannot be written.
+        """
+        from vamgpu.printing.folder import save_frames
+
+        return save_frames(path, self, overwrite=overwrite).path
 
     def irradiance(self, device: str | Device | None = None) -> DeviceArray:
-        """The light that reaches the beam's pixels, field [angle, r, z] in the plan's units, black level included.
+        """Compute the light that reaches the beam's pixels, from the bytes and what is known of the projector alone.
 
-        Computed from the bytes and what is known of the projector alone: gray curve, flat field, scale, flips, shift.
-        The shift is undone as the machine undoes it, by where the picture lands: a pixel that lies across several beam
-        pixels shares its light among them, and beam pixels beyond the picture stay wholly dark. device: where to, by
-        default where the bytes are.
+        The shift is undone as the machine undoes it, by where the frame lands: a pixel that lies across several beam
+        pixels shares its light among them, and beam pixels beyond the frame stay wholly dark.
+
+        Args:
+            device: Where to; by default where the bytes are.
+
+        Returns:
+            Light [angle, r, z] in the plan's units, black level included.
         """
         there = self.device if device is None else open_device(device)
         frames, (angles, rows, columns) = self.on(there), self.shape
@@ -116,9 +193,11 @@ class Frames:
         images = self.images.numpy()
         return images if self.bits == 8 else np.unpackbits(images, axis=-1, count=self.columns)
 
-    def pictures(self) -> np.ndarray:
-        """Pictures for a viewer, uint8 [angle, row, column] from 0 to 255 at either bit depth."""
+    def gray_levels(self) -> np.ndarray:
+        """Gray levels as a viewer shows them, uint8 [angle, row, column] from 0 to 255 at either bit depth."""
         return self.levels() if self.bits == 8 else self.levels() * np.uint8(255)
+
+    pictures: ClassVar[Renamed] = Renamed("gray_levels")
 
 
 def flattened(flat_field: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vamgpu.errors import BadInput, StorageError
+from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.storage.reading import load_toml
 
 TOP = 255
 
@@ -19,9 +19,13 @@ TOP = 255
 class GrayCurve:
     """Measured light of a projector over its gray levels, straight between the measured ones.
 
-    levels: measured gray levels, rising from 0 to 255.  intensity: light at each, in any unit, never falling; kept
-    relative to that of level 255. Light at level 0 is the black level and may exceed zero: mirrors never close wholly.
-    Raises `BadInput`.
+    Args:
+        levels: Measured gray levels, rising from 0 to 255.
+        intensity: Light at each, in any unit, never falling; kept relative to that of level 255. Light at level 0 is
+            the black level and may exceed zero: mirrors never close wholly.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
     levels: tuple[int, ...]
@@ -55,12 +59,33 @@ class GrayCurve:
 
     @classmethod
     def linear(cls, black: float = 0.0) -> GrayCurve:
-        """Light in proportion to the level, above a black level relative to full-on. Raises `BadInput`."""
+        """Make a curve of light in proportion to the level.
+
+        Args:
+            black: Black level, a share of full-on.
+
+        Returns:
+            The curve.
+
+        Raises:
+            BadInput: The black level is negative or above 1.
+        """
         return cls((0, TOP), (positive("black level", black, zero=True), 1.0))
 
     @classmethod
     def gamma(cls, exponent: float, black: float = 0.0) -> GrayCurve:
-        """black + (1 − black)·(level / 255)^exponent, at every level. Raises `BadInput`."""
+        """Make the curve black + (1 − black)·(level / 255)^exponent.
+
+        Args:
+            exponent: Exponent, above 0.
+            black: Black level, a share of full-on.
+
+        Returns:
+            The curve, given at every level.
+
+        Raises:
+            BadInput: A value is out of its range.
+        """
         power = positive("gamma exponent", exponent)
         dark = positive("black level", black, zero=True)
         levels = np.arange(TOP + 1)
@@ -71,16 +96,19 @@ class GrayCurve:
         """Read the table ``[gray]`` of a projector's TOML file: arrays ``levels`` and ``intensity`` of equal length.
 
         For example ``levels = [0, 64, 128, 192, 255]`` and ``intensity = [0.9, 4.0, 20.0, 61.0, 90.0]``.
-        Raises `StorageError` where the file cannot be read, `BadInput` where it holds no valid curve.
+
+        Args:
+            path: The TOML file.
+
+        Returns:
+            The curve.
+
+        Raises:
+            StorageError: The file cannot be read.
+            BadInput: The file holds no valid curve.
         """
         file = Path(path)
-        try:
-            data = tomllib.loads(file.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise StorageError(f"cannot read the projector file {str(path)!r}: {error}; check the path") from error
-        except tomllib.TOMLDecodeError as error:
-            raise BadInput(f"{file.name} is no valid TOML: {error}") from error
-        table = data.get("gray")
+        table = load_toml(file, "the projector file").get("gray")
         if not isinstance(table, dict):
             raise BadInput(f"{file.name} has no table [gray]; expected [gray], levels = [...] and intensity = [...]")
         try:
@@ -90,7 +118,17 @@ class GrayCurve:
 
     @classmethod
     def parse(cls, table: dict[str, Any]) -> GrayCurve:
-        """A curve from the keys ``levels`` and ``intensity``, as `describe` gives them. Raises `BadInput`."""
+        """Make a curve from a table, as `describe` gives it.
+
+        Args:
+            table: The keys ``levels`` and ``intensity``.
+
+        Returns:
+            The curve.
+
+        Raises:
+            BadInput: A key is missing or unknown, or the curve is not valid.
+        """
         if set(table) != {"levels", "intensity"}:
             raise BadInput(f"got the keys {', '.join(map(str, table)) or 'none'}; expected levels and intensity")
         return cls(table["levels"], table["intensity"])
@@ -109,12 +147,29 @@ class GrayCurve:
         return np.interp(level, self.levels, self.intensity)
 
     def inverse(self, light: Any) -> np.ndarray:
-        """The whole level whose light is nearest to each relative ``light``, the lower of two; uint8, same shape."""
+        """Find the whole level whose light is nearest, the lower of two.
+
+        Args:
+            light: Relative light (...), any shape.
+
+        Returns:
+            Levels, uint8 [...] of the same shape.
+        """
         curve = self.table(8)
         return np.searchsorted(0.5 * (curve[1:] + curve[:-1]), np.clip(light, 0.0, 1.0), side="left").astype(np.uint8)
 
     def table(self, bits: int) -> np.ndarray:
-        """Relative light of every value a pixel of ``bits`` (1: off or on, 8: a gray level) can take; float64."""
+        """Tell the light of every value a pixel can take.
+
+        Args:
+            bits: 1, off or on, or 8, a gray level.
+
+        Returns:
+            Relative light, float64 (values,).
+
+        Raises:
+            BadInput: The bits are others.
+        """
         if bits not in (1, 8):
             raise BadInput(f"bits is {bits!r}; expected 1 or 8")
         return self(np.array([0, TOP]) if bits == 1 else np.arange(TOP + 1))

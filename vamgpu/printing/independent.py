@@ -8,22 +8,24 @@ here is read from a solver's operator but its geometry.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, floor, hypot, inf
+from math import ceil, floor, inf
 from typing import Any
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.geometry import Grid, centers, positive
-from vamgpu.kernels.proof import average_voxels, expose_voxels, spread_columns, spread_rows
+from vamgpu.backend.device import Device
+from vamgpu.geometry import Beam, Grid, Turntable, Vessel, centers, positive
+from vamgpu.kernels.proof import average_voxels, expose_voxels, spans, spread_columns, spread_rows, whole_and_part
 from vamgpu.metrics.histogram import extremes
-from vamgpu.metrics.parts import EVERYWHERE, IN, Parts
+from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.traced_pose import TracedPose, trace_pose
 from vamgpu.optics.traced_rays import Rays, resin_radius, traced_rays
+from vamgpu.printing.outer import Outer, corner_of, greatest_beyond
 from vamgpu.printing.spread import TAIL, column_shares, row_shares, spread_of
 
 MEMORY = 1 << 29
@@ -59,31 +61,6 @@ class FineSlab:
     radius: float
 
 
-@dataclass(frozen=True)
-class Outer:
-    """The greatest dose beside, above and below the cylinder that is judged.
-
-    dose: on one voxel, in units of Aᵀ(light).  place: its center x, y, z [mm].  width: of the voxel [mm]: the part's,
-    or wider beyond the corners of the grid where the resin reaches much farther.  radius: how far from the axis was
-    looked [mm]: to the inner wall, else to the corners of the grid.
-    """
-
-    dose: float
-    place: tuple[float, float, float]
-    width: float
-    radius: float
-
-    @property
-    def distance(self) -> float:
-        """From the axis [mm]."""
-        return hypot(*self.place[:2])
-
-    @property
-    def where(self) -> str:
-        """The place in words."""
-        return f"{self.distance:.3g} of {self.radius:.3g} mm from the axis, at z = {self.place[2]:+.3g} mm"
-
-
 class IndependentExposure:
     """The light of a projection's pixels in the resin, by rays traced for it.
 
@@ -96,12 +73,20 @@ class IndependentExposure:
         BadInput: no ray reaches the resin.
     """
 
+    grid: Grid
+    beam: Beam
+    motion: Turntable
+    vessel: Vessel | None
+    device: Device
+    pitch: float
+    memory: int
+
     def __init__(self, A: Projection, memory: int = MEMORY) -> None:
         self.grid, self.beam, self.motion, self.vessel, self.device = A.grid, A.beam, A.motion, A.vessel, A.device
         self.pitch, self.memory = 0.5 * A.grid.pitch, memory
-        self.corner = corner_of(A.grid)
+        self.corner: float = corner_of(A.grid)
         wall = resin_radius(A.vessel)
-        self.radius = self.corner if wall == inf else wall
+        self.radius: float = self.corner if wall == inf else wall
         self._spread = spread_of(A.beam)
         self._discs: dict[tuple[float, float], _Disc] = {}
 
@@ -136,34 +121,87 @@ class IndependentExposure:
             dose = self._expose(disc, light, lit[part], height)
             yield FineSlab(dose, disc.axis, disc.axis, z[part], self.pitch, disc.radius)
 
-    def averaged(self, light: DeviceArray) -> tuple[DeviceArray, Outer | None]:
+    def averaged(
+        self, light: DeviceArray, progress: Callable[[float], None] = lambda share: None
+    ) -> tuple[DeviceArray, Outer | None]:
         """The dose on the part's own voxels, the mean of the fine ones.
 
         Along z the mean over a slice is that of its halves, whatever they are, so it is taken in one step.
 
         Args:
             light: of every pixel [angle, r, z], a field on the device.
+            progress: is told the share of the slices that is done, slab by slab.
 
         Returns:
             The dose [x, y, z] of the grid, and the greatest beyond the judged cylinder; None where nothing is there.
         """
-        far, pitch, (_, _, slices) = self.radius > FAR * self.corner, self.grid.pitch, self.grid.shape
-        disc = self._disc(self.pitch, self.corner if far else self.radius)
+        far, pitch, disc = self._is_far, self.grid.pitch, self._near
         around = self.grid if far else self._around
         beyond = self._above_and_below(light)
         dose, z, outer = self.device.empty(self.grid.shape), self.grid.axes()[2], None
-        for part in self._slabs(disc, slices):
-            whole = z[0] + np.arange(part.start, part.stop) * pitch  # the last slab may go on beyond the grid
-            fine = self._expose(disc, light, whole, pitch)
-            self._average(disc, fine, dose, part.start)
+        every = z.size + beyond.size
+        for part, fine in self.onto(light, dose):
             if not far:
                 outer = self._greatest(self._averaged(disc, fine, around), (*around.axes()[:2], z[part]), pitch, outer)
+            progress(min(part.stop, z.size) / every)
         if far:
             outer = self._greatest(dose, self.grid.axes(), pitch, None)
         for part in self._slabs(disc, beyond.size):
             fine = self._expose(disc, light, beyond[part], pitch)
             outer = self._greatest(self._averaged(disc, fine, around), (*around.axes()[:2], beyond[part]), pitch, outer)
+            progress((z.size + min(part.stop, beyond.size)) / every)
         return dose, self._farther(light, np.sort(np.concatenate([z, beyond])), outer) if far else outer
+
+    def onto(self, light: DeviceArray, dose: DeviceArray) -> Iterator[tuple[slice, DeviceArray]]:
+        """The dose on the part's own voxels alone, slab by slab.
+
+        Args:
+            light: of every pixel [angle, r, z], a field on the device.
+            dose: takes the dose [x, y, z] of the slices of a slab before that is told.
+
+        Returns:
+            Slices of the grid, the last of which may go on beyond it, and their dose on voxels half as wide.
+        """
+        disc, pitch = self._near, self.grid.pitch
+        for part in self._slabs(disc, self.grid.shape[2]):
+            z = self.grid.axes()[2][0] + np.arange(part.start, part.stop) * pitch
+            fine = self._expose(disc, light, z, pitch)
+            self._average(disc, fine, dose, part.start)
+            yield part, fine
+
+    def back(self, slope: np.ndarray) -> np.ndarray:
+        """The transpose of `onto`, on the host in float64.
+
+        Args:
+            slope: derivatives by the dose on the part's voxels [x, y, z].
+
+        Returns:
+            Derivatives by the light [angle, r, z].
+        """
+        disc, tables, (nx, ny, nz) = self._near, self._tables, self.grid.shape
+        matrices = (_averaging(n, disc) for n in (nx, ny))
+        fine = np.einsum("xu,yv,xyz->uvz", *matrices, slope, optimize=True)
+        poses, shares = (tables[name].numpy().astype(np.float64) for name in ("poses", "shares"))
+        pose = {key: value for key, value in disc.pose.items() if key != "pose"} | {"radius": float(disc.half)}
+        found = spans(poses, disc.pose["pose"].numpy().astype(np.float64), **pose, shape=fine.shape[:2])
+        total = np.zeros((len(poses), len(shares) + 1, nz))
+        for angle, lit, low, high, weight in found:
+            total[angle] += _gathered(total.shape[1], low, high, weight).T @ fine[lit]
+        profile = np.cumsum(total[:, :0:-1], axis=1)[:, ::-1]
+        matrix = np.zeros((len(shares), self.beam.pixels[0]))
+        matrix[np.arange(len(shares))[:, None], tables["first"].numpy()[:, None] + np.arange(shares.shape[1])] = shares
+        spread = matrix.T @ profile
+        rows = row_shares(self._spread, self.beam, self.grid.axes()[2], self.grid.pitch, LANES)
+        return spread @ np.asarray(rows.shares)[:, :nz].T
+
+    @property
+    def _is_far(self) -> bool:
+        return self.radius > FAR * self.corner
+
+    @cached_property
+    def _near(self) -> _Disc:
+        """The fine voxels that the part's own are the mean of."""
+        return self._disc(self.pitch, self.corner if self._is_far else self.radius)
 
     def _above_and_below(self, light: DeviceArray) -> np.ndarray:
         """Slices [mm] beyond the grid that rows with any light reach; none where one row stands for every height."""
@@ -243,7 +281,7 @@ class IndependentExposure:
         rows = row_shares(self._spread, self.beam, z, height, LANES)
         spread = device.empty((angles, columns, z.size))
         shares = {"shares": device.table(rows.shares), "span": device.table(rows.span, "int32")}
-        device.launch(spread_rows, light=light, **shares, lanes=light.lanes, spread=spread)
+        device.launch(spread_rows, light=light, **shares, lanes=light, spread=spread)
         profile = device.empty((angles, tables["first"].shape[0], z.size))
         device.launch(spread_columns, spread=spread, first=tables["first"], shares=tables["shares"], profile=profile)
         dose = device.empty((disc.axis.size, disc.axis.size, z.size))
@@ -277,39 +315,6 @@ class IndependentExposure:
         return greatest_beyond(self.grid, self.radius, dose, axes, width, best)
 
 
-def corner_of(grid: Grid) -> float:
-    """How far from the axis a grid reaches [mm]."""
-    return 0.5 * grid.pitch * hypot(*grid.shape[:2])
-
-
-def greatest_beyond(
-    grid: Grid, radius: float, dose: DeviceArray, axes: tuple[np.ndarray, ...], width: float, best: Outer | None = None
-) -> Outer | None:
-    """The greatest dose that the scores do not judge.
-
-    Args:
-        grid: of the part; its inscribed cylinder is judged, no higher than the grid.
-        radius: farthest from the axis [mm] that counts.
-        dose: [x, y, z]; slices beyond the last z do not count.
-        axes: centers of its voxels [mm].
-        width: of its voxels [mm].
-        best: what is returned where nothing is greater.
-    """
-    x, y, z = axes
-    distance = np.hypot(x[:, None], y[None, :])
-    beside, off = distance > grid.inscribed_radius * (1.0 + 1e-12), np.abs(z) > 0.5 * grid.shape[2] * grid.pitch
-    beyond = np.zeros(dose.shape, bool)
-    beyond[:, :, : z.size] = (distance <= radius)[:, :, None] & (beside[:, :, None] | off)
-    if not beyond.any():
-        return best
-    greatest = extremes(Parts(dose, dose.device.upload(beyond), reach=EVERYWHERE), per_slice=True).greatest[:, IN]
-    k = int(np.argmax(greatest))
-    if best is not None and greatest[k] <= best.dose:
-        return best
-    i, j = np.unravel_index(int(np.argmax(np.where(beyond[:, :, k], dose.numpy()[:, :, k], -inf))), beyond.shape[:2])
-    return Outer(float(greatest[k]), (float(x[i]), float(y[j]), float(z[k])), width, radius)
-
-
 @dataclass(frozen=True, eq=False)
 class _Disc:
     """Voxels ``width`` [mm] wide about the axis, ``half`` to either side, and what a launch says of one pose."""
@@ -323,3 +328,25 @@ class _Disc:
     def axis(self) -> np.ndarray:
         """Centers of the voxels along x and along y [mm]."""
         return centers(2 * self.half + 1, self.width)
+
+
+def _averaging(count: int, disc: _Disc) -> np.ndarray:
+    """Weights of fine voxels in the part's, (count, fine), along x or along y."""
+    matrix, corner = np.zeros((count, disc.axis.size)), disc.half - (count - 1) - EDGE
+    for tap, weight in enumerate(MEAN):
+        at = corner + 2 * np.arange(count) + tap
+        inside = (at >= 0) & (at < disc.axis.size)
+        matrix[np.flatnonzero(inside), at[inside]] = weight
+    return matrix
+
+
+def _gathered(count: int, low: np.ndarray, high: np.ndarray, weight: np.ndarray) -> Any:
+    """Weights of a running integral's samples in the light between bins, (voxels, count)."""
+    voxel, parts = np.arange(low.size), []
+    for place, sign in ((low, -1.0), (high, 1.0)):
+        k, part = whole_and_part(count, place)
+        parts += [(sign * weight * (1.0 - part), k), (sign * weight * part, k + 1)]
+    values, bins = (np.concatenate(column) for column in zip(*parts, strict=True))
+    from scipy.sparse import csr_array
+
+    return csr_array((values, (np.tile(voxel, 4), bins)), (low.size, count))

@@ -9,7 +9,7 @@ from typing import Any
 from vamgpu.printing import charts
 from vamgpu.printing.judgement import Judgement
 from vamgpu.printing.proof import Proof
-from vamgpu.printing.tolerances import FirstWrong, Row, ToleranceTable
+from vamgpu.printing.tolerances import FirstWrong, ToleranceRow, ToleranceTable
 from vamgpu.reports.page import Card, Chart, Figure, Numbers, Tolerances
 
 WORDS = {
@@ -39,6 +39,11 @@ def headline(proof: Proof, judgement: Judgement) -> list[Figure]:
     found = judgement.over_tolerance
     half = 0.5 * found.voxel
     share = f"judges {100 * found.judged_at(half):.0f} % of the part, all that lies at least so far from its surface"
+    if found.half_voxel < 0.0 and proof.scores.missing + proof.scores.excess == 0:
+        share += (
+            ". It is below 0 although all voxels print right: a voxel is judged by its mean dose, which evens out the "
+            "eight voxels half as wide in it, while this window takes the worst of these"
+        )
     window = "least dose in the part − greatest dose outside, over the greatest, on the part's own voxels"
     proved = Figure(signed(proof.scores.window), "proved process window", f"{window}; by rays traced for the proof")
     own = Figure(signed(proof.scores.window), "process window, not proved", f"{window}; by the operator that solved")
@@ -88,7 +93,7 @@ def table(found: ToleranceTable) -> list[dict[str, Any]]:
     return groups
 
 
-def _cells(row: Row) -> dict[str, str]:
+def _cells(row: ToleranceRow) -> dict[str, str]:
     """A row of the table, with dashes where there are no numbers."""
     if row.wrong is None:
         return {"change": row.change, "half": "–", "window": "–", "wrong": "–", "bad": ""}
@@ -111,7 +116,7 @@ def _table_note(found: ToleranceTable) -> str:
         "The same frames, as long and as bright, through a machine that is off in one thing. By how much the dose of a "
         "voxel changes is the solver's operator's to say; the change is added to the proved dose. Wrong voxels are "
         "counted at one threshold, that of the proof. Pixels are the projector's. This table took "
-        f"{found.exposures} back projections, half a projector pair each."
+        f"{found.exposures} back projections, half a projector evaluation each."
     )
 
 

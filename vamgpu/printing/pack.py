@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import ceil, sqrt
 from typing import Any, Protocol
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, PackWarning
 from vamgpu.geometry import Turntable, positive
 from vamgpu.kernels.pack import BINS, NEVER, count_light, fold_bits, quantize
+from vamgpu.methods.plan import Plan
 from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot
 from vamgpu.operators.space import require
 from vamgpu.printing.dark import no_light
@@ -30,18 +33,27 @@ FAINTEST, BRIGHTEST = 1e-30, 1e30
 """Light of a full-on pixel between which float32 divides by it without loss."""
 
 
-class Light(Protocol):
+class Patterns(Protocol):
     """What can be packed: a plan, or anything with its light and the operator that makes dose of it."""
 
     @property
     def sinogram(self) -> DeviceArray: ...
 
     @property
-    def operator(self) -> LinearOperator: ...
+    def operator(self) -> LinearOperator | Operator | None: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Light, the operator that makes dose of it, and the target it prints where that is known."""
+
+    sinogram: DeviceArray
+    operator: LinearOperator | Operator | None
+    target: Any = None
 
 
 def pack(
-    plan: Light,
+    plan: Patterns,
     bits: int = 8,
     gray: GrayCurve | None = None,
     flat_field: Any = None,
@@ -54,16 +66,30 @@ def pack(
 ) -> Frames:
     """Frames of 8 or 1 bits that show ``plan.sinogram`` as nearly as the projector can.
 
-    gray: light of its levels, by default in proportion with no black level.  flat_field: relative brightness
-    [row, column] of its full-on mirrors, made up for up to full-on.  flip_r, flip_z, shift: see `Placement`; what is
-    shifted over an edge is lost.  quantile: a full-on pixel shows this quantile of the lit pixels, and brighter ones
-    are cut to it, at least one of the plan's, so that a hot pixel does not dim the print; 1 cuts none.  dither: "round"
-    to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle in the order of the
-    scan, for poses that are lit as long; frames of 1 bit at `FEW` angles or less are rounded all the same, with a
-    `PackWarning`, where that gives a dose more like that of the light, up to a factor.  scale: irradiance of a full-on
-    pixel, in place of the quantile.
+    Everything runs on the plan's device.
 
-    Everything runs on the plan's device. Raises `BadInput`, `ShapeMismatch`, `NoLight`.
+    Args:
+        plan: A plan, or anything with its ``sinogram`` and ``operator``.
+        bits: Of a pixel, 8 or 1.
+        gray: Light of its levels, by default in proportion with no black level.
+        flat_field: Relative brightness [row, column] of its full-on mirrors, made up for up to full-on.
+        flip_r, flip_z: Whether columns and rows are mirrored.
+        shift: Columns and rows [pixels] by which frames are moved; what is shifted over an edge is lost.
+        quantile: A full-on pixel shows this quantile of the lit pixels, and brighter ones are cut to it, at least one
+            of the plan's, so that a hot pixel does not dim the print; 1 cuts none.
+        dither: "round" to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle
+            in the order of the scan, for angles that are lit as long; frames of 1 bit at `FEW` angles or less are
+            rounded all the same, with a `PackWarning`, where that gives a dose more like that of the light, up to a
+            factor.
+        scale: Irradiance of a full-on pixel, in place of the quantile.
+
+    Returns:
+        The frames, on the plan's device.
+
+    Raises:
+        BadInput: A value is out of its range.
+        ShapeMismatch: The flat field does not fit the beam.
+        NoLight: The light is dark everywhere.
     """
     if bits not in (1, 8):
         raise BadInput(f"bits is {bits!r}; expected 1 or 8")
@@ -76,7 +102,7 @@ def pack(
     motion = motion if isinstance(motion, Turntable) else None
     if dither == "error-diffusion" and motion is not None and motion.dwell is not None:
         raise BadInput(
-            f"error-diffusion got {motion} angles; expected poses that are lit as long, for the error of one is made "
+            f"error-diffusion got {motion} angles; expected angles that are lit as long, for the error of one is made "
             'up for at the next: take dither="round"'
         )
     angles, columns, rows = light.shape
@@ -95,14 +121,88 @@ def pack(
     carry = float(np.diff(steps).max()) if dither == "error-diffusion" else 0.0
     tables = {"curve": device.table(steps), "bounds": device.table(bounds)}
     device.launch(quantize, **tables, gain=1.0 / full, carry=carry, images=images, **shared)
-    frames = Frames(_folded(images) if bits == 1 else images, bits, curve, full, columns, settings, flat, motion)
+    images = _folded(images) if bits == 1 else images
+    kept = replace(plan, state={}) if isinstance(plan, Plan) else plan  # a run's memory is several times the light
+    frames = Frames(images, bits, curve, full, columns, settings, flat, motion, (images, kept))
     if carry == 0.0 or bits == 8 or angles > FEW or getattr(plan, "operator", None) is None:
         return frames
     plain = pack(plan, bits, curve, flat_field, flip_r, flip_z, shift, scale=full)
     return _better(plan, frames, replace(plain, settings=replace(settings, dither="round")))
 
 
-def _better(plan: Light, diffused: Frames, rounded: Frames) -> Frames:
+def repack(
+    frames: Frames, *, gray: GrayCurve | None = None, flat_field: Any = None, shift: tuple[float, float] | None = None,
+    moves: np.ndarray | None = None,
+) -> Frames:  # fmt: skip
+    """Show the light of frames on another machine: by its gray curve, its flat field and its axis.
+
+    The light is that of the plan which the frames were packed from. Where it is not known, it is read from the bytes by
+    what they were packed with, so nothing is corrected twice, and rounded once more: by at most half the step between
+    two levels of the new curve.
+
+    Args:
+        frames: Frames of any machine.
+        gray: Light of the new machine's levels; None keeps that of the frames.
+        flat_field: Relative brightness [row, column] of its full-on mirrors, of the frames' shape; None keeps that of
+            the frames. All is dimmed to what the dimmest mirror reaches, so that no light is cut: the irradiance of a
+            full-on mirror grows by as much, which ``scale`` tells.
+        shift: Columns and rows [pixels] by which frames are moved, in place of the frames' own; None keeps that.
+        moves: Columns [frame, row] by which each row of each frame is moved besides, as for a vial that runs out; None
+            moves none. Parts of a column share the light of both neighbors, as with ``shift``.
+
+    Returns:
+        Frames of the same bits, angles and flips, on the same device.
+
+    Raises:
+        BadInput: A value is out of its range.
+        ShapeMismatch: The flat field does not fit the frames.
+    """
+    settings = frames.settings if shift is None else replace(frames.settings, shift=shift)
+    flat = frames.flat_field if flat_field is None else flattened(flat_field, frames.shape[1:])
+    light = frames.irradiance() if frames.plan is None else _on(frames.device, frames.plan.sinogram)
+    if moves is not None:
+        light = light.device.upload(_moved(light.numpy(), np.asarray(moves, np.float64), settings))
+    dimmest = 1.0 if flat_field is None or flat is None else float(flat.min())
+    made = pack(
+        _Light(light), frames.bits, gray or frames.gray, flat, settings.flip_r, settings.flip_z,
+        settings.shift, scale=frames.scale / dimmest,
+    )  # fmt: skip
+    packed = None if frames.plan is None else (made.images, frames.plan)
+    return replace(made, settings=settings, motion=frames.motion, packed=packed)
+
+
+def _on(device: Device, light: DeviceArray) -> DeviceArray:
+    """Light on a device."""
+    return light if light.device is device else device.upload(light.numpy())
+
+
+def _moved(light: np.ndarray, moves: np.ndarray, settings: Placement) -> np.ndarray:
+    """Light [angle, r, z] whose rows are moved along r by columns [angle, row] of frames, in linear interpolation."""
+    angles, columns, rows = light.shape
+    if moves.shape != (angles, rows) or not np.isfinite(moves).all():
+        raise BadInput(f"moves has shape {moves.shape}; expected finite columns [frame, row] of {(angles, rows)}")
+    along = (moves if settings.flip_z else moves[:, ::-1]) * (-1.0 if settings.flip_r else 1.0)
+    whole = np.floor(along).astype(int)
+    part = (along - whole).astype(light.dtype)
+    padded = np.zeros((columns + 2, rows), light.dtype)
+    moved = np.empty_like(light)
+    for angle in range(angles):
+        padded[1:-1] = light[angle]
+        source = np.arange(columns)[:, None] - whole[angle] + 1
+        near, far = (np.take_along_axis(padded, np.clip(source - back, 0, columns + 1), axis=0) for back in (0, 1))
+        moved[angle] = near + part[angle] * (far - near)
+    return moved
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Light without an operator."""
+
+    sinogram: DeviceArray
+    operator: Any = None
+
+
+def _better(plan: Patterns, diffused: Frames, rounded: Frames) -> Frames:
     """Frames whose error is carried on, or, with a `PackWarning`, those that are rounded where their dose is better."""
     misses = _miss(plan, diffused), _miss(plan, rounded)
     if misses[0] <= misses[1]:
@@ -116,25 +216,26 @@ def _better(plan: Light, diffused: Frames, rounded: Frames) -> Frames:
     return rounded
 
 
-def _miss(plan: Light, frames: Frames) -> float:
+def _miss(plan: Patterns, frames: Frames) -> float:
     """How far the dose of frames is from being in proportion to that of the plan's light: the sine of their angle.
 
     A factor does not count, since the time of exposure makes up for it. 1 for frames that are dark.
     """
-    wanted, shown = plan.operator.T(plan.sinogram), plan.operator.T(frames.irradiance(plan.sinogram.device))
+    A: Any = plan.operator
+    wanted, shown = A.T(plan.sinogram), A.T(frames.irradiance(plan.sinogram.device))
     lengths = dot(wanted, wanted) * dot(shown, shown)
     return sqrt(max(0.0, 1.0 - dot(wanted, shown) ** 2 / lengths)) if lengths > 0.0 else 1.0
 
 
 def _folded(images: DeviceArray) -> DeviceArray:
-    """Pictures of 0 and 1, eight columns a byte."""
+    """Frames of 0 and 1, eight columns a byte."""
     angles, rows, columns = images.shape
     folded = images.device.empty((angles, rows, -(-columns // 8)), np.uint8, table=True)
     images.device.launch(fold_bits, images=images, folded=folded)
     return folded
 
 
-def _light(plan: Light) -> DeviceArray:
+def _light(plan: Patterns) -> DeviceArray:
     light = getattr(plan, "sinogram", None)
     if not isinstance(light, DeviceArray) or len(light.shape) != 3:
         raise BadInput(f"the plan's sinogram is a {type(light).__name__}; expected a field [angle, r, z] on a device")
@@ -144,7 +245,7 @@ def _light(plan: Light) -> DeviceArray:
     return light
 
 
-def _quantile(plan: Light, settings: Placement, shared: dict[str, Any]) -> float:
+def _quantile(plan: Patterns, settings: Placement, shared: dict[str, Any]) -> float:
     """The lit pixel that a share of them stays at or below, to the last bit but one of a float32."""
     device, prefix, rank = shared["sinogram"].device, 0, 0
     for drop in ROUNDS:

@@ -87,6 +87,4 @@ def sinogram(light: np.ndarray, full: float) -> Image:
 def frames(light: np.ndarray, full: float, angles: np.ndarray, count: int = 4) -> list[Image]:
     """``count`` frames [z, r] as they leave the projector, and their angles [°]."""
     chosen = [round(k * light.shape[0] / count) for k in range(min(count, light.shape[0]))]
-    return [
-        Image(png(colored(upright(light[k]) / full, "inferno")), f"{angles[k % len(angles)]:g}°") for k in chosen
-    ]
+    return [Image(png(colored(upright(light[k]) / full, "inferno")), f"{angles[k % len(angles)]:g}°") for k in chosen]

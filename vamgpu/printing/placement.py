@@ -15,8 +15,8 @@ DITHERS = ("round", "error-diffusion")
 class Placement:
     """Settings of a packing.
 
-    flip_r, flip_z: mirror the pictures left-right, top-bottom, for optics that mirror them back.  shift: (dr, dz) in
-    pixels, whole or not, by which light is moved towards larger r and z before flips, for a projector whose picture
+    flip_r, flip_z: mirror the frames left-right, top-bottom, for optics that mirror them back.  shift: (dr, dz) in
+    pixels, whole or not, by which light is moved towards larger r and z before flips, for a projector whose image
     lies that much short of the axis.  quantile: of the lit pixels, the share a full-on pixel reaches; None where the
     scale was given.  dither: "round" or "error-diffusion".  Raises `BadInput`.
     """

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.card import card, drawable
+from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
 from vamgpu.metrics import Parts, Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram, above, histogram
@@ -20,12 +23,17 @@ from vamgpu.metrics.line import Line
 from vamgpu.metrics.parts import EVERYWHERE, IN
 from vamgpu.metrics.unjudged import Unjudged, unjudged
 from vamgpu.operators.projection import Projection
+from vamgpu.printing.bodies import BodyDose, body_doses, judged_parts
 from vamgpu.printing.dose import absorbs
-from vamgpu.printing.exposure import Exposure
-from vamgpu.printing.independent import FineSlab, IndependentExposure, Outer
+from vamgpu.printing.exposure import ExposureTimes
+from vamgpu.printing.independent import FineSlab, IndependentExposure
+from vamgpu.printing.outer import Outer
 
 if TYPE_CHECKING:
+    from vamgpu.methods import Bound
+    from vamgpu.methods.tolerances import CornerDoses
     from vamgpu.printing.judgement import Judgement
+    from vamgpu.targets.limits import Limits
     from vamgpu.targets.solid import Solid
 
 
@@ -51,6 +59,10 @@ class Proof:
             operator's own.
         exposure: predicted times, where irradiance and critical dose were given.
         solid: the mesh that the target was made of, in the same place; None where it came from an array or a folder.
+        limits: what single voxels are asked for, by which `scores` and `slices` judge them; None where the part is to
+            print and nothing else.
+        bound: the window that no light whatever exceeds, by the operator's own dose; None where nobody asked.
+        corners: what the frames give at every corner of tolerances; None where nobody asked.
     """
 
     operator: Projection
@@ -65,12 +77,27 @@ class Proof:
     claimed: Scores
     outer: Outer | None = None
     independent: bool = False
-    exposure: Exposure | None = None
+    exposure: ExposureTimes | None = None
     solid: Solid | None = None
+    limits: Limits | None = None
+    bound: Bound | None = None
+    corners: CornerDoses | None = None
 
     def __repr__(self) -> str:
         proved = f"proved {self.scores.window:+.4f}" if self.independent else f"not proved {self.scores.window:+.4f}"
         return f"Proof({self.name!r}: strict window {proved}, claimed {self.claimed.window:+.4f}. {self.verdict})"
+
+    def _repr_html_(self) -> str:
+        dose = target = None
+        if drawable(self.dose.shape):
+            dose, target = (values.numpy()[:, :, values.shape[2] // 2] for values in (self.dose, self.target))
+        planes = {
+            "dose, middle slice": dose,
+            "printed": None if dose is None else (dose >= self.scores.threshold).astype(float),
+            "target": target,
+        }
+        numbers = {"verdict": self.verdict, **{line.name: line.value for line in self.lines()}}
+        return card(f"Proof of {self.name!r}", numbers, planes)
 
     @property
     def seconds(self) -> float | None:
@@ -85,17 +112,38 @@ class Proof:
     @property
     def outer_share(self) -> float:
         """The greatest dose beyond the judged cylinder over the threshold; from 1 on it prints. 0 if none is known."""
-        return self.outer.dose / (self.scores.threshold or 1.0) if self.outer else 0.0
+        return self.outer.dose / (self.solid_from or 1.0) if self.outer else 0.0
+
+    @property
+    def solid_from(self) -> float:
+        """Dose from which resin gets solid: the threshold, or less where a body prints at less."""
+        return self.scores.threshold * (self.limits.void if self.limits else 1.0)
+
+    @cached_property
+    def parts(self) -> Parts:
+        """The dose over the limits of its voxels, and the classes that scores count."""
+        return judged_parts(self.dose, self.target, self.limits)
+
+    @cached_property
+    def bodies(self) -> tuple[BodyDose, ...]:
+        """What every body of a scene got; empty for a part alone."""
+        if self.limits is None:
+            return ()
+        grid, at = self.operator.grid, self.scores.threshold
+        return body_doses(self.dose.numpy(), self.target.numpy(), self.limits, at, grid)
 
     def fine(self, reach: float | None = None) -> Iterator[FineSlab]:
         """The dose on voxels half as wide, computed anew slab by slab; see `IndependentExposure.fine`.
 
         Args:
-            reach: farthest from the axis [mm]; the inner wall by default. The judged cylinder alone,
+            reach: Farthest from the axis [mm]; the inner wall by default. The judged cylinder alone,
                 ``operator.grid.inscribed_radius``, takes a fraction of the time.
 
+        Returns:
+            Slabs from below, one at a time.
+
         Raises:
-            BadInput: the dose is the operator's own, which has no finer one.
+            BadInput: The dose is the operator's own, which has no finer one.
         """
         if not self.independent:
             raise BadInput(
@@ -118,16 +166,18 @@ class Proof:
     @cached_property
     def unjudged_voxels(self) -> int:
         """Voxels of the part beyond the judged cylinder, which no score counts."""
-        return int(above(Parts(self.target, self.target, reach=EVERYWHERE), 0.0)[0, IN].sum()) - self.scores.in_voxels
+        return int(above(replace(self.parts, reach=EVERYWHERE), 0.0)[0, IN].sum()) - self.scores.in_voxels
+
+    perfect: ClassVar[Renamed] = Renamed("all_correct")
 
     @property
-    def perfect(self) -> bool:
+    def all_correct(self) -> bool:
         """Whether traced rays print every voxel right and nothing beyond, and no part was left unjudged."""
         return self.scores.missing + self.scores.excess == 0 and not self._doubts()
 
     @property
     def verdict(self) -> str:
-        """Whether the print is perfect, and all that keeps it from being so."""
+        """Whether all judged voxels are correct, and all that keeps it from being so."""
         s, doubts = self.scores, self._doubts()
         total, wrong = s.in_voxels + s.out_voxels, s.missing + s.excess
         if wrong:
@@ -138,7 +188,9 @@ class Proof:
 
     def _doubts(self) -> list[str]:
         """What spoils a print beside wrong voxels."""
-        found = ["resin beyond the judged cylinder prints too"] if self.outer_share >= 1.0 else []
+        found = [f"{body.name!r} gets another dose than asked in {body.wrong:,} of {body.voxels:,} voxels"
+                 for body in self.bodies if body.role == "gray" and body.wrong]  # fmt: skip
+        found += ["resin beyond the judged cylinder prints too"] if self.outer_share >= 1.0 else []
         if self.unjudged_voxels:
             found.append(
                 f"{self.unjudged_voxels:,} voxels of the part lie beyond the judged cylinder and could not be judged; "
@@ -153,15 +205,22 @@ class Proof:
     @property
     def outside_over_inside(self) -> float:
         """Mean dose of the judged voxels outside the part over the mean in it."""
-        return outside_over_inside(self.dose, self.target)
+        return outside_over_inside(self.dose, self.parts.target)
 
     def printed(self) -> np.ndarray:
-        """Boolean [x, y, z]: voxels that reach the threshold, the inscribed cylinder alone."""
-        return (self.dose.numpy() >= self.scores.threshold) & self.operator.grid.cylinder()[:, :, None]
+        """Boolean [x, y, z]: voxels that get solid, the inscribed cylinder alone."""
+        return (self.dose.numpy() >= self.solid_from) & self.operator.grid.cylinder()[:, :, None]
 
     def histogram(self, bins: int = 256) -> Histogram:
-        """Voxels (out of, in) the part per bin of dose, from 0 to the greatest."""
-        return histogram(Parts(self.dose, self.target), bins, top=self.scores.peak)
+        """Voxels (out of, in) the part per bin of dose, from 0 to the greatest.
+
+        Args:
+            bins: How many bins.
+
+        Returns:
+            The histogram.
+        """
+        return histogram(self.parts, bins, top=self.scores.peak)
 
     def lines(self) -> tuple[Line, ...]:
         """Every score with its meaning."""
@@ -173,6 +232,8 @@ class Proof:
         found = [
             Line("process window, strict", f"{w.strict:+.4f}", "least dose in the part − greatest outside, over peak"),
             *_judged(self),
+            *_bounded(self),
+            *_cornered(self),
             Line("process window, 0.1 %", f"{w.fine:+.4f}", "0.1 % quantile in the part − 99.9 % outside"),
             Line("process window, 1 %", f"{w.trimmed:+.4f}", "1 % quantile in the part − 99 % outside"),
             Line("process window, one-sided", f"{w.one_sided:+.4f}", "least dose in the part − 99 % quantile outside"),
@@ -184,36 +245,80 @@ class Proof:
             Line("wrong voxels", f"{s.missing:,} + {s.excess:,}", "missing in the part + excess outside"),
             Line("judged voxels", f"{s.in_voxels:,} + {s.out_voxels:,}", "in the part + outside, in the cylinder"),
             *_not_judged(self),
+            *(body.line() for body in self.bodies),
             Line("light efficiency", f"{100 * self.light_efficiency:.3g} %", bright),
             Line("share of the part", _share(self), share),
             Line("dose outside over inside", f"{self.outside_over_inside:.3f}", outside),
         ]
         return (*found, *(_times(self.exposure) if self.exposure else ()))
 
-    def report(
-        self, path: str | Path, plan: Any = None, judgement: Judgement | None = None
-    ) -> Path:
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write a job folder with the dose and all numbers, which `vamgpu.load` reads.
+
+        Args:
+            path: The folder.
+            overwrite: Replace a job folder that stands there.
+
+        Returns:
+            The path.
+
+        Raises:
+            BadInput: Nothing but Python can describe the operator, or the frames are those of a run.
+            StorageError: The path is taken, or cannot be written.
+        """
+        from vamgpu.printing.kept import save_proof
+
+        return save_proof(self, path, overwrite=overwrite)
+
+    def report(self, path: str | Path, plan: Any = None, judgement: Judgement | None = None) -> Path:
         """Write one self-contained HTML page with pictures.
 
         Args:
-            path: of the page.
-            plan: adds its convergence and its papers.
-            judgement: window over tolerance, tolerance table and surface; found by default, see `judged` for the cost.
+            path: Of the page.
+            plan: Adds its convergence and its papers.
+            judgement: Window over tolerance, tolerance table and surface; found by default, see `judged` for the cost.
+
+        Returns:
+            The path.
 
         Raises:
-            StorageError: the page cannot be written.
+            StorageError: The page cannot be written.
         """
         from vamgpu.printing.report import write_report
 
         return write_report(self, path, plan, judgement)
 
 
+def _bounded(proof: Proof) -> tuple[Line, ...]:
+    """The widest window there can be, where it is known."""
+    if proof.bound is None:
+        return ()
+    own = proof.claimed.window
+    reached = f"this one has {own:+.4f} by the same dose, {100 * proof.bound.share(own):.0f} %"
+    return (Line("process window, at most", f"{proof.bound.value:+.4f}", f"no light whatever gives more; {reached}"),)
+
+
+def _cornered(proof: Proof) -> Iterator[Line]:
+    """The windows at the corners of tolerances, where they are known."""
+    if proof.corners is None:
+        return
+    told, count = proof.corners, len(proof.corners.corners)
+    held = f"least in the part at {told.darkest.name}, most outside at {told.leakiest.name}"
+    yield Line("process window, tolerances", f"{told.window:+.4f}", f"one threshold for {count} corners; {held}")
+    for number, corner in enumerate(told.corners):
+        yield Line(f"window, corner {number}", f"{corner.window:+.4f}", f"{corner.name}; by a threshold of its own")
+
+
 def _judged(proof: Proof) -> Iterator[Line]:
     """Who judged, and what was claimed."""
     if proof.independent:
-        yield Line("judged by", "traced rays", "on voxels half as wide, shifted by a quarter, averaged over the part's")
+        yield Line("judged by", "traced rays", "on voxels half as wide, shifted by a quarter; the part's take the mean")
         yield Line("window claimed", f"{proof.claimed.window:+.4f}", "the strict window by the operator that solved")
-        yield Line("proved over claimed", f"{proof.ratio:.3f}", "the strict window by traced rays over the claimed one")
+        yield Line(
+            "proved over claimed",
+            f"{proof.ratio:.3f}" if isfinite(proof.ratio) else "–",
+            "the strict window by traced rays over a claimed one above 0",
+        )
     else:
         name = type(proof.operator).__name__
         yield Line("judged by", "its own operator", f"{name} has no rays to trace apart from it: nothing is proved")
@@ -237,10 +342,10 @@ def _share(proof: Proof) -> str:
     return f"{proof.part_share:.3g} mm"
 
 
-def _times(exposure: Exposure) -> tuple[Line, ...]:
+def _times(exposure: ExposureTimes) -> tuple[Line, ...]:
     return (
         Line("exposure", f"{exposure.seconds:.3g} s", f"until the threshold is solid, at {exposure.given}"),
         Line("part complete", f"{exposure.complete:.3g} s", "until the last voxel of the part is solid"),
-        Line("first excess", f"{exposure.spill:.3g} s", "until the first voxel outside is solid"),
+        Line("first excess", f"{exposure.overcure_onset:.3g} s", "until the first voxel outside is solid"),
         Line("light sent", f"{exposure.energy / 1e3:.3g} J", "until the end of the exposure"),
     )

@@ -12,12 +12,13 @@ import numpy as np
 
 import vamgpu
 from vamgpu.methods.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
+from vamgpu.methods.tolerances import CornerDose, CornerDoses
 from vamgpu.printing import charts, pictures, surface
 from vamgpu.printing.dose import absorbs
 from vamgpu.printing.judgement import Judgement, judged
 from vamgpu.printing.opening import headline, opening
 from vamgpu.printing.proof import Proof
-from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Numbers, Page, Papers, Slices, Solid, Table
+from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Numbers, Page, Papers, Slices, SurfaceView, Table
 
 PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
 MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
@@ -26,9 +27,7 @@ MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
 JOSEPH = "P. M. Joseph, An improved algorithm for reprojecting rays through pixel images, IEEE TMI 1 (1982) 192"
 
 
-def write_report(
-    proof: Proof, path: str | Path, plan: Any = None, judgement: Judgement | None = None
-) -> Path:
+def write_report(proof: Proof, path: str | Path, plan: Any = None, judgement: Judgement | None = None) -> Path:
     """Write the page of a proof; arguments as for `page_of`. Raises `StorageError`."""
     return page_of(proof, plan, judgement).write(path)
 
@@ -44,21 +43,22 @@ def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) 
     judgement = judged(proof) if judgement is None else judgement
     grid, scores = proof.operator.grid, proof.scores
     dose, target = proof.dose.numpy(), proof.target.numpy()
-    verdict = pictures.verdicts(target, dose >= scores.threshold, grid.cylinder())
+    verdict = pictures.verdicts(target, proof.parts.dose.numpy() >= scores.threshold, grid.cylinder())
     data, deviation = _drawn(proof, dose, target, verdict)
     return Page(
         "Print proof",
         proof.name,
         proof.verdict,
-        proof.perfect,
+        proof.all_correct,
         _tiles(proof),
         [
-            Card("Printed part", Solid(f"{1e3 * deviation:.3g}"), note=_surface_note(proof)),
+            Card("Printed part", SurfaceView(f"{1e3 * deviation:.3g}"), note=_surface_note(proof)),
             Card("Slices", Slices(), Legend(),
                  *(Images(cut, "trio upright") for cut in pictures.cuts(dose, target, verdict, scores.peak))),
             Card("Dose in and out of the part", Chart(charts.histogram_chart(proof.histogram(), scores)), wide=True),
             *_slice_by_slice(proof, plan),
             *_light(proof),
+            *_corners(proof, plan),
             Card("Numbers", Numbers(proof.lines()), wide=True),
             Card("Set-up", Table(_setup(proof, plan))),
             Card("Made with", Table(_versions(proof))),
@@ -71,12 +71,30 @@ def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) 
 
 
 def _slice_by_slice(proof: Proof, plan: Any) -> Iterator[Card]:
-    convergence = charts.convergence_chart(plan.history) if plan is not None else None
+    convergence = charts.convergence_chart(plan.history) if plan is not None and plan.history else None
     wide = convergence is None
     slices = Chart(charts.slices_chart(proof.slices, proof.operator.grid.axes()[2], wide=wide))
     yield Card("Slice by slice", slices, note="One scale and one threshold for the whole volume.", wide=wide)
     if convergence is not None:
         yield Card("Convergence", Chart(convergence))
+
+
+def _corners(proof: Proof, plan: Any) -> Iterator[Card]:
+    """The window at every corner of tolerances: as proved, else as it was planned."""
+    told, kept = proof.corners, getattr(plan, "corners", None)
+    note = "Proved from the frames"
+    if told is None and kept:
+        told = kept if isinstance(kept, CornerDoses) else CornerDoses(tuple(CornerDose(**dict(one)) for one in kept))
+        note = "By its solver, before packing"
+    if told is None:
+        return
+    rows = [("all corners, one threshold", f"{told.window:+.4f}")]
+    rows += [
+        (corner.name, f"{corner.window:+.4f}, part from {corner.least / top:.3f}, outside to {corner.leak / top:.3f}")
+        for top in (max(max(corner.greatest for corner in told.corners), 1e-30),)
+        for corner in told.corners
+    ]
+    yield Card("At its tolerances", Table(rows), note=f"{note}: {told.statement()}. Doses are shares of the greatest.")
 
 
 def _light(proof: Proof) -> Iterator[Card]:
@@ -88,31 +106,16 @@ def _light(proof: Proof) -> Iterator[Card]:
     yield Card("Frames", shown, note=_frames_note(proof))
 
 
-def _drawn(
-    proof: Proof, dose: np.ndarray, target: np.ndarray, verdict: np.ndarray
-) -> tuple[dict[str, Any], float]:
+def _drawn(proof: Proof, dose: np.ndarray, target: np.ndarray, verdict: np.ndarray) -> tuple[dict[str, Any], float]:
     """What the page's script draws, and the deviation [mm] at the ends of its color scale."""
-    solids, deviation = _solids(proof, dose, target, proof.operator.grid.cylinder())
+    pitch, cylinder = proof.operator.grid.pitch, proof.operator.grid.cylinder()
+    wanted = surface.iso_surface(target, 0.5, pitch)
+    printed = surface.iso_surface(np.where(cylinder[:, :, None], dose, 0.0), proof.solid_from, pitch)
     sheet = pictures.sheet(dose, target, verdict, proof.scores.peak)
     z = proof.operator.grid.axes()[2]
     heights = [float(z[k]) for k in sheet["slices"]]
-    return solids | pictures.viewer(sheet, heights, _fullest(proof, sheet["slices"])), deviation
-
-
-def _solids(proof: Proof, dose: np.ndarray, target: np.ndarray, cylinder: np.ndarray) -> tuple[dict[str, Any], float]:
-    """Both surfaces packed, and the deviation [mm] at the ends of their color scale: one voxel."""
-    pitch = proof.operator.grid.pitch
-    wanted = surface.iso_surface(target, 0.5, pitch)
-    printed = surface.iso_surface(np.where(cylinder[:, :, None], dose, 0.0), proof.scores.threshold, pitch)
-    points = np.concatenate([wanted.points, printed.points])
-    reach = float(np.abs(points).max(initial=pitch))
-    radius = float(np.linalg.norm(points, axis=1).max(initial=pitch))
-    found = {
-        "target": wanted.packed(np.zeros(len(wanted.points)), reach),
-        "printed": printed.packed(surface.deviation(printed, wanted) / pitch, reach),
-        "radius": 2 * radius / reach,
-    }
-    return found, pitch
+    slices = pictures.viewer(sheet, heights, _fullest(proof, sheet["slices"]))
+    return surface.viewer(wanted, printed, pitch) | slices, pitch
 
 
 def _fullest(proof: Proof, slices: list[int]) -> int:
@@ -175,7 +178,11 @@ def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
         seconds = getattr(plan, "seconds", None)
         rows += [("optimized in", f"{seconds:.3g} s")] if seconds else []
         window = getattr(plan, "window", None)
-        rows += [("window before packing", f"{window:+.4f}")] if window is not None else []
+        known = window is not None and getattr(plan, "history", True)  # nobody knows that of light made elsewhere
+        rows += [("window before packing", f"{window:+.4f}")] if known else []
+        bound = getattr(plan, "bound", None)
+        bound = getattr(bound, "value", bound)
+        rows += [("no light gives more than", f"{bound:+.4f}, by what its solver found")] if bound is not None else []
     return rows
 
 

@@ -16,7 +16,7 @@ STOP = 0.35
 
 
 @dataclass(frozen=True)
-class Reading:
+class ScatterReading:
     """One camera frame. seconds: when it was taken.  density: gray levels per voxel of the part above the first frame.
 
     stop: that the light should be out by now.
@@ -40,7 +40,7 @@ class ScatterStop:
     voxels: float
     threshold: float = STOP
     steady: int = 1
-    readings: list[Reading] = field(default_factory=list, init=False)
+    readings: list[ScatterReading] = field(default_factory=list, init=False)
     _background: float = field(default=0.0, init=False)
     _shape: tuple[int, ...] = field(default=(), init=False)
 
@@ -50,7 +50,7 @@ class ScatterStop:
         if isinstance(self.steady, bool) or not isinstance(self.steady, int) or self.steady < 1:
             raise BadInput(f"steady is {self.steady!r}; expected at least 1 frame")
 
-    def see(self, seconds: float, image: npt.NDArray[np.generic]) -> Reading:
+    def see(self, seconds: float, image: npt.NDArray[np.generic]) -> ScatterReading:
         """Take in one frame [row, column] in gray levels, the first one before the light. Raises `BadInput`."""
         total = self._total(image)
         if self.readings and seconds <= self.readings[-1].seconds:
@@ -61,7 +61,7 @@ class ScatterStop:
         reached = [*(r.density for r in self.readings[-self.steady :]), density][-self.steady :]
         stopped = bool(self.readings) and self.readings[-1].stop
         stop = stopped or (len(reached) == self.steady and min(reached) >= self.threshold)
-        self.readings.append(Reading(float(seconds), density, stop))
+        self.readings.append(ScatterReading(float(seconds), density, stop))
         return self.readings[-1]
 
     @property

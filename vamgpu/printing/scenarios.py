@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam
 from vamgpu.operators.projection import Projection
-from vamgpu.optics.beams import Aimed
+from vamgpu.optics.beams import Misaligned, with_absorption
 
 
 @dataclass(frozen=True)
@@ -49,35 +49,34 @@ def softer(A: Projection, pixels: float) -> Projection:
 
 def displaced(A: Projection, pixels: float) -> Projection:
     """The axis of rotation beside the middle of the columns, by a number of pixels towards +r. Raises `BadInput`."""
-    offset = pixels * A.beam.pitch
-    if isinstance(A.vessel, Aimed):
-        return _varied(A, A.beam, replace(A.vessel, offset=A.vessel.offset + offset))
+    return _varied(A, A.beam, _displaced(A.vessel, pixels * A.beam.pitch))
+
+
+def _displaced(vessel: Any, offset: float) -> Misaligned:
+    if isinstance(vessel, Misaligned):
+        return replace(vessel, offset=vessel.offset + offset)
     try:
-        vessel = Aimed(A.vessel, offset)
+        return Misaligned(vessel, offset)
     except BadInput as error:
-        raise BadInput(f"a {type(A.vessel).__name__} that is off the axis looks different at every angle") from error
-    return _varied(A, A.beam, vessel)
+        raise BadInput(f"a {type(vessel).__name__} that is off the axis looks different at every angle") from error
 
 
 def clouded(A: Projection, share: float) -> Projection:
     """Resin that absorbs more or less than it should, by a share. Raises `BadInput` where nothing is absorbed."""
-    return _varied(A, A.beam, _absorbing(A.vessel, 1.0 + share))
+    return _varied(A, A.beam, _clouded(A.vessel, share))
 
 
-def _absorbing(vessel: Any, factor: float) -> Any:
+def _clouded(vessel: Any, share: float) -> Any:
     if vessel is None or vessel.absorption == 0:
         raise BadInput("the light passes without absorption")
-    names = _fields(vessel)
-    if "absorption" in names:
-        return replace(vessel, absorption=factor * vessel.absorption)
-    if "vessel" in names:
-        return replace(vessel, vessel=_absorbing(vessel.vessel, factor))
-    raise BadInput(f"the absorption of a {type(vessel).__name__} is not one number")
+    return with_absorption(vessel, (1.0 + share) * vessel.absorption)
 
 
-def _fields(value: Any) -> set[str]:
-    """Names of the fields of a dataclass; none of anything else."""
-    return {field.name for field in fields(value)} if is_dataclass(value) else set()
+def clouded_and_displaced(A: Projection, share: float, pixels: float) -> Projection:
+    """`clouded` and `displaced`, with tables made once; A itself where both are 0. Raises `BadInput` as they do."""
+    vessel = _clouded(A.vessel, share) if share else A.vessel
+    vessel = _displaced(vessel, pixels * A.beam.pitch) if pixels else vessel
+    return A if vessel is A.vessel else _varied(A, A.beam, vessel)
 
 
 def _varied(A: Projection, beam: Beam, vessel: Any) -> Projection:

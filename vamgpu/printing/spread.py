@@ -16,7 +16,7 @@ TAIL = 4.5
 
 
 @dataclass(frozen=True)
-class Spread:
+class PixelSpread:
     """The light of one pixel.
 
     side: of the lit box.  column, row: standard deviations along columns and along rows; all in pixels.  bins: into
@@ -52,13 +52,13 @@ class RowShares(NamedTuple):
     span: np.ndarray
 
 
-def spread_of(beam: Beam) -> Spread:
+def spread_of(beam: Beam) -> PixelSpread:
     """The light of a beam's pixel. Sharp light takes finer bins; a single row is even along z."""
     column, row = beam.sigma, 0.0 if beam.flat else beam.sigma
-    return Spread(sqrt(beam.fill), column, row, 3 if column >= 0.4 else 5 if column >= 0.2 else 8)
+    return PixelSpread(sqrt(beam.fill), column, row, 3 if column >= 0.4 else 5 if column >= 0.2 else 8)
 
 
-def column_shares(spread: Spread, beam: Beam, rays: Rays) -> ColumnShares:
+def column_shares(spread: PixelSpread, beam: Beam, rays: Rays) -> ColumnShares:
     """Mean light of every bin: what a pixel's profile has there, times the power that rays there bring to the resin.
 
     Light that is taken to be even within a bin has the variance of its profile and twice that of a bin, which is taken
@@ -81,7 +81,7 @@ def _transmitted(rays: Rays, edge: np.ndarray) -> np.ndarray:
     return np.diff(np.interp(edge, rays.u, total)) / np.diff(edge)
 
 
-def row_shares(spread: Spread, beam: Beam, z: np.ndarray, height: float, multiple: int) -> RowShares:
+def row_shares(spread: PixelSpread, beam: Beam, z: np.ndarray, height: float, multiple: int) -> RowShares:
     """Mean light of slices ``height`` [mm] high about ``z`` [mm], per light of rows; padded to a multiple of slices."""
     rows = beam.pixels[1]
     center = z / beam.pitch + 0.5 * (rows - 1)

@@ -6,6 +6,7 @@ import base64
 import zlib
 from dataclasses import dataclass
 from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -80,3 +81,14 @@ def deviation(printed: Surface, target: Surface) -> np.ndarray:
 
     _, nearest = KDTree(target.points).query(printed.points)
     return np.einsum("ij,ij->i", printed.points - target.points[nearest], target.normals[nearest])
+
+
+def viewer(target: Surface, printed: Surface, most: float) -> dict[str, Any]:
+    """Both surfaces as the page's script takes them; ``most`` is the deviation [mm] at the ends of the color scale."""
+    points = np.concatenate([target.points, printed.points])
+    reach = float(np.abs(points).max(initial=most))
+    return {
+        "target": target.packed(np.zeros(len(target.points)), reach),
+        "printed": printed.packed(deviation(printed, target) / most, reach),
+        "radius": 2 * float(np.linalg.norm(points, axis=1).max(initial=most)) / reach,
+    }

@@ -1,8 +1,8 @@
 """What a print bears: the same frames through a machine that is off by a little, and the first voxel that goes wrong.
 
-Each scenario is one exposure by the solver's kind of operator with one thing changed: half a projector pair. What it
-changes is added to the proved dose, voxel by voxel. The exposure time stays as it is: one threshold, that of the proof,
-tells wrong voxels in all of them.
+Each scenario is one exposure by the solver's kind of operator with one thing changed: half a projector evaluation. What
+it changes is added to the proved dose, voxel by voxel. The exposure time stays as it is: one threshold, that of the
+proof, tells wrong voxels in all of them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ from vamgpu.metrics.parts import IN, OUT, Parts
 from vamgpu.metrics.scores import score
 from vamgpu.operators.compose import NO_FLOOR
 from vamgpu.operators.projection import Projection
+from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.scenarios import SCENARIOS, Scenario
+from vamgpu.targets.limits import Limits
 
 REFINED = 2
 """Exposures, at most, that close in on a first wrong voxel between two known amounts."""
@@ -34,7 +36,7 @@ _HALF = 0.499
 
 
 @dataclass(frozen=True)
-class Row:
+class ToleranceRow:
     """One scenario.
 
     Args:
@@ -87,11 +89,11 @@ class ToleranceTable:
         nominal: the print as it should be.
         rows: the scenarios, in the order of `SCENARIOS`.
         first_wrong: of every scenario of which some amount could be exposed, below and above.
-        exposures: back projections that the table took, each half a projector pair.
+        exposures: back projections that the table took, each half a projector evaluation.
     """
 
-    nominal: Row
-    rows: tuple[Row, ...]
+    nominal: ToleranceRow
+    rows: tuple[ToleranceRow, ...]
     first_wrong: tuple[FirstWrong, ...]
     exposures: int
 
@@ -108,41 +110,43 @@ def tolerance_table(
     proved: DeviceArray | None = None,
     threshold: float | None = None,
     half_voxel: float | None = None,
+    limits: Limits | None = None,
     scenarios: Sequence[Scenario] = SCENARIOS,
 ) -> ToleranceTable:
     """Expose the same light through machines that are off by a little.
 
     Args:
         A: the operator the light was made for; only a plain `Projection` can be varied, for others the rows say so.
-        light: of every pixel and pose [angle, r, z] on the device of ``A``.
+        light: of every pixel and angle [angle, r, z] on the device of ``A``.
         fraction: of the part [x, y, z], on the same device.
         proved: dose of the independent proof [x, y, z], in units of Aᵀ(light); Aᵀ(light) itself by default.
         threshold: dose from which a voxel prints; by default the one with the best overlap.
         half_voxel: proved W at half a voxel, found on finer voxels; that of the part's own voxels by default.
+        limits: what single voxels are asked for; None where the part is to print and nothing else.
         scenarios: what may be off.
 
     Raises:
         BadInput: no voxel of the part is judged.
         ShapeMismatch, DeviceError: fields that do not fit ``A``.
     """
-    bench = _Bench(A, light, fraction, proved, threshold)
-    known_half = bench.nominal.half_voxel if half_voxel is None else half_voxel
-    finer = known_half - bench.nominal.half_voxel
-    rows: list[Row] = []
+    exact = _Nominal(A, light, fraction, proved, threshold, limits)
+    known_half = exact.nominal.half_voxel if half_voxel is None else half_voxel
+    finer = known_half - exact.nominal.half_voxel
+    rows: list[ToleranceRow] = []
     first: list[FirstWrong] = []
     for scenario in scenarios:
         known: dict[float, _Seen] = {}
         for amount in scenario.amounts:
             change = scenario.written(amount)
             try:
-                known[amount] = bench.exposed(scenario, amount)
+                known[amount] = exact.exposed(scenario, amount)
             except BadInput as error:
-                rows.append(Row(scenario.name, change, note=str(error)))
+                rows.append(ToleranceRow(scenario.name, change, note=str(error)))
             else:
                 rows.append(known[amount].row(scenario.name, change, finer))
         if known:
-            first += [_first_wrong(bench, scenario, sign, known) for sign in scenario.signs]
-    return ToleranceTable(bench.nominal.row("as it should be", "", finer), tuple(rows), tuple(first), bench.exposures)
+            first += [_first_wrong(exact, scenario, sign, known) for sign in scenario.signs]
+    return ToleranceTable(exact.nominal.row("as it should be", "", finer), tuple(rows), tuple(first), exact.exposures)
 
 
 # ---- one exposure after the other -----------------------------------------------------------------------------------
@@ -157,12 +161,12 @@ class _Seen:
     excess: int
     margin: float
 
-    def row(self, name: str, change: str, finer: float) -> Row:
+    def row(self, name: str, change: str, finer: float) -> ToleranceRow:
         """As a row of the table; finer: what W at half a voxel is more on finer voxels."""
-        return Row(name, change, self.half_voxel + finer, self.window, self.missing, self.excess)
+        return ToleranceRow(name, change, self.half_voxel + finer, self.window, self.missing, self.excess)
 
 
-class _Bench:
+class _Nominal:
     """The print as it should be, and the same light exposed otherwise."""
 
     def __init__(
@@ -172,16 +176,19 @@ class _Bench:
         fraction: DeviceArray,
         proved: DeviceArray | None,
         threshold: float | None,
+        limits: Limits | None = None,
     ) -> None:
-        self.A, self.light, self.fraction = A, light, fraction
+        self.A, self.light, self.fraction, self.limits = A, light, fraction, limits
         depth = signed_depth(np.pad(fraction.numpy(), 2), 1.0)[2:-2, 2:-2, 2:-2]
-        self._deep, self._far = fraction.device.upload(depth), fraction.device.upload(-depth)
+        deep, far = (each if limits is None else limits.classes(each) for each in (depth, -depth))
+        self._deep, self._far = fraction.device.upload(deep), fraction.device.upload(far)
         self.dose, self.exposures = A.T(light), 1
         self._more: DeviceArray | None = None
         if proved is not None:
             self._more = _combined(1.0, proved, -1.0, self.dose)
             self.dose = proved
-        scores = score(self.dose, fraction, threshold=threshold)
+        held = judged_parts(self.dose, fraction, limits)
+        scores = score(held.dose, held.target, threshold=threshold)
         self.threshold, self.peak = scores.threshold, scores.peak or 1.0
         self.least, self.greatest = scores.least_in, scores.greatest_out
         self.nominal = self._seen(self.dose, 1.0)
@@ -198,7 +205,8 @@ class _Bench:
 
     def _seen(self, dose: DeviceArray, times: float) -> _Seen:
         """Judge a dose that is exposed ``times`` as long; no copy of it is made."""
-        parts, at = Parts(dose, self.fraction), self.threshold / times
+        parts, at = judged_parts(dose, self.fraction, self.limits), self.threshold / times
+        dose = parts.dose
         ends, counts = extremes(parts), above(parts, at)[0]
         peak = float(ends.greatest.max()) or 1.0
         least, greatest = float(ends.least[0, IN]), max(float(ends.greatest[0, OUT]), 0.0)
@@ -225,33 +233,33 @@ Point = tuple[float, float]
 """An amount, and how far the print is from a wrong voxel there; below 0 there are some."""
 
 
-def _first_wrong(bench: _Bench, scenario: Scenario, sign: int, known: dict[float, _Seen]) -> FirstWrong:
+def _first_wrong(exact: _Nominal, scenario: Scenario, sign: int, known: dict[float, _Seen]) -> FirstWrong:
     """The first amount of one sign at which a voxel is wrong."""
     farthest = sign * scenario.farthest
-    if bench.nominal.missing + bench.nominal.excess:
+    if exact.nominal.missing + exact.nominal.excess:
         return FirstWrong(scenario.name, 0.0, farthest, "wrong already")
     if scenario.off is None:
-        amount = _of_dose(bench, sign)
+        amount = _of_dose(exact, sign)
     else:
-        amount, farthest = _closed_in(bench, scenario, farthest, known)
+        amount, farthest = _closed_in(exact, scenario, farthest, known)
     if not abs(amount) <= scenario.farthest:
         text = f"none up to {scenario.written(farthest)}" if farthest else "not exposed"
         return FirstWrong(scenario.name, nan, farthest, text)
     return FirstWrong(scenario.name, amount, farthest, scenario.written(amount, 2))
 
 
-def _of_dose(bench: _Bench, sign: int) -> float:
+def _of_dose(exact: _Nominal, sign: int) -> float:
     """Less or more time: known without an exposure. NaN where no dose is outside."""
-    nearest = bench.least if sign < 0 else bench.greatest
-    return bench.threshold / nearest - 1.0 if nearest > 0 else nan
+    nearest = exact.least if sign < 0 else exact.greatest
+    return exact.threshold / nearest - 1.0 if nearest > 0 else nan
 
 
-def _closed_in(bench: _Bench, scenario: Scenario, farthest: float, known: dict[float, _Seen]) -> tuple[float, float]:
+def _closed_in(exact: _Nominal, scenario: Scenario, farthest: float, known: dict[float, _Seen]) -> tuple[float, float]:
     """The amount by interpolation between a good and a bad one, NaN where none is bad; and the farthest looked at.
 
     Where the farthest means nothing that is the largest amount that was exposed, 0 if there is none.
     """
-    good: Point = (0.0, bench.nominal.margin)
+    good: Point = (0.0, exact.nominal.margin)
     bad: Point | None = None
     for amount in sorted((a for a in known if a * farthest > 0), key=abs):
         margin = known[amount].margin
@@ -261,7 +269,7 @@ def _closed_in(bench: _Bench, scenario: Scenario, farthest: float, known: dict[f
         good = (amount, margin)
     if bad is None:
         try:
-            bad = (farthest, bench.exposed(scenario, farthest).margin)
+            bad = (farthest, exact.exposed(scenario, farthest).margin)
         except BadInput:
             return nan, good[0]
     if bad[1] >= 0:
@@ -269,7 +277,7 @@ def _closed_in(bench: _Bench, scenario: Scenario, farthest: float, known: dict[f
     with suppress(BadInput):
         for _ in range(REFINED):
             amount = _crossing(good, bad)
-            margin = bench.exposed(scenario, amount).margin
+            margin = exact.exposed(scenario, amount).margin
             good, bad = (good, (amount, margin)) if margin < 0 else ((amount, margin), bad)
             if abs(margin) < _CLOSE:
                 break

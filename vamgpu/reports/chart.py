@@ -24,12 +24,16 @@ WIDE, NARROW = 11.6, 7.2
 
 
 def svg(draw: Callable[..., None], width: float, height: float, **layout: Any) -> str:
-    """A chart as inline SVG.
+    """Draw a chart as inline SVG.
 
     Args:
-        draw: is given the axes, one after the other.
-        width: of the figure [inch]; height: likewise.
-        layout: keywords of `matplotlib.figure.Figure.subplots`.
+        draw: Is given the axes, one after the other.
+        width: Width of the figure [inch].
+        height: Its height [inch].
+        layout: Keywords of `matplotlib.figure.Figure.subplots`.
+
+    Returns:
+        The SVG element.
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -46,12 +50,24 @@ def svg(draw: Callable[..., None], width: float, height: float, **layout: Any) -
 
 
 def above(axis: Any, columns: int) -> None:
-    """The legend above an axis."""
+    """Put the legend above an axis.
+
+    Args:
+        axis: A matplotlib axis.
+        columns: Columns of the legend.
+    """
     axis.legend(ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def png(pixels: np.ndarray) -> str:
-    """A data address of uint8 pixels [row, column(, channel)]."""
+    """Encode an image as a data address.
+
+    Args:
+        pixels: uint8 [row, column] or [row, column, channel].
+
+    Returns:
+        The address of a PNG.
+    """
     from PIL import Image
 
     stream = BytesIO()
@@ -60,7 +76,15 @@ def png(pixels: np.ndarray) -> str:
 
 
 def colored(values: np.ndarray, name: str) -> np.ndarray:
-    """uint8 RGB of values from 0 to 1 in a matplotlib color map."""
+    """Color values by a matplotlib color map.
+
+    Args:
+        values: From 0 to 1 [row, column].
+        name: The map.
+
+    Returns:
+        uint8 RGB [row, column, channel].
+    """
     from matplotlib import colormaps
 
     return (colormaps[name](np.clip(values, 0, 1))[..., :3] * 255).round().astype(np.uint8)

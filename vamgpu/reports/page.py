@@ -15,7 +15,13 @@ from vamgpu.storage.atomic import explained, page_path, replacing
 
 
 class Figure(NamedTuple):
-    """One number that is looked at first."""
+    """One number that is looked at first.
+
+    Args:
+        value: The number as text.
+        name: What it is.
+        meaning: What it says; empty for nothing.
+    """
 
     value: str
     name: str
@@ -23,7 +29,12 @@ class Figure(NamedTuple):
 
 
 class Image(NamedTuple):
-    """A picture as a data address, and what stands below it."""
+    """An image, and what stands below it.
+
+    Args:
+        source: A data address.
+        name: What stands below.
+    """
 
     source: str
     name: str
@@ -31,83 +42,130 @@ class Image(NamedTuple):
 
 @dataclass(frozen=True)
 class Chart:
-    """Inline SVG."""
+    """Inline SVG.
+
+    Args:
+        svg: The element, as `vamgpu.reports.chart.svg` draws it.
+    """
 
     svg: str
-    kind: ClassVar = "chart"
+    kind: ClassVar[str] = "chart"
 
 
 @dataclass(frozen=True)
 class Images:
-    """Pictures side by side. layout: a class of the style sheet; ``panels`` makes ``across`` columns."""
+    """Images side by side.
+
+    Args:
+        images: The images.
+        layout: A class of the style sheet.
+        across: Columns of the layout ``panels``.
+    """
 
     images: Sequence[Image]
     layout: Literal["frames", "trio upright", "panels", "strip", "sinogram"]
     across: int = 2
-    kind: ClassVar = "images"
+    kind: ClassVar[str] = "images"
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """Lines of name, value and meaning."""
+    """Lines of name, value and meaning.
+
+    Args:
+        lines: Objects with ``name``, ``value`` and ``meaning``.
+    """
 
     lines: Iterable[Any]
-    kind: ClassVar = "numbers"
+    kind: ClassVar[str] = "numbers"
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells in rows under a header; without one, the first cell of a row is its name."""
+    """Cells in rows under a header; without one, the first cell of a row is its name.
+
+    Args:
+        rows: Text of the cells.
+        header: Text above the columns.
+    """
 
     rows: Iterable[Sequence[str]]
     header: Sequence[str] = ()
-    kind: ClassVar = "table"
+    kind: ClassVar[str] = "table"
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Windows of a print whose machine is off in one thing after the other."""
+    """Windows of a print whose machine is off in one thing after the other.
+
+    Args:
+        groups: One thing that is off each, with its rows.
+    """
 
     groups: Sequence[Mapping[str, Any]]
-    kind: ClassVar = "tolerances"
+    kind: ClassVar[str] = "tolerances"
 
 
 @dataclass(frozen=True)
-class Solid:
-    """Surfaces in three dimensions, colored up to a deviation [µm]; the page's data holds them."""
+class SurfaceView:
+    """Surfaces in three dimensions, colored by deviation; the page's data holds them.
+
+    Args:
+        deviation: Greatest deviation of the color scale [µm], as text.
+    """
 
     deviation: str
-    kind: ClassVar = "solid"
+    kind: ClassVar[str] = "solid"
 
 
 @dataclass(frozen=True)
 class Slices:
     """Target, dose and verdict slice by slice; the page's data holds them."""
 
-    kind: ClassVar = "slices"
+    kind: ClassVar[str] = "slices"
 
 
 @dataclass(frozen=True)
 class Legend:
-    """Colors of verdicts and of the dose. most: what the brightest dose is."""
+    """Colors of verdicts and of the dose.
+
+    Args:
+        most: What the brightest dose is.
+    """
 
     most: str = "most"
-    kind: ClassVar = "legend"
+    kind: ClassVar[str] = "legend"
 
 
 @dataclass(frozen=True)
 class Papers:
-    """A numbered list of sources."""
+    """A numbered list of sources.
+
+    Args:
+        papers: The sources.
+    """
 
     papers: Iterable[str]
-    kind: ClassVar = "papers"
+    kind: ClassVar[str] = "papers"
 
 
-Block = Chart | Images | Numbers | Table | Tolerances | Solid | Slices | Legend | Papers
+Block = Chart | Images | Numbers | Table | Tolerances | SurfaceView | Slices | Legend | Papers
 
 
 class Card:
-    """A titled part of a page. wide: over both columns."""
+    """A titled part of a page.
+
+    Args:
+        title: Its title.
+        *blocks: What it holds.
+        note: A line of small print.
+        wide: Whether it spans both columns.
+    """
+
+    title: str
+    blocks: tuple[Block, ...]
+    note: str
+    wide: bool
 
     def __init__(self, title: str, *blocks: Block, note: str = "", wide: bool = False) -> None:
         self.title, self.blocks, self.note, self.wide = title, blocks, note, wide
@@ -126,7 +184,7 @@ class Page:
         cards: what follows, in two columns.
         headline: the most important numbers, above the tiles.
         opening: cards above the tiles.
-        data: what the page's script draws, for cards with a `Solid` or `Slices`.
+        data: what the page's script draws, for cards with a `SurfaceView` or `Slices`.
     """
 
     sort: str
@@ -149,7 +207,17 @@ class Page:
         return environment.from_string(_shipped("page.html")).render(parts)
 
     def write(self, path: str | Path) -> Path:
-        """Write the page into a folder that exists, replacing an earlier one. Raises `StorageError`."""
+        """Write the page into a folder that exists, replacing an earlier one.
+
+        Args:
+            path: Where to, ending in .html.
+
+        Returns:
+            The path written.
+
+        Raises:
+            StorageError: The path is a folder or no page, or the system refuses.
+        """
         place = page_path(path)
         if not place.parent.is_dir():
             raise explained("write", place, FileNotFoundError(errno.ENOENT, "no such folder"))

@@ -13,18 +13,21 @@ from pydantic import BaseModel
 
 from vamgpu.schema.noun import MISSING, docs_of, fields_of, quantity_in
 from vamgpu.schema.quantities import Quantity
-from vamgpu.schema.read import NOUN, Nouns, OneOrMany, in_files, model_of
+from vamgpu.schema.read import NOUN, Kept, Nouns, OneOrMany, in_files, model_of
 from vamgpu.schema.registry import families, family, find
 from vamgpu.schema.write import write
 from vamgpu.units import NAMES
 
 LEFT_OUT = "left out"
-WORDS = {str: "text", int: "a whole number", float: "a number", bool: "true or false"}
+NO_LIMIT = "no limit"
+FAR = 1e30
+"""From this size on a number stands for infinity, which no device takes."""
+WORDS: dict[Any, str] = {str: "text", int: "a whole number", float: "a number", bool: "true or false"}
 
 
 @dataclass(frozen=True)
 class Key:
-    """One key of a table. what: it holds.  default: as a file writes it; "" where it is wanted.  doc: its meaning."""
+    """One key of a table. what: it holds.  default: as a file writes it; "" where it is required.  doc: its meaning."""
 
     name: str
     what: str
@@ -42,7 +45,11 @@ def keys(table: type[Any]) -> tuple[Key, ...]:
             for name, info in fields.items()
         ]
     else:
-        written = {name for name, info in model_of(table).model_fields.items() if info.annotation is not NoneType}
+        written = {
+            name
+            for name, info in model_of(table).model_fields.items()
+            if info.annotation is not NoneType and not any(isinstance(mark, Kept) for mark in info.metadata)
+        }
         fields = [field for field in fields_of(table) if field.name in written]
         raw = [(field.name, field.kind, field.default, field.doc) for field in fields]
     return tuple(Key(name, what(kind), _default(default, kind), doc) for name, kind, default, doc in raw)
@@ -68,8 +75,8 @@ def what(kind: Any) -> str:
         return " or ".join(f'"{value}"' if isinstance(value, str) else str(value) for value in parts)
     if origin is tuple or str(origin).endswith("Sequence'>"):
         inner = list(dict.fromkeys(what(part) for part in parts if part is not Ellipsis))
-        count = f"{len(parts)} of " if origin is tuple and parts[-1] is not Ellipsis else "of "
-        return f"a list {count}{', '.join(inner)}"
+        count = f" of {len(parts)}" if origin is tuple and parts[-1] is not Ellipsis else ""
+        return f"a list{count}, each {inner[0]}" if len(inner) == 1 else f"a list{count}: {'; '.join(inner)}"
     if isinstance(kind, type) and kind not in WORDS:
         nouns = [mark for mark in getattr(in_files(kind), "__metadata__", ()) if isinstance(mark, Nouns)]
         return _choices(nouns[0]) if nouns else "a table" if issubclass(kind, BaseModel) else ""
@@ -98,13 +105,16 @@ def _default(value: Any, kind: Any) -> str:
         quantity = quantity_in(kind)
         if quantity is None or quantity.kind is None:
             return f"{value:g}"
+        if abs(value) >= FAR:
+            return NO_LIMIT
         return f'"{value * quantity.scale / NAMES[quantity.unit]:g} {quantity.unit}"'
     if isinstance(value, str):
         return f'"{value}"'
     if isinstance(value, tuple):
         inner = get_args(kind) if get_origin(kind) is tuple else ()
         parts = inner if len(inner) == len(value) else (Any,) * len(value)
-        return f"[{', '.join(_default(item, part) for item, part in zip(value, parts, strict=True))}]"
+        items = [_default(item, part) for item, part in zip(value, parts, strict=True)]
+        return NO_LIMIT if items and set(items) == {NO_LIMIT} else f"[{', '.join(items)}]"
     table = write(value, units=True)
     return table.get("kind", "as it is by default")
 
@@ -123,29 +133,41 @@ def _file(head: str, file: type[Any]) -> Iterator[str]:
     for name, hint in get_type_hints(file, include_extras=True).items():
         if name not in file.model_fields:
             continue
-        section = next((part for part in (hint, *get_args(hint)) if isinstance(part, type) and part is not NoneType
-                        and issubclass(part, BaseModel)), None)  # fmt: skip
-        wanted = "" if file.model_fields[name].is_required() else " (may be left out)"
-        yield f"### [{name}]{wanted}\n"
-        yield f"{_first(section)}\n" if section is not None else f"{what(hint).capitalize()}, see below.\n"
+        listed = next((part for part in (hint, *get_args(hint)) if get_origin(part) is tuple), None)
+        section = next((part for part in (hint, *get_args(listed or hint)) if isinstance(part, type)
+                        and part is not NoneType and issubclass(part, BaseModel)), None)  # fmt: skip
+        named = f"[[{name}]]" if listed and section else f"[{name}]"
+        optional = "" if file.model_fields[name].is_required() else " (may be left out)"
+        yield f"### {named}{optional}\n"
+        yield f"{first_of(section)}\n" if section is not None else f"{what(hint).capitalize()}, see below.\n"
         if section is not None:
             yield from _table(section)
 
 
 def _nouns() -> Iterator[str]:
     yield "## Nouns\n"
-    yield "A table of a family says which noun it holds by its key `kind`, unless that is the usual one.\n"
+    yield (
+        "A noun is a class that files may name, by its family and its kind: `vessel.fan` is a table with\n"
+        '`kind = "fan"` where a vessel is expected, such as [vessel]. The usual one needs no `kind`.\n'
+    )
     for name, members in families().items():
         for kind in members.nouns:
             cls = find(name, kind)
             usual = ", the usual one" if members.default == kind else ""
             yield f"### {name}.{kind}{usual}\n"
-            yield f"{_first(cls)}\n"
+            yield f"{first_of(cls)}\n"
             yield from _table(cls)
 
 
-def _first(cls: type[Any]) -> str:
-    """The first paragraph of a docstring."""
+def first_of(cls: type[Any]) -> str:
+    """The first paragraph of a docstring.
+
+    Args:
+        cls: A class.
+
+    Returns:
+        One line.
+    """
     return " ".join((cls.__doc__ or "").strip().split("\n\n")[0].split())
 
 
@@ -161,7 +183,7 @@ def _table(table: type[Any]) -> Iterator[str]:
 
 
 def _code(default: str) -> str:
-    return {"": "required", LEFT_OUT: LEFT_OUT}.get(default, f"`{default}`")
+    return {"": "required", LEFT_OUT: LEFT_OUT, NO_LIMIT: NO_LIMIT}.get(default, f"`{default}`")
 
 
 def json_schema(file: type[BaseModel]) -> dict[str, Any]:
@@ -175,7 +197,7 @@ def json_schema(file: type[BaseModel]) -> dict[str, Any]:
                 name, _, kind = ref.partition(".")
                 one = model_of(find(name, kind)).model_json_schema()
                 defined |= one.pop("$defs", {})
-                one.setdefault("properties", {})["kind"] = {"const": kind}
+                one.setdefault("properties", {})[family(name).word] = {"const": kind}
                 defined[ref] = one
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_clean(schema)}
 

@@ -20,7 +20,14 @@ MISSING: Any = inspect.Parameter.empty
 
 @dataclass(frozen=True)
 class Field:
-    """One field of a noun. kind: its type, with `Quantity` where it measures something.  doc: of the docstring."""
+    """One field of a noun.
+
+    Args:
+        name: What it is called.
+        kind: Its type, with `Quantity` where it measures something.
+        default: What it is where nothing is said; `MISSING` where it must be given.
+        doc: What the docstring says of it.
+    """
 
     name: str
     kind: Any
@@ -40,16 +47,23 @@ class Field:
 
 @cache
 def fields_of(cls: type[Any]) -> tuple[Field, ...]:
-    """The fields of a noun, in the order of its constructor."""
+    """List the fields of a noun.
+
+    Args:
+        cls: Its class.
+
+    Returns:
+        The fields, in the order of the constructor.
+    """
     hints = _hints(cls)
     taken = [p for p in inspect.signature(cls).parameters.values() if p.name not in GIVEN and p.kind not in (
         inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)]  # fmt: skip
-    docs = docs_of(cls, [p.name for p in taken])
+    docs = docs_of(cls, [*(p.name for p in taken), *GIVEN])
     return tuple(Field(p.name, hints.get(p.name, Any), p.default, docs.get(p.name, "")) for p in taken)
 
 
 def _hints(cls: type[Any]) -> dict[str, Any]:
-    generated = getattr(getattr(cls, "__dataclass_params__", None), "init", False)
+    generated = getattr(getattr(cls, "__dataclass_params__", None), "init", False) or hasattr(cls, "model_fields")
     return get_type_hints(cls if generated else cls.__init__, include_extras=True)
 
 
@@ -64,7 +78,7 @@ def docs_of(cls: type[Any], names: list[str]) -> dict[str, str]:
         for match in entry.finditer(text):
             said = " ".join(match[2].split()).rstrip(".")
             for one in match[1].split(", "):
-                if not (one in found and said.startswith("as for")):
+                if not (one in found and said.lower().startswith("as for")):
                     found[one] = said
     return found
 
@@ -79,7 +93,14 @@ def quantity_in(kind: Any) -> Quantity | None:
 
 
 def check(noun: Any) -> None:
-    """Check the fields of a frozen noun by their types, and keep them as floats. Raises `BadInput`."""
+    """Check the fields of a frozen noun by their types, and keep them as floats.
+
+    Args:
+        noun: The noun.
+
+    Raises:
+        BadInput: A value is out of its range.
+    """
     cls = type(noun)
     for field in fields_of(cls):
         value = getattr(noun, field.name)

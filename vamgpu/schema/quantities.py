@@ -46,9 +46,10 @@ class Quantity:
 
     @property
     def bounds(self) -> str:
-        """In words; "" where any number will do."""
+        """In words and the unit that files write; "" where any number will do."""
+        unit = self.scale / NAMES[self.unit] if self.unit else 1.0
         limits = ((">", self.above), ("≥", self.least), ("≤", self.most), ("<", self.below))
-        return ", ".join(f"{sign} {limit:.6g}" for sign, limit in limits if isfinite(limit))
+        return ", ".join(f"{sign} {limit * unit:.6g}" for sign, limit in limits if isfinite(limit))
 
     def _holds(self, value: float) -> bool:
         return self.above < value < self.below and self.least <= value <= self.most
@@ -62,9 +63,9 @@ class Quantity:
         else:
             number = finite(name, value)
         if not self._holds(number):
-            raise BadInput(f"{name} is {number:g}; wanted {self.hint or f'a number {self.bounds}'}")
+            raise BadInput(f"{name} is {number:g}; expected {self.hint or f'a number {self.bounds}'}")
         if self.whole and (isinstance(value, bool) or number != int(number)):
-            raise BadInput(f"{name} is {value!r}; wanted a whole number")
+            raise BadInput(f"{name} is {value!r}; expected a whole number")
         return int(number) if self.whole else number
 
     def read(self, text: Any) -> float:
@@ -72,7 +73,8 @@ class Quantity:
         signed = max(self.above, self.least) < 0.0
         value = parse(text, str(self.kind), zero=self.least == 0.0, signed=signed) / self.scale
         if not self._holds(value):
-            raise ValueError(f"is {value:.6g} {self.unit}; wanted {self.bounds}: correct the value")
+            shown = f"{value * self.scale / NAMES[self.unit]:.6g} {self.unit}"
+            raise ValueError(f"is {shown}; expected {self.bounds}: correct the value")
         return value
 
     def spell(self, value: float) -> str | float:
@@ -111,7 +113,7 @@ def finite(name: str, value: Any) -> float:
     except (TypeError, ValueError, OverflowError):
         number = float("nan")
     if not isfinite(number):
-        raise BadInput(f"{name} is {value!r}; wanted a finite number")
+        raise BadInput(f"{name} is {value!r}; expected a finite number")
     return number
 
 
@@ -129,14 +131,16 @@ Turn = Annotated[float, Quantity("an angle")]
 """An angle that may be negative."""
 Step = Annotated[float, Quantity("an angle", above=0.0, most=pi, hint="half a turn or less")]
 Gain = Annotated[float, Quantity(least=1.0, hint="a gain of at least 1")]
+HalfTilt = Annotated[float, Quantity("an angle", above=-0.5 * pi, below=0.5 * pi)]
 HalfAngle = Annotated[float, Quantity("an angle", least=0.0, below=0.5 * pi)]
 Index = Annotated[
     float, Quantity(least=1.0, most=5.0, hint="a refractive index of at least 1, at most 5; give it relative to vacuum")
 ]
 Share = Annotated[float, Quantity(least=0.0, most=1.0, hint="a share in 0..1")]
-Fill = Annotated[
-    float, Quantity(above=0.0, most=1.0, hint="a share of the pixel's area, above 0 and at most 1")
+Deviation = Annotated[
+    float, Quantity("a share", least=0.0, below=1.0, hint='± a share of it below 1: 0.05, or "5 %" in a file')
 ]
+Fill = Annotated[float, Quantity(above=0.0, most=1.0, hint="a share of the pixel's area, above 0 and at most 1")]
 Count = Annotated[int, Quantity(least=1.0, whole=True)]
 Positive = Annotated[float, Quantity(above=0.0)]
 NonNegative = Annotated[float, Quantity(least=0.0)]
@@ -145,7 +149,7 @@ Background = Annotated[float, Quantity("an irradiance", least=0.0)]
 Dose = Annotated[float, Quantity("a dose", above=0.0)]
 Speed = Annotated[float, Quantity("a speed", above=0.0)]
 Time = Annotated[float, Quantity("a time", least=0.0)]
-Exposure = Annotated[float, Quantity("a time", above=0.0)]
+ExposureTime = Annotated[float, Quantity("a time", above=0.0)]
 Rate = Annotated[float, Quantity("a rate", above=0.0)]
 Density = Annotated[float, Quantity("a density", above=0.0)]
 Viscosity = Annotated[float, Quantity("a viscosity", above=0.0)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from inspect import signature
@@ -10,38 +10,33 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, TypeAdapter, ValidationError, create_model
+from pydantic import BaseModel, TypeAdapter, ValidationError, create_model
 from pydantic import Field as Described
 from pydantic_core import core_schema
 
+from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
 from vamgpu.schema.noun import GIVEN, fields_of, quantity_in
 from vamgpu.schema.quantities import PLAIN
-from vamgpu.schema.registry import families_of, family, find, nearest
+from vamgpu.schema.registry import current, families_of, family, find, nearest
+from vamgpu.schema.section import Listed, Section
+from vamgpu.schema.write import ARRAY
+
+MOST_SHOWN = 200
+"""Characters of a wrong value that are shown."""
 
 
-class Section(BaseModel):
-    """A table: nothing unknown, nothing converted in silence."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class Misplaced(ValueError):
-    """What is wrong between the tables of a file. key: where one would begin to mend it."""
-
-    def __init__(self, message: str, *key: str) -> None:
-        super().__init__(message)
-        self.key = key
-
-
-def tupled(value: Any) -> Any:
-    """Lists as tuples, all the way down."""
-    return tuple(tupled(entry) for entry in value) if isinstance(value, list) else value
-
-
-Listed = BeforeValidator(tupled)
-
-
+EXPECTED = {
+    "tuple_type": "a list in brackets, such as [1, 2]",
+    "list_type": "a list in brackets, such as [1, 2]",
+    "float_type": "a number without quotes",
+    "int_type": "a whole number without quotes",
+    "bool_type": "true or false",
+    "string_type": "text in quotes",
+    "dict_type": "a table",
+}
+"""What pydantic's types of errors ask for, in words of a file."""
+NOUN_WORD = "kind"
 NOUN = "noun"
 """In place of ``$ref`` until all nouns are defined; see `vamgpu.schema.explain.json_schema`."""
 
@@ -55,6 +50,10 @@ class Nouns:
         beside: keys of the table that are no fields, their types and defaults. With these two a `Partial` is read.
     """
 
+    given: tuple[tuple[str, str | None], ...]
+    without: tuple[str, ...]
+    beside: dict[str, tuple[Any, Any]]
+
     def __init__(
         self, choices: Iterable[tuple[str, str | None]], without: tuple[str, ...] = (),
         beside: Mapping[str, tuple[Any, Any]] | None = None,
@@ -67,6 +66,11 @@ class Nouns:
         every = ((name, family(name).nouns if kind is None else (kind,)) for name, kind in self.given)
         return tuple((name, kind) for name, kinds in every for kind in kinds)
 
+    @property
+    def _word(self) -> str:
+        """The key that says the kind."""
+        return next((family(name).word for name, _ in self.given), NOUN_WORD)
+
     def model(self, table: Mapping[str, Any]) -> type[BaseModel]:
         """The pydantic model of a table; raises `BadInput`."""
         model = model_of(self.chosen(table), self.without)
@@ -77,13 +81,17 @@ class Nouns:
         """The class that a table is for; raises `BadInput`."""
         kinds = {kind: name for name, kind in self.choices}
         defaults = [family(name).default for name in dict.fromkeys(kinds.values())]
+        word = self._word
         usual = next(iter(kinds)) if len(kinds) == 1 else next((kind for kind in defaults if kind in kinds), None)
-        kind = table.get("kind", usual)
+        kind = table.get(word, usual)
         if kind is None:
-            raise BadInput(f"kind is missing; add kind = one of {', '.join(kinds)}")
+            raise BadInput(f"{word} is missing; add {word} = one of {', '.join(kinds)}")
+        if not isinstance(kind, str):
+            raise BadInput(f"{word} is {kind!r}; expected one of {', '.join(kinds)}")
+        kind = kind if kind in kinds else current(kind)
         if kind not in kinds:
             what = " or ".join(dict.fromkeys(kinds.values()))
-            raise BadInput(f"no {what} {kind!r}; wanted one of {', '.join(kinds)}{nearest(kind, kinds)}")
+            raise BadInput(f"no {what} {kind!r}; expected one of {', '.join(kinds)}{nearest(kind, kinds)}")
         return find(kinds[kind], kind)
 
     def read(self, table: Any, info: Any = None) -> Any:
@@ -92,10 +100,12 @@ class Nouns:
         if not isinstance(table, Mapping):
             if not isinstance(table, (str, int, float, list, type(None))):
                 return table  # a noun already: the default of a field
-            raise ValueError("wanted a table")
+            raise ValueError("expected a table")
         cls = self.chosen(table)
-        fields = {key: value for key, value in table.items() if key != "kind"}
+        fields = {key: value for key, value in table.items() if key != self._word}
         values = self.model(table).model_validate(fields, context=context)
+        if isinstance(values, cls):
+            return values  # a noun that is a `Section` itself
         given = {name: getattr(values, name) for name in values.model_fields_set if name not in self.beside}
         given |= {name: context[name] for name in GIVEN if name in context and name in signature(cls).parameters}
         if self.without or self.beside:
@@ -112,7 +122,7 @@ class Nouns:
         if len(refs) == 1:
             return refs[0]
         usual = {kind for name, kind in self.choices if family(name).default == kind}
-        said = [ref if kind in usual else {"allOf": [ref, {"required": ["kind"]}]}
+        said = [ref if kind in usual else {"allOf": [ref, {"required": [self._word]}]}
                 for ref, (_, kind) in zip(refs, self.choices, strict=True)]  # fmt: skip
         return {"anyOf": said}
 
@@ -133,17 +143,19 @@ class Partial:
 def noun(
     *names: str, kind: str | None = None, without: tuple[str, ...] = (),
     beside: Mapping[str, tuple[Any, Any]] | None = None,
-) -> Any:  # fmt: skip
-    """The type of a key that holds any noun of some families, or the one of a kind; for fields of a `Section`.
+) -> Nouns:  # fmt: skip
+    """Any noun of some families, or the one of a kind, as ``film: Annotated[Film, noun("film")]`` in a `Section`.
 
-    without, beside: as for `Nouns`.
+    without, beside: as for `Nouns`; the key then holds a `Partial`.
     """
-    return Annotated[Any, Nouns(((name, kind) for name in names), without, beside)]
+    return Nouns(((name, kind) for name in names), without, beside)
 
 
 @cache
 def model_of(cls: type[Any], without: tuple[str, ...] = ()) -> type[BaseModel]:
     """A pydantic model of a noun's fields; those that no file can write are None, or left out."""
+    if issubclass(cls, Section):
+        return cls
     found: dict[str, Any] = {}
     for field in fields_of(cls):
         kind = in_files(field.kind)
@@ -151,7 +163,9 @@ def model_of(cls: type[Any], without: tuple[str, ...] = ()) -> type[BaseModel]:
         if kind is not None and field.name not in without:
             described = Annotated[kind, Described(description=field.doc)] if field.doc else kind
             found[field.name] = (described, ... if field.required else field.default)
-    return create_model(cls.__name__, __base__=Section, __doc__=cls.__doc__, **found)
+    model = create_model(cls.__name__, __base__=Section, __doc__=cls.__doc__, **found)
+    model.renamed = {name: old.new for name, old in vars(cls).items() if isinstance(old, Renamed)}
+    return model
 
 
 def in_files(kind: Any) -> Any:
@@ -159,8 +173,10 @@ def in_files(kind: Any) -> Any:
     origin, parts = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return kind if quantity_in(kind) is not None else in_files(parts[0])
+    if _is_array(kind):
+        return Annotated[Any, Kept()]
     if origin in (Union, UnionType):
-        known = [in_files(part) for part in parts if part is not NoneType]
+        known = [in_files(part) for part in parts if part is not NoneType and not _is_array(part)]
         kept = _joined([part for part in known if part is not None])
         return None if kept is None else (kept | None if NoneType in parts else kept)
     if origin is Sequence:
@@ -170,14 +186,25 @@ def in_files(kind: Any) -> Any:
         return None if None in inner else Annotated[tuple[inner], Listed]  # type: ignore[valid-type]
     if origin is Literal or kind in (str, int, float, bool):
         return kind
-    if origin in (list, Iterable) or kind is np.ndarray or not isinstance(kind, type):
+    if origin in (list, Iterable) or not isinstance(kind, type):
         return None
     choices = families_of(kind)
     return Annotated[Any, Nouns(choices)] if choices else None
 
 
+def _is_array(kind: Any) -> bool:
+    """Whether a field holds an array, or a number in place of an even one; what may also be listed is no array."""
+    if get_origin(kind) in (Union, UnionType):
+        parts = [part for part in get_args(kind) if part is not NoneType]
+        return any(map(_is_array, parts)) and all(part is float or _is_array(part) for part in parts)
+    origin = get_origin(kind) or kind
+    if hasattr(origin, "__value__"):  # what NDArray is from Python 3.12 and NumPy 2.5 on
+        return _is_array(origin.__value__)
+    return origin is np.ndarray
+
+
 def _joined(kinds: list[Any]) -> Any:
-    """A type for any of some: nouns become one choice of all, for that tells what was wanted."""
+    """A type for any of some: nouns become one choice of all, for that tells what is expected."""
     nouns = [part for kind in kinds for part in getattr(kind, "__metadata__", ()) if isinstance(part, Nouns)]
     plain = [kind for kind in kinds if not any(isinstance(part, Nouns) for part in getattr(kind, "__metadata__", ()))]
     if nouns:
@@ -190,6 +217,9 @@ def _joined(kinds: list[Any]) -> Any:
 
 class OneOrMany:
     """The type of a key that holds a value or a list of them; complaints are about what was written."""
+
+    one: Any
+    many: Any
 
     def __init__(self, one: Any, many: Any) -> None:
         self.one, self.many = one, many
@@ -206,19 +236,53 @@ class OneOrMany:
         return {"anyOf": [TypeAdapter(kind).json_schema() for kind in (self.one, self.many)]}
 
 
-def read(name: str, table: Mapping[str, Any], *, units: bool = True, device: Any = None) -> Any:
+class Kept:
+    """The type of a field that holds an array: job folders keep it beside the manifest, which names it, and lists the
+    numbers of a short one; job files do not write it. An annotation for pydantic."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        return core_schema.with_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        return {"type": "object", "properties": {ARRAY: {"type": "string"}}}
+
+    def read(self, value: Any, info: Any) -> Any:
+        """An array, or a number; raises what pydantic collects."""
+        context = info.context or {}
+        if value is None or not context.get("plain"):
+            if isinstance(value, (np.ndarray, NoneType)):
+                return value  # the default of a field
+            raise ValueError("expected an array, which only Python makes and only job folders keep")
+        if isinstance(value, Mapping) and set(value) == {ARRAY}:
+            if "arrays" not in context:
+                raise ValueError("expected the arrays beside it; open the job folder that keeps them")
+            return context["arrays"](value[ARRAY])
+        if isinstance(value, (int, float)):
+            return float(value)
+        array = np.asarray(value if isinstance(value, list) else None)
+        if array.dtype.kind not in "biuf":
+            raise ValueError("expected numbers, or the name of an array")
+        return array
+
+
+def read(
+    name: str, table: Mapping[str, Any], *, units: bool = True, device: Any = None,
+    arrays: Callable[[str], np.ndarray] | None = None,
+) -> Any:  # fmt: skip
     """The noun of a family that a table describes, as `write` writes it or a file's author does.
 
     Args:
         name: of the family.  table: ``kind`` and fields.  units: numbers are text with units, as in job files.
-        device: where operators are built.
+        device: where operators are built.  arrays: those that `write` kept, by name.
 
     Raises:
         BadInput: naming every wrong key at once.
     """
-    context = {} if units else dict(PLAIN)
+    context: dict[str, Any] = {} if units else dict(PLAIN)
     if device is not None:
         context["device"] = device
+    if arrays is not None:
+        context["arrays"] = arrays
     nouns = Nouns([(name, None)])
     try:
         return nouns.read(table, _Info(context))
@@ -235,21 +299,40 @@ class _Info:
 
 
 def complaint(entry: Any, remedy: str = "add it") -> str:
-    """One of pydantic's errors, to follow the name of its key: what was got, what was wanted, what to do."""
+    """One of pydantic's errors, to follow the name of its key: what was got, what was expected, what to do."""
+    if entry["type"] in ("missing", "too_long", "too_short") and isinstance(entry["input"], (list, tuple)):
+        return f": got {_short(entry['input'])}; expected a list of {_length(entry)} values: correct the list"
     if entry["type"] == "missing":
         return f" is missing; {remedy}"
     if entry["type"] == "extra_forbidden":
         return ": unknown key; correct or remove it"
-    got = "" if isinstance(entry["input"], (dict, BaseModel)) else f" got {entry['input']!r};"
+    got = "" if isinstance(entry["input"], (dict, BaseModel)) else f" got {_short(entry['input'])};"
     said = entry["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    return f":{got} {said if entry['type'] == 'value_error' else f'wanted {said}; correct the value'}"
+    said = EXPECTED.get(entry["type"], said)
+    return f":{got} {said if entry['type'] == 'value_error' else f'expected {said}; correct the value'}"
+
+
+def _length(entry: Any) -> str:
+    """How many values a list should have, as far as the complaint tells."""
+    if entry["type"] == "missing":
+        return f"at least {entry['loc'][-1] + 1}"
+    context = entry.get("ctx", {})
+    return f"at most {context['max_length']}" if "max_length" in context else f"at least {context.get('min_length', 1)}"
+
+
+def _short(value: Any) -> str:
+    """A value as text that a person reads; the beginning of a long one."""
+    text = repr(list(value) if isinstance(value, tuple) else value)
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
 
 
 def model_in(annotation: Any, metadata: Iterable[Any] = (), table: Any = None) -> type[BaseModel] | None:
     """The model of a key's table, be it a section or a noun; None where it has none."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
     nouns = next((part for part in metadata if isinstance(part, Nouns)), None)
+    if nouns is None and isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    if isinstance(table, list):  # the first stands for all
+        table = table[0] if table else {}
     if nouns is not None:
         try:
             return nouns.model(table if isinstance(table, Mapping) else {})

@@ -10,8 +10,11 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
+from vamgpu.deprecated import warn_renamed
 from vamgpu.errors import BadInput
 
+NEAR = 0.7
+"""Likeness (of `difflib`) from which on a name is offered in place of an unknown one."""
 GROUP = "vamgpu.nouns"
 """Entry points of installed packages that name nouns: ``"vessel.toy" = "toys.vessels:Toy"``."""
 
@@ -21,12 +24,13 @@ class Family:
     """Nouns that can stand for each other.
 
     nouns: kind → "module:Class".  stands: "module:Type" that constructors ask for where any of them will do.  default:
-    the kind that is meant where none is said.
+    the kind that is meant where none is said.  word: the key of a table that says its kind.
     """
 
     nouns: dict[str, str] = field(default_factory=dict)
     stands: str = ""
     default: str | None = None
+    word: str = "kind"
 
 
 FAMILIES: dict[str, Family] = {
@@ -37,11 +41,13 @@ FAMILIES: dict[str, Family] = {
         {
             "vial": "vamgpu.optics.vial:Vial",
             "vat": "vamgpu.optics.vat:Vat",
+            "double walled": "vamgpu.optics.double_walled:DoubleWalledVial",
+            "square": "vamgpu.optics.square:SquareBath",
             "graded": "vamgpu.optics.graded:GradedVial",
-            "aimed": "vamgpu.optics.beams:Aimed",
+            "misaligned": "vamgpu.optics.beams:Misaligned",
             "fan": "vamgpu.optics.beams:Fan",
             "occluded": "vamgpu.optics.occluder:Occluded",
-            "air": "vamgpu.operators.light:OpenAir",
+            "air": "vamgpu.operators.ray_table:OpenAir",
         },
         stands="vamgpu.geometry:Vessel",
     ),
@@ -49,10 +55,16 @@ FAMILIES: dict[str, Family] = {
         {"cone": "vamgpu.optics.rising:Cone", "inclined": "vamgpu.optics.rising:Inclined"},
         stands="vamgpu.operators.oblique:Rising",
     ),
-    "index": Family({"formula": "vamgpu.optics.index_field:FormulaField"}, default="formula"),
+    "index": Family(
+        {"formula": "vamgpu.optics.index_field:FormulaField", "grid": "vamgpu.optics.index_field:GridField"},
+        default="formula",
+    ),
+    "medium": Family({"co-rotating": "vamgpu.operators.medium:CoRotatingMedium"}, default="co-rotating"),
+    "rays": Family({"rays": "vamgpu.operators.bundle:RayBundle"}, default="rays"),
     "region": Family({"region": "vamgpu.optics.index_field:Region"}, default="region"),
     "defocus": Family({"defocus": "vamgpu.operators.defocus:Defocus"}, default="defocus"),
     "wobble": Family({"wobble": "vamgpu.operators.wobble:Wobble"}, default="wobble"),
+    "tolerances": Family({"tolerances": "vamgpu.methods.tolerances:Tolerances"}, default="tolerances"),
     "diffusion": Family({"diffusion": "vamgpu.chemistry.diffusion:Diffusion"}, default="diffusion"),
     "film": Family({"film": "vamgpu.optics.film:Film"}, default="film"),
     "wrap": Family({"roller": "vamgpu.optics.roller:Roller"}, default="roller", stands="vamgpu.web:Wrap"),
@@ -70,7 +82,9 @@ FAMILIES: dict[str, Family] = {
     "loss": Family({"band": "vamgpu.losses.band:Band"}, stands="vamgpu.losses.loss:Loss"),
     "method": Family(
         {
+            "best": "vamgpu.methods:BestWindow",
             "window": "vamgpu.methods:ProcessWindow",
+            "widest": "vamgpu.methods:WidestWindow",
             "recipe": "vamgpu.methods:Recipe",
             "fbp": "vamgpu.methods:FilteredBackProjection",
             "cal": "vamgpu.methods:GradientDescent",
@@ -95,6 +109,7 @@ FAMILIES: dict[str, Family] = {
         {
             "projection": "vamgpu.operators.projection:Projection",
             "oblique": "vamgpu.operators.oblique:Oblique",
+            "traced": "vamgpu.operators.traced:TracedProjection",
             "defocused": "vamgpu.operators.defocus:Defocused",
             "wobbled": "vamgpu.operators.moves:Wobbled",
             "tiles": "vamgpu.operators.moves:Tiles",
@@ -104,23 +119,92 @@ FAMILIES: dict[str, Family] = {
         },
         stands="vamgpu.operators.linear:LinearOperator",
     ),
+    "rig_motion": Family(
+        {
+            "controller": "vamgpu.hosts.rigs.motions:ControllerMotion",
+            "zaber": "vamgpu.hosts.rigs.motions:ZaberMotion",
+            "standa": "vamgpu.hosts.rigs.motions:StandaMotion",
+            "thorlabs": "vamgpu.hosts.rigs.motions:ThorlabsMotion",
+            "micromanager": "vamgpu.hosts.rigs.motions:MicroManagerMotion",
+            "stepper": "vamgpu.hosts.rigs.motions:StepperMotion",
+            "emulated": "vamgpu.hosts.rigs.motions:EmulatedMotion",
+        },
+        word="driver",
+    ),
+    "rig_clock": Family(
+        {
+            "controller": "vamgpu.hosts.rigs.clocks:ControllerClock",
+            "stage": "vamgpu.hosts.rigs.clocks:StageClock",
+            "vblank": "vamgpu.hosts.rigs.clocks:RefreshClock",
+            "free": "vamgpu.hosts.rigs.clocks:FreeClock",
+        },
+        word="driver",
+    ),
+    "rig_display": Family(
+        {
+            "alp": "vamgpu.hosts.rigs.displays:AlpDisplay",
+            "lightcrafter": "vamgpu.hosts.rigs.displays:LightCrafterDisplay",
+            "video": "vamgpu.hosts.rigs.displays:VideoDisplay",
+            "emulated": "vamgpu.hosts.rigs.displays:EmulatedDisplay",
+        },
+        word="driver",
+    ),
+    "rig_light": Family(
+        {
+            "controller": "vamgpu.hosts.rigs.lights:ControllerLight",
+            "laser": "vamgpu.hosts.rigs.lights:LaserLight",
+            "display": "vamgpu.hosts.rigs.lights:DisplayLight",
+        },
+        word="driver",
+    ),
+    "rig_lens": Family(
+        {
+            "optotune": "vamgpu.hosts.rigs.lenses:OptotuneLens",
+            "emulated": "vamgpu.hosts.rigs.lenses:EmulatedLensPart",
+        },
+        word="driver",
+    ),
+    "rig_feedback": Family(
+        {
+            "encoder": "vamgpu.hosts.rigs.feedback:EncoderFeedback",
+            "index": "vamgpu.hosts.rigs.feedback:IndexFeedback",
+            "camera": "vamgpu.hosts.rigs.feedback:CameraFeedback",
+            "power meter": "vamgpu.hosts.rigs.feedback:PowerMeterFeedback",
+            "photodiode": "vamgpu.hosts.rigs.feedback:PowerMeterFeedback",
+            "emulated camera": "vamgpu.hosts.rigs.feedback:EmulatedCameraFeedback",
+            "emulated photodiode": "vamgpu.hosts.rigs.feedback:EmulatedPowerMeterFeedback",
+        },
+        word="driver",
+    ),
 }
+
+
+RENAMED = {"aimed": "misaligned"}
+"""Old kind → the kind it is called now, for one release."""
+
+
+def current(kind: str) -> str:
+    """A kind under the name it has now; warns for an old one."""
+    if kind in RENAMED:
+        warn_renamed(f"kind {kind!r}", repr(RENAMED[kind]), category=FutureWarning)
+    return RENAMED.get(kind, kind)
 
 
 def register(family: str, kind: str, path: str, *, stands: str = "") -> None:
     """Name a noun, so that job files, manifests and the list of keys know it.
 
     Args:
-        family: such as "vessel"; a new name begins a family, whose nouns stand for the type ``stands``.
-        kind: what files call it.
+        family: Such as "vessel"; a new name begins a family, whose nouns stand for the type ``stands``.
+        kind: What files call it.
         path: "module:Class" of a class that `fields_of` can read.
+        stands: "module:Type" that constructors ask for where any noun of a new family will do.
 
     Raises:
-        BadInput: the kind is that of another noun.
+        BadInput: The kind is that of another noun.
     """
     nouns = FAMILIES.setdefault(family, Family(stands=stands)).nouns
     if nouns.setdefault(kind, path) != path:
-        raise BadInput(f"{family} {kind!r} is {nouns[kind]}; wanted another name for {path}")
+        raise BadInput(f"{family} {kind!r} is {nouns[kind]}; expected another name for {path}")
 
 
 @cache
@@ -148,14 +232,20 @@ def find(name: str, kind: str) -> type[Any]:
     """The class of a kind; raises `BadInput`."""
     nouns = family(name).nouns
     if kind not in nouns:
-        raise BadInput(f"no {name} {kind!r}; wanted one of {', '.join(nouns)}{nearest(kind, nouns)}")
+        raise BadInput(f"no {name} {kind!r}; expected one of {', '.join(nouns)}{nearest(kind, nouns)}")
     return load(nouns[kind])
 
 
 def nearest(name: Any, known: Iterable[str]) -> str:
     """What a name that is unknown was meant to be, to end a complaint."""
-    close = get_close_matches(str(name), list(known), n=1)
-    return f": did you mean {close[0]!r}?" if close else ": correct the name"
+    close = nearest_of(name, known)
+    return f": did you mean {close!r}?" if close else ": correct the name"
+
+
+def nearest_of(name: Any, known: Iterable[str]) -> str | None:
+    """The known name that another one is nearly; None where none is near enough to be what was meant."""
+    lowered = {each.lower(): each for each in known}
+    return next((lowered[near] for near in get_close_matches(str(name).lower(), list(lowered), n=1, cutoff=NEAR)), None)
 
 
 def load(path: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import count
 from math import isfinite
 from typing import Any, get_args, get_origin
 
@@ -14,17 +15,23 @@ from vamgpu.schema.registry import family, name_of
 
 LONGEST = 100_000
 """Numbers that a list in a manifest may hold; more belong into a file."""
+ARRAY = "array"
+"""The key that names an array kept beside a description."""
 
 
-def write(noun: Any, *, units: bool = False) -> dict[str, Any]:
+def write(noun: Any, *, units: bool = False, arrays: dict[str, np.ndarray] | None = None) -> dict[str, Any]:
     """The kind and the fields of a noun, with those of the nouns it is made of.
 
     Args:
-        noun: one whose class the registry knows.
-        units: write text with units, as job files have it, in place of numbers in mm, s, mJ and rad.
+        noun: One whose class the registry knows.
+        units: Write text with units, as job files have it, in place of numbers in mm, s, mJ and rad.
+        arrays: Where arrays [...] are put, under names that the description has in their place; None refuses them.
+
+    Returns:
+        The table.
 
     Raises:
-        BadInput: what nothing but Python can describe: a function, an array that is kept nowhere, an unknown class.
+        BadInput: What nothing but Python can describe: a function, an array that is kept nowhere, an unknown class.
     """
     name = name_of(type(noun))
     if name is None:
@@ -39,11 +46,11 @@ def write(noun: Any, *, units: bool = False) -> dict[str, Any]:
             continue
         if units and value is None:
             continue  # TOML has no word for it
-        table[field.name] = _plain(value, field.kind, f"{type(noun).__name__} {field.name}", units)
+        table[field.name] = _plain(value, field.kind, f"{type(noun).__name__} {field.name}", units, arrays)
     return table
 
 
-def _plain(value: Any, kind: Any, name: str, units: bool) -> Any:
+def _plain(value: Any, kind: Any, name: str, units: bool, arrays: dict[str, np.ndarray] | None) -> Any:
     if value is None or isinstance(value, (bool, str)):
         return value
     if isinstance(value, (int, float, np.integer, np.floating)):
@@ -53,13 +60,24 @@ def _plain(value: Any, kind: Any, name: str, units: bool) -> Any:
         quantity = quantity_in(kind) if units else None
         return number if quantity is None else quantity.spell(number)
     if isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and value.ndim < 2 and value.size <= LONGEST:
-        return _plain(value.tolist(), kind, name, units)
+        return _plain(value.tolist(), kind, name, units, arrays)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and arrays is not None:
+        return {ARRAY: _kept(value, name.rpartition(" ")[2], arrays)}
     if isinstance(value, (tuple, list)):
         inner = zip(value, _elements(kind, len(value)), strict=True)
-        return [_plain(item, part, f"{name}[{k}]", units) for k, (item, part) in enumerate(inner)]
+        return [_plain(item, part, f"{name}[{k}]", units, arrays) for k, (item, part) in enumerate(inner)]
     if callable(value) and name_of(type(value)) is None or isinstance(value, np.ndarray):
         raise BadInput(f"{name} is {_said(value)}, which only this process knows; give numbers, or keep it in a file")
-    return write(value, units=units)
+    return write(value, units=units, arrays=arrays)
+
+
+def _kept(value: np.ndarray, name: str, arrays: dict[str, np.ndarray]) -> str:
+    """The name under which an array is put among others; the same one twice has one name."""
+    known = next((key for key, other in arrays.items() if other is value), None)
+    if known is None:
+        known = next(key for k in count(1) if (key := f"{name}_{k}") not in arrays)
+        arrays[known] = value
+    return known
 
 
 def _elements(kind: Any, count: int) -> list[Any]:

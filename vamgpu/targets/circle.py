@@ -26,9 +26,9 @@ def smallest_enclosing_circle(points: npt.ArrayLike) -> Circle:
     """
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 2 or len(array) == 0:
-        raise BadInput(f"points has shape {array.shape}; wanted (n, 2) with n >= 1")
+        raise BadInput(f"points has shape {array.shape}; expected (n, 2) with n >= 1")
     if not np.isfinite(array).all():
-        raise BadInput("points holds NaN or infinity; wanted finite coordinates: clean the mesh first")
+        raise BadInput("points holds NaN or infinity; expected finite coordinates: clean the mesh first")
     rim = _hull(array)
     # Far from the origin the products below would cancel.
     shift = rim.mean(axis=0)

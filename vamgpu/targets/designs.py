@@ -52,7 +52,7 @@ def dot_array(count: int, pixels: int = PIXELS, diameter: float = DIAMETER, duty
     """
     (count,), (n,) = counts("count", (count,), 1), counts("pixels", (pixels,), 1)
     if not 0.0 < duty < 1.0:
-        raise BadInput(f"duty is {duty!r}; wanted a number between 0 and 1, the edge of a dot over the period")
+        raise BadInput(f"duty is {duty!r}; expected a number between 0 and 1, the edge of a dot over the period")
     edge, period = side(diameter), diameter / count
     half = int(0.5 * edge / period)
     middle = np.arange(-half, half + 1) * period
@@ -99,7 +99,7 @@ def usaf_bars(
     """
     chosen = tuple(sorted({int(g) for g in groups}))
     if not chosen or not 0.0 < fill <= 1.0:
-        raise BadInput(f"groups {groups!r}, fill {fill!r}; wanted at least one group and 0 < fill ≤ 1")
+        raise BadInput(f"groups {groups!r}, fill {fill!r}; expected at least one group and 0 < fill ≤ 1")
     raw, right, top = [], 0.0, 0.0
     for place, group in enumerate(chosen):
         left, y = (0.0, 0.0) if place == 0 else (right, top)
@@ -130,7 +130,19 @@ def _fitted(bars: list[Bars], edge: float) -> tuple[Bars, ...]:
 
 
 def usaf(groups: Sequence[int] = (-2, -1, 0, 1), pixels: int = PIXELS, diameter: float = DIAMETER) -> Target:
-    """A 1951 resolution target as a single slice; `usaf_bars` says where its elements are. Raises `BadInput`."""
+    """A 1951 resolution target as a single slice; `usaf_bars` says where its elements are.
+
+    Args:
+        groups: Numbers of the groups that are drawn.
+        pixels: Along an edge of the slice.
+        diameter: Of the circle around the slice [mm].
+
+    Returns:
+        The target.
+
+    Raises:
+        BadInput: There is no group, or a value is out of its range.
+    """
     (n,), pitch = counts("pixels", (pixels,), 1), side(diameter) / pixels
     plane = np.zeros((n, n))
     for bars in usaf_bars(groups, diameter):
@@ -142,12 +154,21 @@ def usaf(groups: Sequence[int] = (-2, -1, 0, 1), pixels: int = PIXELS, diameter:
 def gray_wedges(steps: int = 8, pixels: int = PIXELS, diameter: float = DIAMETER, fill: float = 0.9) -> Target:
     """Sectors of a disk, gray 1/steps … 1 counterclockwise from +x, as a single slice.
 
-    fill: diameter of the disk over the edge of the square. Edges are covered by 4 × 4 samples a pixel.
-    Raises `BadInput`.
+    Args:
+        steps: How many sectors.
+        pixels: Along an edge of the slice.
+        diameter: Of the circle around the slice [mm].
+        fill: Diameter of the disk relative to the edge of the slice; edges are covered by 4 × 4 samples a pixel.
+
+    Returns:
+        The target.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
     (steps,), (n,) = counts("steps", (steps,), 1), counts("pixels", (pixels,), 1)
     if not 0.0 < fill <= 1.0:
-        raise BadInput(f"fill is {fill!r}; wanted 0 < fill ≤ 1")
+        raise BadInput(f"fill is {fill!r}; expected 0 < fill ≤ 1")
     edge = side(diameter)
     place = centers(n, edge / n)
     plane = np.zeros((n, n))

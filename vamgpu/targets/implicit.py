@@ -16,7 +16,7 @@ from vamgpu.web import WebGrid
 Array = npt.NDArray[np.float64]
 
 SAMPLES = 4
-"""Their cube is the number of points in a voxel that the surface may cross, unless told otherwise."""
+"""Their cube is the number of points in a voxel that the surface may cross, by default."""
 PLASTIC = 1.2207440846057596
 """The root of x⁴ = x + 1: its powers spread points in three dimensions."""
 _POINTS = 1 << 19
@@ -40,8 +40,28 @@ class Bounded(Protocol):
     """A shape that knows how far its surface is at least."""
 
     def bound(self, x: Array, y: Array, z: Array, /) -> Array:
-        """At most the distance [mm] to the surface, negative inside."""
+        """At most the distance to the surface, negative inside.
+
+        Args:
+            x: Places [mm], (...,).
+            y: Places [mm], (...,).
+            z: Places [mm], (...,).
+
+        Returns:
+            Bounds [mm], (...,).
+        """
         ...
+
+
+class Distance(Bounded, Protocol):
+    """A shape whose function is nowhere more than the distance to its surface."""
+
+    def __call__(self, x: Array, y: Array, z: Array, /) -> Array:
+        """Distance [mm], negative inside."""
+        ...
+
+    def bound(self, x: Array, y: Array, z: Array, /) -> Array:
+        return self(x, y, z)
 
 
 def voxelize(
@@ -53,7 +73,7 @@ def voxelize(
     Raises `BadInput` for a function that gives other shapes than it was asked for, or values that are no numbers.
     """
     if not callable(shape):
-        raise BadInput(f"got a {type(shape).__name__} as shape; wanted a function φ(x, y, z), negative in the solid")
+        raise BadInput(f"got a {type(shape).__name__} as shape; expected a function φ(x, y, z), negative in the solid")
     samples = counts("samples", (samples,), 1)[0]
     (x, y, z), edges = grid.axes(), _edges(grid)
     fraction = np.empty(grid.shape, np.float32)
@@ -68,7 +88,9 @@ def to_target(shape: Implicit, grid: Grid, name: str = "", *, samples: int = SAM
     """The shape's voxels inside the grid as a `Target`. Raises `BadInput`, and `EmptyMesh` where none is filled."""
     fraction = voxelize(shape, grid, samples=samples)
     if not fraction.any():
-        raise EmptyMesh(f"{shape!r} fills no voxel of {grid.shape} of {grid.pitch:g} mm; wanted some: use a finer grid")
+        raise EmptyMesh(
+            f"{shape!r} fills no voxel of {grid.shape} of {grid.pitch:g} mm; expected some: use a finer grid"
+        )
     return Target.from_array(fraction, grid.pitch, name or type(shape).__name__)
 
 
@@ -115,10 +137,10 @@ def asked(shape: Callable[[Array, Array, Array], Array], x: Array, y: Array, z: 
     value = np.asarray(shape(x, y, z))
     if value.shape != size:
         raise BadInput(
-            f"the shape's function gave an array of {value.shape} for points of {size}; wanted the same shape: "
+            f"the shape's function gave an array of {value.shape} for points of {size}; expected the same shape: "
             "write it with NumPy functions of x, y and z"
         )
     if value.dtype.kind not in "fiub" or np.isnan(value).any():
         bad = "values that are no real numbers" if value.dtype.kind not in "fiub" else f"{np.isnan(value).sum()} NaN"
-        raise BadInput(f"the shape's function gave {bad} at {size} points; wanted φ < 0 in the solid, > 0 outside")
+        raise BadInput(f"the shape's function gave {bad} at {size} points; expected φ < 0 in the solid, > 0 outside")
     return value

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from io import BytesIO
+from os import fstat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from vamgpu.errors import BadInput, EmptyMesh, MeshError
+from vamgpu.storage.memory import afford, size
+from vamgpu.storage.reading import is_file, open_file
+from vamgpu.targets.package import models
 from vamgpu.targets.repair import repaired
 from vamgpu.targets.solid import Solid
 
@@ -20,6 +25,12 @@ __all__ = ["FORMATS", "Solid", "from_trimesh", "load_mesh"]
 
 FORMATS = (".stl", ".ply", ".obj", ".3mf")
 """File formats that load_mesh reads."""
+WORK = {"stl": 10, "ply": 20, "obj": 20, "3mf": 2}
+"""Bytes of memory that reading and mending take at most, by byte of the file; 3MF files are packed, see package.py."""
+TRIANGLE = 300
+"""The same, by triangle [bytes]."""
+PLY_HEAD = 1 << 16
+"""Bytes that a PLY file's header has at most."""
 
 
 def load_mesh(
@@ -43,11 +54,12 @@ def load_mesh(
     """
     file = Path(path)
     if file.suffix.lower() not in FORMATS:
-        raise BadInput(f"cannot read {file.name!r}: wanted a mesh file ending in {', '.join(FORMATS)}")
-    if not file.is_file():
+        raise BadInput(f"cannot read {str(path)!r}: expected a mesh file ending in {', '.join(FORMATS)}")
+    if not is_file(file):
         raise BadInput(f"there is no mesh file {str(path)!r}; check the path")
     solid = from_trimesh(_read(file), name=name or file.stem, repair=repair)
-    return solid.placed(rotation=rotation, height=height, factor=factor, center=center)
+    placed = solid.placed(rotation=rotation, height=height, factor=factor, center=center)
+    return placed if center else replace(placed, drawn=True)
 
 
 def from_trimesh(mesh: trimesh.Trimesh, *, name: str = "solid", repair: bool = True) -> Solid:
@@ -60,7 +72,7 @@ def from_trimesh(mesh: trimesh.Trimesh, *, name: str = "solid", repair: bool = T
         raise EmptyMesh(f"{name}: the mesh has no triangles; export the part again as a triangle mesh")
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     if not np.isfinite(vertices).all():
-        raise MeshError(f"{name}: vertices are NaN or infinite; wanted finite numbers: export the part again")
+        raise MeshError(f"{name}: vertices are NaN or infinite; expected finite numbers: export the part again")
     if mesh.units not in (None, "mm", "millimeter", "millimeters"):
         from trimesh.units import unit_conversion
 
@@ -71,49 +83,84 @@ def from_trimesh(mesh: trimesh.Trimesh, *, name: str = "solid", repair: bool = T
 def _read(file: Path) -> trimesh.Trimesh:
     import trimesh
 
-    if file.stat().st_size == 0:
-        raise EmptyMesh(f"{file.name} is an empty file; export the part again")
-    count = _announced(file)
+    kind = file.suffix[1:].lower()
+    data = _bytes(file, kind)
+    count = _announced(data, kind, file.name)
+    if kind == "ply":
+        _check_ply(data, file.name)
+    content = models(data, file.name) if kind == "3mf" else BytesIO(_encoded(data, kind))
     try:
-        scene = trimesh.load_scene(_readable(file), file_type=file.suffix[1:].lower())
+        # bytes in place of a path: the readers then open no other file that this one names
+        scene = trimesh.load_scene(content, file_type=kind)
+        instances = [scene.graph[node][1] for node in scene.graph.nodes_geometry]
+        triangles = sum(len(getattr(scene.geometry.get(name), "faces", ())) for name in instances)
+        afford(triangles * TRIANGLE, f"{file.name!r} with {triangles:,} triangles", MeshError)
         mesh = scene.to_mesh()
         if scene.units is not None:
             mesh.units = scene.units
+    except MeshError:
+        raise
     except Exception as error:  # the readers raise whatever they stumble over
         raise MeshError(
-            f"cannot read {file.name} as {file.suffix[1:].upper()} ({type(error).__name__}: {error}); "
+            f"cannot read {file.name!r} as {kind.upper()} ({type(error).__name__}: {error}); "
             "the file is damaged or of another format: export the part again"
         ) from error
     if count > len(mesh.faces):  # the reader drops them in silence, which leaves holes
         raise MeshError(
             f"{file.name}: {count - len(mesh.faces)} of {count} triangles have corners that are NaN or infinite; "
-            "wanted finite numbers: export the part again"
+            "expected finite numbers: export the part again"
         )
     return mesh
 
 
-def _announced(file: Path) -> int:
+def _bytes(file: Path, kind: str) -> bytes:
+    try:
+        with open_file(file) as opened:
+            length = fstat(opened.fileno()).st_size
+            afford(length * WORK[kind], f"the mesh {file.name!r} of {size(length)}", MeshError)
+            data = opened.read(length)
+    except OSError as error:
+        raise MeshError(f"cannot read the mesh {str(file)!r}: {error.strerror or error}; check the path") from error
+    if not data:
+        raise EmptyMesh(f"{file.name} is an empty file; export the part again")
+    return data
+
+
+def _announced(data: bytes, kind: str, name: str) -> int:
     """Triangles that a binary STL file says it has, 0 for all others. Raises MeshError where the file ends too soon."""
-    with open(file, "rb") as stream:
-        head = stream.read(512)
-    if file.suffix.lower() != ".stl" or b"\0" not in head:
+    if kind != "stl" or b"\0" not in data[:512]:
         return 0
-    count, room = int.from_bytes(head[80:84], "little"), max(0, file.stat().st_size - 84) // 50
+    count, room = int.from_bytes(data[80:84], "little"), max(0, len(data) - 84) // 50
     if count > room:
         raise MeshError(
-            f"{file.name} says that it has {count} triangles but ends after {room}; it is cut off or no STL: "
+            f"{name} says that it has {count} triangles but ends after {room}; it is cut off or no STL: "
             "copy or export it again"
         )
     return count
 
 
-def _readable(file: Path) -> str | BytesIO:
-    """The path; for text in another encoding than UTF-8, which only names and remarks can hold, its text in UTF-8."""
-    data = file.read_bytes() if file.suffix.lower() in (".obj", ".stl") else b""
-    if b"\0" in data[:512]:
-        return str(file)
+def _check_ply(data: bytes, name: str) -> None:
+    """Raise MeshError where the header counts more numbers than the file has bytes."""
+    count = claim = 0
+    head, mark, _ = data[:PLY_HEAD].partition(b"end_header")
+    for line in head.splitlines():
+        words = line.split()
+        if words[:1] == [b"element"] and len(words) == 3 and words[2].isdigit():
+            count = int(words[2][:20])
+            claim += count
+        elif words[:1] == [b"property"]:
+            claim += count
+    if not mark or claim > 2 * len(data):
+        told = f"counts {claim:,} elements and numbers" if mark else "has no end of its header"
+        raise MeshError(f"{name!r} {told} in {len(data):,} bytes; it is cut off or no PLY: copy or export it again")
+
+
+def _encoded(data: bytes, kind: str) -> bytes:
+    """Bytes; for text in another encoding than UTF-8, which only names and remarks can hold, the text in UTF-8."""
+    if kind not in ("obj", "stl") or b"\0" in data[:512]:
+        return data
     try:
         data.decode("utf-8")
     except UnicodeDecodeError:
-        return BytesIO(data.decode("latin-1").encode())
-    return str(file)
+        return data.decode("latin-1").encode()
+    return data

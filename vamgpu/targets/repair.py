@@ -42,7 +42,8 @@ def repaired(solid: Solid, *, fix: bool = True) -> Solid:
     if left:
         tried = " after merging vertices and filling small holes" if fix else ""
         raise NotWatertight(
-            f"{solid.name}: {left} open edges{tried}; wanted a closed surface. Close the holes in the CAD program or a "
+            f"{solid.name}: {left} open edges{tried}; expected a closed surface. Close the holes in the CAD program "
+            "or a "
             "mesh editor (make solid / close holes) and export again"
         )
     if fix:
@@ -53,7 +54,7 @@ def repaired(solid: Solid, *, fix: bool = True) -> Solid:
         result = replace(solid, vertices=vertices, faces=faces, mended=solid.mended + mended)
     low, high = result.bounds
     if not abs(result.volume) > 1e-9 * float(np.prod(high - low)):
-        raise MeshError(f"{solid.name}: the surface encloses no volume; wanted a solid part, not a sheet: thicken it")
+        raise MeshError(f"{solid.name}: the surface encloses no volume; expected a solid part, not a sheet: thicken it")
     if mended:
         warnings.warn(
             f"{solid.name}: the mesh was mended: {'; '.join(mended)}. Look at the part before it is printed, or mend "

@@ -22,6 +22,7 @@ class Solid:
 
     vertices: float64 (n, 3) [mm]; faces: int32 (m, 3), indices into vertices. Both are kept as read-only copies.
     The vial's axis is x = y = 0, along z.  mended: what a repair changed, a sentence each; empty for a sound mesh.
+    drawn: whether it is to stay where it was drawn about the axis, as one read with ``center=False`` does.
 
     Raises EmptyMesh without faces, MeshError for wrong shapes, indices out of range or coordinates that are not finite.
     """
@@ -30,6 +31,7 @@ class Solid:
     faces: npt.NDArray[np.int32]
     name: str = "solid"
     mended: tuple[str, ...] = ()
+    drawn: bool = False
 
     def __post_init__(self) -> None:
         vertices = np.array(self.vertices, dtype=np.float64, order="C")
@@ -38,7 +40,7 @@ class Solid:
             raise EmptyMesh(f"{self.name}: the mesh has no triangles; export the part again as a triangle mesh")
         if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
             raise MeshError(
-                f"{self.name}: vertices {vertices.shape} and faces {faces.shape}; wanted (n, 3) and (m, 3) triangles"
+                f"{self.name}: vertices {vertices.shape} and faces {faces.shape}; expected (n, 3) and (m, 3) triangles"
             )
         if not np.isfinite(vertices).all():
             raise MeshError(f"{self.name}: a vertex is NaN or infinite; export the mesh again")
@@ -84,35 +86,41 @@ class Solid:
         """Turn by a 3 x 3 rotation matrix R, vertex -> R @ vertex. Raises BadInput unless R is a proper rotation."""
         matrix = np.asarray(rotation, dtype=np.float64)
         if matrix.shape != (3, 3):
-            raise BadInput(f"rotation has shape {matrix.shape}; wanted a 3 x 3 matrix")
+            raise BadInput(f"rotation has shape {matrix.shape}; expected a 3 x 3 matrix")
         # Hand-typed matrices carry six digits or so; a NaN fails this test too.
         if not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=1e-5):
             raise BadInput("rotation is not orthogonal (R @ R.T differs from 1 by more than 1e-5); scale with factor=")
         if np.linalg.det(matrix) < 0.0:
-            raise BadInput("rotation has determinant -1 and would mirror the part; wanted +1: flip the sign of one row")
+            raise BadInput(
+                "rotation has determinant -1 and would mirror the part; expected +1: flip the sign of one row"
+            )
         return replace(self, vertices=self.vertices @ matrix.T)
 
     def scaled(self, factor: float) -> Solid:
         """Multiply all lengths by factor > 0. Raises BadInput otherwise."""
         if not (np.isfinite(factor) and factor > 0.0):
-            raise BadInput(f"factor is {factor}; wanted a positive number")
+            raise BadInput(f"factor is {factor}; expected a positive number")
         return replace(self, vertices=self.vertices * float(factor))
 
     def translated(self, shift: npt.ArrayLike) -> Solid:
         """Move by shift = (x, y, z) [mm]. Raises BadInput unless it is three finite numbers."""
         move = np.asarray(shift, dtype=np.float64)
         if move.shape != (3,) or not np.isfinite(move).all():
-            raise BadInput(f"shift is {shift}; wanted three finite lengths [mm]")
+            raise BadInput(f"shift is {shift}; expected three finite lengths [mm]")
         return replace(self, vertices=self.vertices + move)
+
+    def leveled(self) -> Solid:
+        """Put mid-height at z = 0."""
+        low, high = self.bounds
+        return self.translated((0.0, 0.0, -0.5 * (low[2] + high[2])))
 
     def centered(self) -> Solid:
         """Put the smallest enclosing circle of the footprint on the axis and mid-height at z = 0.
 
         A part so placed needs the smallest possible printable radius.
         """
-        low, high = self.bounds
         x, y, _ = smallest_enclosing_circle(self.vertices[np.unique(self.faces), :2])
-        return self.translated((-x, -y, -0.5 * (low[2] + high[2])))
+        return self.translated((-x, -y, 0.0)).leveled()
 
     def placed(
         self,
@@ -131,7 +139,7 @@ class Solid:
             raise BadInput(f"got height={height} and factor={factor}; give one of them")
         if height is not None:
             if not (np.isfinite(height) and height > 0.0):
-                raise BadInput(f"height is {height}; wanted a positive length [mm]")
+                raise BadInput(f"height is {height}; expected a positive length [mm]")
             if solid.height == 0.0:
                 raise MeshError(f"{self.name}: the mesh is flat along z and cannot be scaled to a height; use factor=")
             factor = height / solid.height
@@ -150,7 +158,7 @@ class Solid:
         another one, StorageError when it cannot be written."""
         file = Path(path)
         if file.suffix.lower() not in {".stl", ".ply", ".obj", ".3mf"}:
-            raise BadInput(f"cannot write {file.name!r}: wanted a name ending in .stl, .ply, .obj or .3mf")
+            raise BadInput(f"cannot write {file.name!r}: expected a name ending in .stl, .ply, .obj or .3mf")
         mesh = self.to_mesh()
         mesh.units = "millimeter"
         data = mesh.export(file_type=file.suffix.lower()[1:])

@@ -26,10 +26,18 @@ _STEPS = 30
 class Spiral:
     """A film wound into r = inner + ρ + kψ, one layer on the other, with 2πk = thickness + substrate (eq. S8).
 
-    inner: radius [mm] at which the film's roller side (ρ = 0) starts.  thickness: of the film [mm].  turns: of the
-    winding.  substrate: what stays between layers [mm].  neutral: depth of the line that winding does not stretch, in
-    shares of the thickness; l [mm] of the flat film is the arc along it.  Layers keep their thickness along the radius
-    so that they fill the wound body without gap or overlap.  Raises `BadInput`.
+    Layers keep their thickness along the radius, so that they fill the wound body without gap or overlap.
+
+    Args:
+        inner: Radius at which the film's roller side (ρ = 0) starts [mm].
+        thickness: Of the film [mm].
+        turns: Of the winding, relative to a full turn.
+        substrate: What stays between layers [mm].
+        neutral: Depth of the line that winding does not stretch, as a share of the thickness; l of the flat film is the
+            arc along it.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
     inner: float
@@ -43,7 +51,7 @@ class Spiral:
             positive(f"Spiral {name}", getattr(self, name))
         positive("Spiral substrate [mm]", self.substrate, zero=True)
         if positive("Spiral neutral", self.neutral, zero=True) > 1.0:
-            raise BadInput(f"Spiral neutral is {self.neutral!r}; wanted a share of the thickness in 0..1")
+            raise BadInput(f"Spiral neutral is {self.neutral!r}; expected a share of the thickness in 0..1")
 
     @property
     def rise(self) -> float:
@@ -66,12 +74,26 @@ class Spiral:
         return self.inner + self.rise * self.end + self.thickness
 
     def arc(self, angle: Array) -> Array:
-        """Length [mm] along the neutral line from ψ = 0 to ψ [rad]: the integral of eq. S10 in closed form."""
+        """Length along the neutral line from ψ = 0: the integral of eq. S10 in closed form.
+
+        Args:
+            angle: ψ [rad], (...,).
+
+        Returns:
+            Lengths [mm], (...,).
+        """
         start = self.inner + self.neutral * self.thickness
         return self._integral(start + self.rise * np.asarray(angle, np.float64)) - self._integral(np.array(start))
 
     def angle(self, along: Array) -> Array:
-        """ψ [rad] at a length l [mm], the inverse of `arc`, beyond the film's ends too."""
+        """The inverse of `arc`, beyond the film's ends too.
+
+        Args:
+            along: Lengths l [mm], (...,).
+
+        Returns:
+            ψ [rad], (...,).
+        """
         start = self.inner + self.neutral * self.thickness
         along = np.asarray(along, np.float64)
         psi = (np.sqrt(np.maximum(start**2 + 2.0 * self.rise * along, 0.0)) - start) / self.rise
@@ -83,13 +105,29 @@ class Spiral:
         return psi
 
     def wound(self, along: Array, depth: Array) -> tuple[Array, Array]:
-        """Place (x, y) [mm] in the wound body of points (l, ρ) [mm] of the flat film."""
+        """Where points of the flat film lie in the wound body.
+
+        Args:
+            along: Lengths l [mm], (...,).
+            depth: Depths ρ [mm], (...,).
+
+        Returns:
+            Places x and y [mm], (...,) each.
+        """
         psi = self.angle(along)
         r = self.inner + self.rise * psi + depth
         return r * np.cos(psi), r * np.sin(psi)
 
     def flat(self, x: Array, y: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        """Points (l, ρ) [mm] of the film found at places (x, y) [mm], and whether there is film at all."""
+        """Which points of the flat film lie at some places of the wound body.
+
+        Args:
+            x: Places [mm], (...,).
+            y: Places [mm], (...,).
+
+        Returns:
+            l and ρ [mm], and whether there is film at all, (...,) each.
+        """
         r, turn = np.hypot(x, y), np.arctan2(y, x) % (2.0 * pi)
         above = r - self.inner - self.rise * turn
         whole = np.floor(above / (2.0 * pi * self.rise))
@@ -98,21 +136,45 @@ class Spiral:
         return self.arc(np.clip(psi, 0.0, self.end)), depth, held
 
     def web(self, pitch: tuple[float, float, float] | float, width: float) -> WebGrid:
-        """The grid of the flat film: whole voxels that cover its length, its thickness and ``width`` [mm] along z."""
+        """The grid of the flat film.
+
+        Args:
+            pitch: Voxel edges [mm] along l, rho, z; one number for cubes.
+            width: Along z [mm].
+
+        Returns:
+            Whole voxels that cover length, thickness and width.
+        """
         edges = WebGrid((1, 1, 1), pitch).edges
         size = (self.length, self.thickness, positive("width [mm]", width))
         n_l, n_rho, n_z = (int(np.ceil(s / e - 1e-6)) for s, e in zip(size, edges, strict=True))
         return WebGrid((n_l, n_rho, n_z), edges)
 
     def film(self, shape: Implicit) -> Implicit:
-        """A solid of (x, y, z) cut into the film: a function of (l, ρ, z), for `voxelize` on a web and `stream`."""
+        """A solid cut into the film.
+
+        Args:
+            shape: The solid, a function of (x, y, z).
+
+        Returns:
+            A function of (l, ρ, z), for `voxelize` on a web and `stream`.
+        """
         return _BoundedFilm(self, shape) if isinstance(shape, Bounded) else _Film(self, shape)
 
     def unwind(self, fraction: npt.ArrayLike, grid: Grid, web: WebGrid) -> npt.NDArray[np.float32]:
-        """Voxels [x, y, z] of a solid as those of the flat film, float32 [l, rho, z], interpolated between centers.
+        """Voxels of a solid as those of the flat film, interpolated between centers; the core is not in the film.
 
-        What lies in the core or beyond the last layer is not in the film. Raises `ShapeMismatch`, and `EmptyMesh` where
-        the film gets nothing.
+        Args:
+            fraction: Of the solid, [x, y, z].
+            grid: Voxels of the solid.
+            web: Voxels of the film.
+
+        Returns:
+            Fractions float32 [l, rho, z].
+
+        Raises:
+            ShapeMismatch: The fractions are those of another grid.
+            EmptyMesh: The film gets nothing.
         """
         values = _on("solid", fraction, grid.shape)
         l, rho, z = web.axes()  # noqa: E741
@@ -128,9 +190,19 @@ class Spiral:
         return film
 
     def wind(self, fraction: npt.ArrayLike, web: WebGrid, grid: Grid, samples: int = 3) -> npt.NDArray[np.float32]:
-        """Voxels [l, rho, z] of a flat film as those of the wound body, float32 [x, y, z].
+        """Voxels of a flat film as those of the wound body.
 
-        samples: points along x and y in each voxel, between centers of the film interpolated.  Raises `ShapeMismatch`.
+        Args:
+            fraction: Of the film, [l, rho, z].
+            web: Voxels of the film.
+            grid: Voxels of the wound body.
+            samples: Points along x and y in each voxel, between centers of the film interpolated.
+
+        Returns:
+            Fractions float32 [x, y, z].
+
+        Raises:
+            ShapeMismatch: The fractions are those of another web.
         """
         values = _on("film", fraction, web.shape)
         x, y, z = grid.axes()
@@ -184,7 +256,7 @@ class _BoundedFilm(_Film):
 def _on(name: str, fraction: npt.ArrayLike, shape: tuple[int, int, int]) -> npt.NDArray[np.float32]:
     values = np.asarray(fraction, np.float32)
     if values.shape != shape:
-        raise ShapeMismatch(f"the {name} has shape {values.shape}, its grid {shape}; wanted the same")
+        raise ShapeMismatch(f"the {name} has shape {values.shape}, its grid {shape}; expected the same")
     return values
 
 

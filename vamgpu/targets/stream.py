@@ -38,12 +38,14 @@ class Repeated:
 
     def __post_init__(self) -> None:
         if not isinstance(self.solid, Solid):
-            raise BadInput(f"got a {type(self.solid).__name__}; wanted a Solid: load_mesh reads one from a file")
+            raise BadInput(f"got a {type(self.solid).__name__}; expected a Solid: load_mesh reads one from a file")
         period, extent = positive("period [mm]", self.period), float(np.ptp(self.solid.bounds[:, 0]))
         if extent > MOST_OVERLAPS * period:
-            raise BadInput(f"period is {period:g} mm, but {self.solid.name} is {extent:.4g} mm long, so that "
-                           f"{extent / period:.3g} copies would overlap; wanted at most {MOST_OVERLAPS}: take a longer "
-                           "period [mm]")
+            raise BadInput(
+                f"period is {period:g} mm, but {self.solid.name} is {extent:.4g} mm long, so that "
+                f"{extent / period:.3g} copies would overlap; expected at most {MOST_OVERLAPS}: take a longer "
+                "period [mm]"
+            )
 
     def copies(self, low: float, high: float) -> Solid | None:
         """All copies that reach between two positions along l [mm] as one surface; None where there is none."""
@@ -70,6 +72,16 @@ def tile(
     solid = shape.copies(start, start + grid.size[0])
     if solid is None:
         return np.zeros(grid.shape, np.float32)
+    return section(solid, grid, start, device)
+
+
+def section(
+    solid: Solid, grid: WebGrid, start: float = 0.0, device: str | Device | None = None
+) -> npt.NDArray[np.float32]:
+    """Filled fractions [l, rho, z] of a surface in a piece of web that begins ``start`` [mm] along it.
+
+    solid: in the film's coordinates.  device: where it is voxelized.  Raises `BadInput`.
+    """
     # Scaled edge by edge, voxels are cubes of 1 about the middle of the tile: a share of a volume stays what it is.
     middle = (start + 0.5 * grid.size[0], 0.5 * grid.size[1], 0.0)
     cubes = Solid((solid.vertices - middle) / grid.edges, solid.faces, solid.name)
@@ -89,7 +101,7 @@ def stream(
     grid = WebGrid((counts("along (voxels of a tile)", (along,), 1)[0], *section), pitch)
     voxels = ceil(positive("length [mm]", length) / grid.edges[0] - _SLACK)
     if not (callable(shape) or isinstance(shape, Repeated)):
-        raise BadInput(f"got a {type(shape).__name__}; wanted a function φ(l, ρ, z), or Repeated(solid, period)")
+        raise BadInput(f"got a {type(shape).__name__}; expected a function φ(l, ρ, z), or Repeated(solid, period)")
     if isinstance(shape, Repeated) and not _meets(shape.solid, grid):
         low, high = shape.solid.bounds
         raise EmptyMesh(

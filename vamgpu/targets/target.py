@@ -13,14 +13,16 @@ import numpy.typing as npt
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.card import card, drawable
 from vamgpu.errors import BadInput, EmptyMesh, OutOfMemory, TargetTooLarge
 from vamgpu.geometry import Grid, counts, positive
 
 if TYPE_CHECKING:
+    from vamgpu.targets.limits import Limits
     from vamgpu.targets.solid import Solid
 
 MARGIN = 2
-"""Voxels between the part and the rim of the inscribed cylinder, unless told otherwise."""
+"""Voxels between the part and the rim of the inscribed cylinder, by default."""
 _MULTIPLE = 4
 """Grids that are chosen here have multiples of this many voxels along every axis."""
 _SLACK = 1e-6
@@ -31,19 +33,25 @@ _SLACK = 1e-6
 class Target:
     """The part to print on a voxel grid centered on the axis of rotation.
 
-    fraction: filled part of each voxel, 0..1, [x, y, z]: a field on a device, or a NumPy array.
-    radius: largest distance from the axis [mm].  volume: filled volume [mm³], the sum of the fractions.
-    height: extent along z [mm].
-    solid: the surface it was voxelized from, placed as it is printed [mm]; None where it came from an array.
+    Args:
+        grid: Its voxels.
+        name: In messages and reports.
+        fraction: Filled share of each voxel, 0..1, [x, y, z]: on a device, or a NumPy array.
+        radius: Largest distance from the axis [mm].
+        volume: Filled volume [mm³].
+        height: Extent along z [mm].
+        solid: The surface it was voxelized from, placed as it is printed; None where it came from an array.
+        limits: What single voxels are asked for, as a `Scene` says; None where the part is to print and nothing else.
     """
 
     grid: Grid
     name: str
-    fraction: DeviceArray | npt.NDArray[np.floating]
+    fraction: DeviceArray | npt.NDArray[np.floating] = field(repr=False)
     radius: float
     volume: float
     height: float
     solid: Solid | None = field(default=None, repr=False)
+    limits: Limits | None = field(default=None, repr=False)
     _copies: dict[str, DeviceArray] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
@@ -60,20 +68,44 @@ class Target:
         device: str | Device | None = None,
         name: str | None = None,
     ) -> Target:
-        """Voxelize a mesh file (STL, PLY, OBJ, 3MF) or a Solid, repaired where needed, on a device.
+        """Voxelize a mesh, repaired where needed, on a device.
 
-        The part is turned by ``orientation`` (3 × 3 rotation matrix), scaled to ``height`` [mm] along z or by
-        ``factor`` (exactly one of them), and centered: its smallest enclosing circle on the axis, its middle at z = 0.
-        ``pitch``: voxel edge [mm].  ``margin``: voxels left free between the part and the inscribed cylinder.
-        ``shape``: voxels of the grid; by default the smallest multiples of 4 that hold the part and the margin.
+        The part is turned, scaled by exactly one of ``height`` and ``factor``, and centered: its smallest enclosing
+        circle on the axis, its middle at z = 0. A `Solid` that was read with ``center=False`` stays where it was drawn
+        about the axis. ``mended`` keeps what a repair changed.
 
-        Raises BadInput (pitch, height, factor, orientation, shape), TargetTooLarge (the part does not fit ``shape``),
-        EmptyMesh (nothing is filled), OutOfMemory, and what reading a mesh raises. Warns MeshWarning when the mesh was
-        mended; ``mended`` keeps what was done.
+        Args:
+            source: Path of an STL, PLY, OBJ or 3MF file, or a `Solid`.
+            height: Along z [mm].
+            factor: Scale of the mesh, dimensionless.
+            pitch: Voxel edge [mm].
+            orientation: Rotation matrix, (3, 3).
+            margin: Voxels left free between the part and the inscribed cylinder.
+            shape: Voxels of the grid; by default the smallest multiples of 4 that hold the part and the margin.
+            device: A name or a device; the best one here by default.
+            name: In messages and reports; by default the file's.
+
+        Returns:
+            The target, its fractions on the device.
+
+        Raises:
+            BadInput: An argument is out of its range.
+            MeshError: The mesh cannot be read or mended.
+            TargetTooLarge: The part does not fit ``shape``.
+            EmptyMesh: No voxel is filled.
+            OutOfMemory: The grid does not fit the device.
+
+        Warns:
+            MeshWarning: The mesh was mended.
         """
         pitch = positive("pitch [mm]", pitch)
         _one_scale(height, factor)
-        solid = _solid(source).placed(rotation=orientation, height=height, factor=factor)
+        from vamgpu.targets.solid import Solid
+
+        given = _solid(source)
+        drawn = given.drawn and isinstance(source, Solid)
+        solid = given.placed(rotation=orientation, height=height, factor=factor, center=not drawn)
+        solid = solid.leveled() if drawn else solid
         grid = _grid(solid, pitch, _margin(margin), shape)
         place = open_device(device)
         _check_memory(grid, place)
@@ -82,26 +114,51 @@ class Target:
         fraction, volume = voxelize(solid, grid, place)
         if volume <= 0.0:
             raise EmptyMesh(
-                f"{solid.name}: no voxel of {pitch:g} mm is filled ({solid.volume:.3g} mm³ in the mesh); wanted a "
+                f"{solid.name}: no voxel of {pitch:g} mm is filled ({solid.volume:.3g} mm³ in the mesh); expected a "
                 "part not much thinner than a voxel: use a smaller pitch or a larger part"
             )
         return cls(grid, name or solid.name, fraction, solid.radius, volume, solid.height, solid)
 
     @classmethod
     def from_array(cls, values: npt.ArrayLike, pitch: float, name: str = "array") -> Target:
-        """A target from fractions [x, y, z] in 0..1 (booleans too), voxels of ``pitch`` [mm], centered on the axis.
+        """A target from fractions. Its radius is that of the outermost voxel center that is not empty.
 
-        The radius is that of the outermost voxel center that is not empty. Raises BadInput, EmptyMesh.
+        Args:
+            values: Fractions in 0..1, or booleans, [x, y, z], centered on the axis.
+            pitch: Voxel edge [mm].
+            name: In messages and reports.
+
+        Returns:
+            The target.
+
+        Raises:
+            BadInput: The array is no array of fractions.
+            EmptyMesh: No voxel is filled.
         """
         fraction = _fractions(values)
         grid = Grid(fraction.shape, pitch)  # type: ignore[arg-type]
         footprint, slices = fraction.any(axis=2), np.flatnonzero(fraction.any(axis=(0, 1)))
         if not len(slices):
-            raise EmptyMesh(f"{name}: every voxel of the array is 0; wanted some that are filled")
+            raise EmptyMesh(f"{name}: every voxel of the array is 0; expected some that are filled")
         x, y, _ = grid.axes()
         radius = float(np.hypot(x[:, None], y[None, :])[footprint].max())
         volume = float(fraction.sum(dtype=np.float64)) * grid.voxel_volume
         return cls(grid, name, fraction, radius, volume, float(slices[-1] - slices[0] + 1) * grid.pitch)
+
+    def _repr_html_(self) -> str:
+        fraction = self.numpy() if drawable(self.grid.shape) else None
+        numbers = {
+            "voxels x × y × z": " × ".join(f"{n:,}" for n in self.grid.shape),
+            "pitch": f"{1000 * self.grid.pitch:.4g} µm",
+            "radius about the axis": f"{self.radius:.4g} mm",
+            "height": f"{self.height:.4g} mm",
+            "volume": f"{self.volume:.4g} mm³",
+            **({"mended": "; ".join(self.mended)} if self.mended else {}),
+        }
+        planes = {"from the side": None, "from above": None} if fraction is None else {
+            "from the side, mean along y": fraction.mean(axis=1), "from above, mean along z": fraction.mean(axis=2),
+        }  # fmt: skip
+        return card(f"Target {self.name!r}", numbers, planes)
 
     @property
     def mended(self) -> tuple[str, ...]:
@@ -109,7 +166,14 @@ class Target:
         return () if self.solid is None else self.solid.mended
 
     def on(self, device: str | Device | None = None) -> DeviceArray:
-        """The fractions as a field on ``device``; copied there once, then kept."""
+        """The fractions as a field on a device; copied there once, then kept.
+
+        Args:
+            device: A name or a device; the best one here by default.
+
+        Returns:
+            Fractions [x, y, z].
+        """
         place = open_device(device)
         if isinstance(self.fraction, DeviceArray) and self.fraction.device is place:
             return self.fraction
@@ -126,16 +190,16 @@ class Target:
         an array the fractions, constant within each voxel and 0 outside, are averaged exactly over the new voxels.
 
         Args:
-            grid: the new voxels; a slab of them too, moved to its place by ``shift``.
-            shift: where the middle of ``grid`` goes, (x, y, z) [mm] in the part's frame.
-            device: where to compute and keep the result; None takes the default device.
+            grid: The new voxels; a slab of them too, moved to its place by ``shift``.
+            shift: Where the middle of ``grid`` goes, (x, y, z) [mm] in the part's frame.
+            device: A name or a device; the best one here by default.
 
         Returns:
-            Field [x, y, z] on ``device``, 0..1; what of the part lies outside is cut off.
+            Fractions [x, y, z] on the device; what of the part lies outside is cut off.
 
         Raises:
-            BadInput: shift is not three finite lengths.
-            TargetTooLarge, OutOfMemory, DeviceError: as voxelizing raises them.
+            BadInput: The shift is not three finite lengths.
+            OutOfMemory: The grid does not fit the device.
         """
         place, move = open_device(device), _lengths(shift)
         if self.solid is not None:
@@ -147,14 +211,18 @@ class Target:
         return place.upload(averaged(self.numpy(), self.grid, grid, move))
 
     def numpy(self) -> npt.NDArray[np.floating]:
-        """The fractions as a NumPy array [x, y, z]."""
+        """The fractions in NumPy.
+
+        Returns:
+            Fractions [x, y, z].
+        """
         return self.fraction.numpy() if isinstance(self.fraction, DeviceArray) else self.fraction
 
 
 def _lengths(shift: tuple[float, float, float]) -> tuple[float, float, float]:
     move = np.asarray(shift, dtype=np.float64)
     if move.shape != (3,) or not np.isfinite(move).all():
-        raise BadInput(f"shift is {shift!r}; wanted three finite lengths (x, y, z) [mm]")
+        raise BadInput(f"shift is {shift!r}; expected three finite lengths (x, y, z) [mm]")
     return float(move[0]), float(move[1]), float(move[2])
 
 
@@ -173,7 +241,7 @@ def _solid(source: str | Path | Solid) -> Solid:
     if isinstance(source, Solid):
         return repaired(source)
     if not isinstance(source, str | Path):
-        raise BadInput(f"got a {type(source).__name__}; wanted the path of a mesh file, or a Solid")
+        raise BadInput(f"got a {type(source).__name__}; expected the path of a mesh file, or a Solid")
     from vamgpu.targets.mesh import load_mesh
 
     return load_mesh(source, center=False)
@@ -181,7 +249,7 @@ def _solid(source: str | Path | Solid) -> Solid:
 
 def _margin(margin: int) -> int:
     if positive("margin [voxels]", margin, zero=True) != int(margin):
-        raise BadInput(f"margin is {margin!r}; wanted a whole number of voxels")
+        raise BadInput(f"margin is {margin!r}; expected a whole number of voxels")
     return int(margin)
 
 
@@ -211,7 +279,7 @@ def _check_memory(grid: Grid, device: Device) -> None:
     size = device.real.itemsize * prod(grid.shape) / 1e9
     try:
         room = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
-    except (AttributeError, ValueError, OSError):  # not told everywhere
+    except (AttributeError, ValueError, OSError):  # not every system says
         return
     if "cuda" not in device.name and not getattr(device, "is_gpu", False) and size > room:
         raise OutOfMemory(
@@ -224,13 +292,15 @@ def _fractions(values: npt.ArrayLike) -> npt.NDArray[np.floating]:
     """Values as a read-only float32 copy, or `BadInput`."""
     array = np.asarray(values)
     if array.ndim != 3 or array.size == 0:
-        raise BadInput(f"the array has shape {array.shape}; wanted [x, y, z] with at least one voxel")
+        raise BadInput(f"the array has shape {array.shape}; expected [x, y, z] with at least one voxel")
     if array.dtype.kind not in "buif":
-        raise BadInput(f"the array holds {array.dtype}; wanted numbers in 0..1")
+        raise BadInput(f"the array holds {array.dtype}; expected numbers in 0..1")
     if not np.isfinite(array).all():
-        raise BadInput("the array holds NaN or infinity; wanted fractions in 0..1")
+        raise BadInput("the array holds NaN or infinity; expected fractions in 0..1")
     if array.min() < 0 or array.max() > 1:
-        raise BadInput(f"the array reaches from {array.min():g} to {array.max():g}; wanted fractions in 0..1: scale it")
+        raise BadInput(
+            f"the array reaches from {array.min():g} to {array.max():g}; expected fractions in 0..1: scale it"
+        )
     fraction = np.array(array, np.float32, order="C")
     fraction.setflags(write=False)
     return fraction

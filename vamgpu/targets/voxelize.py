@@ -102,7 +102,8 @@ def listed(counts: npt.NDArray[np.integer], tile: int, room: int) -> tuple[list[
     longest = max(int(rows[band].sum()) for band in bands)
     if longest >= 1 << 31:
         raise TargetTooLarge(
-            f"rays of {tile} rows of columns cross the surface {longest} times; wanted at most {1 << 31}: use a larger "
+            f"rays of {tile} rows of columns cross the surface {longest} times; expected at most {1 << 31}: use a "
+            "larger "
             "pitch or a mesh with fewer bodies"
         )
     start = np.empty(counts.shape, np.int32)
@@ -122,7 +123,7 @@ def snapped(solid: Solid, grid: Grid) -> tuple[Integers, int]:
     if bits < FINEST:
         raise TargetTooLarge(
             f"{solid.name} on {grid.shape} voxels of {grid.pitch:g} mm is {widest:.0f} voxels wide; "
-            f"wanted at most {1 << (_REACH - FINEST)}: use a larger pitch"
+            f"expected at most {1 << (_REACH - FINEST)}: use a larger pitch"
         )
     return np.floor(voxels * (1 << bits) + (0.5 + _TIE)).astype(np.int64), bits
 

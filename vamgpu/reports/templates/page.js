@@ -115,6 +115,7 @@
     };
   } else {
     const pen = canvas.getContext("2d");
+    document.getElementById("painted").hidden = false;
     render = () => {
       const [sx, sy] = resize(), m = rotation(), solid = solids[mode === "target" ? "target" : "printed"];
       const p = solid.points, n = solid.normals, seen = new Float32Array(p.length), faces = solid.faces, order = [];

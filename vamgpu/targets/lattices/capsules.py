@@ -9,17 +9,26 @@ import numpy.typing as npt
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.targets.implicit import Distance
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Capsules:
+class Capsules(Distance):
     """Hollow cylinders with round ends along x (l on a web), repeated along x and z about y = ``depth``.
 
-    radius: of the outside.  length: of the straight part.  wall: thickness; ``radius`` for solid ones.  spacing: from
-    one to the next along x and z.  depth: of their axes.  All mm; the first is centered half a spacing from x = 0, and
-    on z = 0.  Raises `BadInput` where they would touch.
+    The first is centered half a spacing from x = 0, and on z = 0.
+
+    Args:
+        radius: Of the outside [mm].
+        length: Of the straight part [mm].
+        wall: Thickness [mm]; ``radius`` for solid ones.
+        spacing: From one to the next along x and z [mm].
+        depth: Of their axes [mm].
+
+    Raises:
+        BadInput: A value is out of its range, or they would touch.
     """
 
     radius: float = 0.8
@@ -32,16 +41,17 @@ class Capsules:
         radius = positive("Capsules radius [mm]", self.radius)
         long = positive("Capsules length [mm]", self.length, zero=True) + 2.0 * radius
         if positive("Capsules wall [mm]", self.wall) > radius:
-            raise BadInput(f"Capsules wall is {self.wall:g} mm; wanted at most the radius of {radius:g} mm")
+            raise BadInput(f"Capsules wall is {self.wall:g} mm; expected at most the radius of {radius:g} mm")
         if not np.isfinite(self.depth):
-            raise BadInput(f"Capsules depth is {self.depth!r}; wanted a finite length [mm]")
+            raise BadInput(f"Capsules depth is {self.depth!r}; expected a finite length [mm]")
         if len(self.spacing) != 2 or not self.spacing[0] > long or not self.spacing[1] > 2.0 * radius:
             raise BadInput(
-                f"Capsules spacing is {self.spacing!r} mm; wanted more than ({long:g}, {2 * radius:g}) along x and z, "
+                f"Capsules spacing is {self.spacing!r} mm; expected more than ({long:g}, {2 * radius:g}) along x and "
+                "z, "
                 "or they touch"
             )
 
-    def __call__(self, x: Array, y: Array, z: Array) -> Array:
+    def __call__(self, x: Array, y: Array, z: Array, /) -> Array:
         """Distance [mm], negative inside the wall."""
         along, across = self.spacing
         x = np.asarray(x, np.float64) / along - 0.5
@@ -49,5 +59,3 @@ class Capsules:
         beyond = np.maximum(along * np.abs(x - np.round(x)) - 0.5 * self.length, 0.0)
         skin = np.sqrt(beyond**2 + (y - self.depth) ** 2 + (across * (z - np.round(z))) ** 2) - self.radius
         return np.maximum(skin, -skin - self.wall) if self.wall < self.radius else skin
-
-    bound = __call__

@@ -57,7 +57,9 @@ class _Periodic(ABC):
 def _checked(shape: _Periodic, level: float, low: float, high: float, why: str) -> None:
     positive(f"{type(shape).__name__} cell [mm]", shape.cell)
     if not (isinstance(level, (int, float)) and isfinite(level) and low < level < high):
-        raise BadInput(f"{type(shape).__name__} level is {level!r}; wanted above {low:.4g} and below {high:.4g}: {why}")
+        raise BadInput(
+            f"{type(shape).__name__} level is {level!r}; expected above {low:.4g} and below {high:.4g}: {why}"
+        )
 
 
 def _gyroid(x: Array, y: Array, z: Array, slopes: bool) -> Sampled:
@@ -71,7 +73,12 @@ def _gyroid(x: Array, y: Array, z: Array, slopes: bool) -> Sampled:
 
 @dataclass(frozen=True)
 class SheetGyroid(_Periodic):
-    """The wall |f| < level along the gyroid f = 0; cell [mm]; 0 < level < √2. Raises `BadInput`."""
+    """The wall |f| < level along the gyroid f = 0.
+
+    Args:
+        cell: Period [mm].
+        level: Above 0 and below √2, dimensionless.
+    """
 
     level: float = 0.5
 
@@ -85,7 +92,12 @@ class SheetGyroid(_Periodic):
 
 @dataclass(frozen=True)
 class SkeletalGyroid(_Periodic):
-    """One of the two channels of the gyroid, f + level < 0; cell [mm]; |level| < √2. Raises `BadInput`."""
+    """One of the two channels of the gyroid, f + level < 0.
+
+    Args:
+        cell: Period [mm].
+        level: Within ±√2, dimensionless.
+    """
 
     level: float = 1.2
 
@@ -99,7 +111,12 @@ class SkeletalGyroid(_Periodic):
 
 @dataclass(frozen=True)
 class SchwarzP(_Periodic):
-    """cos ρ + cos l + cos z − level < 0; cell [mm]; |level| < 1, since at 1 its necks pinch off. Raises `BadInput`."""
+    """cos ρ + cos l + cos z − level < 0.
+
+    Args:
+        cell: Period [mm].
+        level: Within ±1, where the necks pinch off, dimensionless.
+    """
 
     level: float = 0.8
 
@@ -113,7 +130,12 @@ class SchwarzP(_Periodic):
 
 @dataclass(frozen=True)
 class SkeletalDiamond(_Periodic):
-    """cos ρ cos l cos z − sin ρ sin l sin z + level < 0; cell [mm]; |level| < √½. Raises `BadInput`."""
+    """cos ρ cos l cos z − sin ρ sin l sin z + level < 0.
+
+    Args:
+        cell: Period [mm].
+        level: Within ±√½, dimensionless.
+    """
 
     level: float = 0.5
 

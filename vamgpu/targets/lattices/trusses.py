@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.targets.implicit import Distance
 
 Array = npt.NDArray[np.float64]
 
@@ -25,8 +26,13 @@ _BONDS = ((-1.0, -1.0, -1.0), (-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.
 
 
 @dataclass(frozen=True)
-class CubicLattice:
-    """Round struts along the edges of cubes of ``cell``, ``strut`` thick [mm]. Raises `BadInput`."""
+class CubicLattice(Distance):
+    """Round struts along the edges of cubes.
+
+    Args:
+        cell: Edge of a cube [mm].
+        strut: Diameter of a strut [mm].
+    """
 
     cell: float = 3.0
     strut: float = 0.5
@@ -34,19 +40,18 @@ class CubicLattice:
     def __post_init__(self) -> None:
         _thin(self, "strut", self.strut, self.cell)
 
-    def __call__(self, x: Array, y: Array, z: Array) -> Array:
-        """Distance [mm], negative inside."""
+    def __call__(self, x: Array, y: Array, z: Array, /) -> Array:
         a, b, c = (_folded(v, self.cell) ** 2 for v in (x, y, z))
         return np.sqrt(np.minimum(np.minimum(a + b, b + c), c + a)) - 0.5 * self.strut
 
-    bound = __call__
-
 
 @dataclass(frozen=True)
-class OctetTruss:
-    """Struts between nearest neighbors of a face-centered cubic lattice, ``strut`` thick [mm]. Raises `BadInput`.
+class OctetTruss(Distance):
+    """Struts between nearest neighbors of a face-centered cubic lattice.
 
-    cell: edge of the cube with a node at each corner and in the middle of each face [mm].
+    Args:
+        cell: Edge of the cube with a node at each corner and in the middle of each face [mm].
+        strut: Diameter of a strut [mm].
     """
 
     cell: float = 3.0
@@ -55,22 +60,22 @@ class OctetTruss:
     def __post_init__(self) -> None:
         _thin(self, "strut", self.strut, sqrt(0.5) * self.cell)
 
-    def __call__(self, x: Array, y: Array, z: Array) -> Array:
-        """Distance [mm], negative inside."""
+    def __call__(self, x: Array, y: Array, z: Array, /) -> Array:
         point = [_folded(v, self.cell) for v in (x, y, z)]
         nearest = np.full(np.broadcast_shapes(*(p.shape for p in point)), np.inf)
         for a, b in combinations(self.cell * np.array(_TETRAHEDRON), 2):
             np.minimum(nearest, _segment(point, a, b), out=nearest)
         return np.sqrt(nearest) - 0.5 * self.strut
 
-    bound = __call__
-
 
 @dataclass(frozen=True)
-class Pentamode:
-    """A diamond lattice of double cones, ``middle`` thick in their middles, that meet in balls of ``touch`` [mm].
+class Pentamode(Distance):
+    """A diamond lattice of double cones that meet in balls.
 
-    cell: edge of the cubic diamond cell [mm].  Raises `BadInput`.
+    Args:
+        cell: Edge of the cubic diamond cell [mm].
+        touch: Diameter of a ball [mm].
+        middle: Diameter of a cone's middle [mm].
     """
 
     cell: float = 3.2
@@ -81,8 +86,7 @@ class Pentamode:
         _thin(self, "touch", self.touch, self.middle)
         _thin(self, "middle", self.middle, 0.25 * sqrt(3.0) * self.cell)
 
-    def __call__(self, x: Array, y: Array, z: Array) -> Array:
-        """Distance [mm], negative inside."""
+    def __call__(self, x: Array, y: Array, z: Array, /) -> Array:
         half = 0.125 * sqrt(3.0) * self.cell
         point = _about_atom(x, y, z, self.cell)
         apart = _dot(point, point)
@@ -94,8 +98,6 @@ class Pentamode:
             end = apart - 4.0 * half * along + 4.0 * half * half
             np.minimum(value, np.sqrt(np.maximum(end, 0.0)) - 0.5 * self.touch, out=value)
         return np.minimum(value, np.sqrt(apart) - 0.5 * self.touch)
-
-    bound = __call__
 
     def _cone(self, along: Array, across: Array, half: float) -> Array:
         """Distance to a double cone at ``along`` from its middle and ``across`` its axis."""
@@ -112,7 +114,7 @@ def _thin(shape: object, name: str, value: float, most: float) -> None:
     """`BadInput` unless 0 < value < most."""
     if positive(f"{type(shape).__name__} {name} [mm]", value) >= positive("cell [mm]", most):
         raise BadInput(
-            f"{type(shape).__name__} {name} is {value:g} mm; wanted less than {most:.4g} mm, or nothing stays open"
+            f"{type(shape).__name__} {name} is {value:g} mm; expected less than {most:.4g} mm, or nothing stays open"
         )
 
 

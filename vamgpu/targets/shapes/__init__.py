@@ -57,12 +57,20 @@ def names() -> tuple[str, ...]:
 
 
 def build(name: str, **dimensions: float) -> Solid:
-    """Make the bundled shape of that name; dimensions [mm] replace its defaults.
+    """Make a bundled shape.
 
-    Raises BadInput for a name or a dimension that does not exist.
+    Args:
+        name: One of `names`.
+        dimensions: Replace the shape's defaults [mm].
+
+    Returns:
+        The shape.
+
+    Raises:
+        BadInput: There is no such name or dimension.
     """
     if name not in _SHAPES:
-        raise BadInput(f"there is no bundled shape {name!r}; wanted one of {', '.join(_SHAPES)}")
+        raise BadInput(f"there is no bundled shape {name!r}; expected one of {', '.join(_SHAPES)}")
     try:
         return _SHAPES[name](**dimensions)
     except TypeError as error:

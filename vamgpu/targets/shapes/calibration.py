@@ -25,8 +25,18 @@ def exposure_disk(
 ) -> Solid:
     """A disk with 14 half disks around it: seven on two spokes of 1..7 pixels, seven behind gaps of 2..8 pixels.
 
-    All lengths in mm. Gaps are concentric with the disk, so that each has one width; spokes bridge the widest gap.
-    A perfect print keeps the seven spoked half disks and none of the others: a figure of merit of 7 (their eq. 2).
+    Gaps are concentric with the disk, so that each has one width; spokes bridge the widest gap. A flawless print keeps
+    the seven spoked half disks and none of the others: a figure of merit of 7 (their eq. 2).
+
+    Args:
+        diameter: Of the disk [mm].
+        thickness: Of the disk [mm].
+        pixel: Unit of the spokes and gaps [mm].
+        half_disk_radius: Of each half disk [mm].
+        spoke_spacing: Between the two spokes of a half disk [mm].
+
+    Returns:
+        The disk.
     """
     return to_solid(
         exposure_outline(diameter, pixel, half_disk_radius, spoke_spacing).extrude(thickness), "exposure_disk"

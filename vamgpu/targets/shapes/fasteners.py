@@ -28,7 +28,12 @@ _PROFILE = np.array([(0.0, 0.0), (0.25, 0.0), (9 / 16, 1.0), (11 / 16, 1.0)])
 def screw(length: float = 6.35, clearance: float = 0.0) -> Solid:
     """A 1/4-20 UNC socket head cap screw, head down.
 
-    length: of the threaded part [mm]; clearance: taken off the thread's radius [mm].
+    Args:
+        length: Of the threaded part [mm].
+        clearance: Taken off the thread's radius [mm].
+
+    Returns:
+        The screw.
     """
     head_radius, head, socket, depth = 0.5 * 0.375 * INCH, 0.25 * INCH, 3 / 16 * INCH, 3.0
     chamfer = 0.4
@@ -55,7 +60,14 @@ def screw(length: float = 6.35, clearance: float = 0.0) -> Solid:
 
 
 def nut(clearance: float = 0.1) -> Solid:
-    """A 1/4-20 UNC hex nut, 7/16 in across flats, 7/32 in high; clearance is added to the thread's radius [mm]."""
+    """A 1/4-20 UNC hex nut, 7/16 in across flats, 7/32 in high.
+
+    Args:
+        clearance: Added to the thread's radius [mm].
+
+    Returns:
+        The nut.
+    """
     flats, height = 7 / 16 * INCH, 7 / 32 * INCH
     corner = flats / np.sqrt(3.0)
     chamfer = corner - 0.5 * flats

@@ -24,10 +24,16 @@ CENTER_DISTANCE = TEETH * MODULE
 
 
 def gears(gap: float = 0.1, thickness: float = 3.0, apart: float = 0.4) -> Solid:
-    """Two spur gears side by side, to be printed and then put on the pins of gear_base.
+    """Two spur gears side by side, to be printed and then put on the pins of `gear_base`.
 
-    gap: between pin wall and bore wall, and also the backlash at the pitch circle [mm] (the source prints 0, 0.05 and
-    0.1); thickness: face width [mm]; apart: free distance of the tip circles as printed [mm].
+    Args:
+        gap: Between pin wall and bore wall, and also the backlash at the pitch circle [mm] (the source prints 0, 0.05
+            and 0.1 mm).
+        thickness: Face width [mm].
+        apart: Free distance of the tip circles as printed [mm].
+
+    Returns:
+        Both gears.
     """
     outline = gear_outline(gap) - CrossSection.circle((0.5 * PIN_DIAMETER + gap) / np.cos(np.pi / 96), 96)
     gear = outline.extrude(thickness)
@@ -37,7 +43,15 @@ def gears(gap: float = 0.1, thickness: float = 3.0, apart: float = 0.4) -> Solid
 
 
 def gear_base(thickness: float = 1.5, pin_height: float = 4.5) -> Solid:
-    """A plate with two pins of 3 mm diameter at the gears' center distance; lengths in mm."""
+    """A plate with two pins of 3 mm diameter at the gears' center distance.
+
+    Args:
+        thickness: Of the plate [mm].
+        pin_height: Of the pins [mm].
+
+    Returns:
+        The plate.
+    """
     x = 0.5 * CENTER_DISTANCE
     plate = (
         rod((-x, 0, 0), (-x, 0, thickness), 2.5, segments=96) + rod((x, 0, 0), (x, 0, thickness), 2.5, segments=96)

@@ -20,7 +20,14 @@ Array = npt.NDArray[np.float64]
 def gyroid_sphere(radius: float = 6.0, cell: float = 4.0, wall: float = 0.5, pitch: float = 0.125) -> Solid:
     """A sheet of nearly even thickness along the gyroid sin x cos y + sin y cos z + sin z cos x = 0, cut by a sphere.
 
-    radius of the sphere, length of a gyroid cell, thickness of the wall and pitch of the sampling grid in mm.
+    Args:
+        radius: Of the sphere [mm].
+        cell: Period of the gyroid [mm].
+        wall: Thickness of the sheet [mm].
+        pitch: Of the sampling grid [mm].
+
+    Returns:
+        The sphere.
     """
     count = int(np.ceil(radius / pitch)) + 2
     axis = (np.arange(-count, count + 1, dtype=np.float64) + 0.5) * pitch
@@ -32,7 +39,16 @@ def gyroid_sphere(radius: float = 6.0, cell: float = 4.0, wall: float = 0.5, pit
 
 
 def cubic_lattice(cells: int = 5, cell: float = 1.8, strut: float = 0.5) -> Solid:
-    """A cube of cells x cells x cells open cells with round struts; cell length and strut diameter in mm."""
+    """A cube of cells × cells × cells open cells with round struts.
+
+    Args:
+        cells: Along an edge.
+        cell: Edge of a cell [mm].
+        strut: Diameter of a strut [mm].
+
+    Returns:
+        The cube.
+    """
     end = cells * cell
     bars = []
     for a, b in product(np.arange(cells + 1) * cell, repeat=2):
@@ -48,7 +64,14 @@ def cubic_lattice(cells: int = 5, cell: float = 1.8, strut: float = 0.5) -> Soli
 def pentamode(cells: int = 3, cell: float = 3.2, touch: float = 0.13, middle: float = 0.6) -> Solid:
     """A diamond lattice whose bonds are double cones, thick in the middle, that meet in touch points.
 
-    cell: edge of the cubic diamond cell; touch, middle: diameters of a bond at its ends and in its middle [mm].
+    Args:
+        cells: Along an edge.
+        cell: Edge of the cubic diamond cell [mm].
+        touch: Diameter of a bond at its ends [mm].
+        middle: Diameter of a bond in its middle [mm].
+
+    Returns:
+        The lattice.
     """
     atoms, bonds = _diamond(cells)
     length = 0.25 * np.sqrt(3.0) * cell

@@ -16,8 +16,16 @@ from vamgpu.targets.solid import Solid
 def crossing_channels(width: float = 0.3, size: float = 8.0, thickness: float = 2.4, bridge: float = 0.6) -> Solid:
     """A block with two square channels; the second climbs over the first on a bridge.
 
-    width: side of the square cross section [mm]; size, thickness: the block [mm]; bridge: solid material between the
-    channels where they cross [mm]. Each channel ends in two round ports that open to the top, for flushing.
+    Each channel ends in two round ports that open to the top, for flushing.
+
+    Args:
+        width: Side of the square cross section [mm].
+        size: Edge of the block [mm].
+        thickness: Of the block [mm].
+        bridge: Solid material between the channels where they cross [mm].
+
+    Returns:
+        The block.
     """
     half, reach, base, top = 0.5 * size, 0.5 * size - 1.0, -0.25 * thickness, 0.5 * thickness
     high, ramp = base + width + bridge, 1.5

@@ -24,11 +24,17 @@ _GLYPHS: dict[str, tuple[float, list[list[tuple[float, float]]]]] = {
 
 
 def boat(height: float = 11.5) -> Solid:
-    """A tug of the given height [mm], bow along +x, upright along z.
+    """A tug, bow along +x, upright along z.
 
-    It tests: a flared hull, an overhanging cabin roof, windows and a door, a chimney with a through hole into the
-    cabin, hawse pipes through the bulwarks, a blind hole in the transom and one in the deck box, a flag-pole hole with
-    a 0.16 mm wall, raised text on both sides. At 11.5 mm it needs a printable radius of 6.6 mm.
+    It has a flared hull, an overhanging cabin roof, windows and a door, a chimney with a through hole into the cabin,
+    hawse pipes through the bulwarks, a blind hole in the transom and one in the deck box, a flag-pole hole with a 0.16
+    mm wall, and raised text on both sides. At 11.5 mm it needs a printable radius of 6.6 mm.
+
+    Args:
+        height: Of the boat [mm]; everything scales with it.
+
+    Returns:
+        The boat.
     """
     body = _hull() + _cabin() + _deck_box() + _flag_pole_holder() + _lettering("VAM")
     body = body - _chimney_hole() - _hawse_holes() - _blind_hole() - _flag_pole_hole()

@@ -1,0 +1,58 @@
+"""The command ``vam live replay``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cyclopts import App
+from rich.markup import escape
+
+from vamgpu.cli.options import console
+from vamgpu.errors import BadInput
+
+group: App = App(name="live", help="Prints that are watched while they turn.")
+
+
+@group.command
+def replay(run: Path, /) -> None:
+    """Decide every turn of a recorded print anew, and tell whether each decision is the same bit by bit.
+
+    How long each stage took in the print, and from which turn on each decision was shown, is told too.
+
+    Args:
+        run: folder of the run
+    """
+    from vamgpu.live import LiveRecord
+    from vamgpu.live.record import budget
+
+    screen, otherwise, decisions = console(), [], []
+    inside = run / "live"  # of a print on a rig
+    for told, differs in LiveRecord(inside if inside.is_dir() else run).replay():
+        decisions.append(told)
+        same = f"differs in {', '.join(differs)}" if differs else "same"
+        more = f"{told['turns']} to go, overlap {told['iou']:.4f}" if told["parameters"] else told["reason"]
+        screen.print(
+            f"turn {told['turn']:3}  {told['action']:4}  light {told['version']}  {escape(more)}  [bold]{same}[/]"
+        )
+        otherwise += [told["turn"]] if differs else []
+    for stage, median, most, count in budget(decisions):
+        screen.print(f"{stage:8}  {median:7.3f} s, at most {most:7.3f} s, in {count} decisions")
+    for name, told in _effective(decisions):
+        screen.print(f"{name:8}  {told}")
+    if otherwise:
+        turns = ", ".join(map(str, otherwise))
+        raise BadInput(f"{str(run)!r} decided otherwise than its record says in turns {turns}; expected the same: "
+                       "replay it on the device and with the version of vamgpu that recorded it")  # fmt: skip
+
+
+def _effective(decisions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    """In how many turns swaps were shown, and which never were."""
+    swaps = [told for told in decisions if told["action"] == "swap" and "effective" in told]
+    shown = [told["effective"] - told["turn"] for told in swaps if told["effective"] is not None]
+    if shown:
+        yield "shown", f"{len(shown)} of {len(swaps)} swaps, {max(shown)} turns after the last image's turn at most"
+    late = [str(told["turn"]) for told in swaps if told["effective"] is None]
+    if late:
+        yield "late", f"those of turns {', '.join(late)} were never shown"

@@ -1,0 +1,65 @@
+"""What to install for a device, by the system that asks."""
+
+from __future__ import annotations
+
+import platform
+import sys
+
+INTEL = 'pip install "vamgpu[cpu]"'
+PROCESSOR = {
+    "debian": "apt install pocl-opencl-icd",
+    "fedora": "dnf install pocl",
+    "arch": "pacman -S pocl",
+    "suse": "zypper install pocl",
+    "macos": "OpenCL is a part of macOS: update it, or conda install pocl",
+    "windows": "install Intel's CPU Runtime for OpenCL Applications",
+    "linux": "install PoCL with the system's package manager",
+}
+"""System → what makes its processor an OpenCL device."""
+GRAPHICS = {
+    "debian": "apt install nvidia-opencl-icd, intel-opencl-icd or mesa-opencl-icd, as the card is",
+    "fedora": "dnf install intel-compute-runtime or mesa-libOpenCL; for NVIDIA xorg-x11-drv-nvidia-cuda of RPM Fusion",
+    "arch": "pacman -S opencl-nvidia, intel-compute-runtime or opencl-mesa, as the card is",
+    "suse": "install the card's driver with its OpenCL part",
+    "macos": "OpenCL is a part of macOS: update it",
+    "windows": "install the card's driver from its maker; OpenCL is a part of it",
+    "linux": "install the card's driver with its OpenCL part",
+}
+"""System → what makes a graphics card an OpenCL device."""
+FAMILIES = {"ubuntu": "debian", "rhel": "fedora", "centos": "fedora", "opensuse": "suse"}
+
+
+def system() -> str:
+    """Which row of the tables above is this computer's.
+
+    Returns:
+        A key of `PROCESSOR`; ``linux`` for a distribution that is in none.
+    """
+    if sys.platform in ("darwin", "win32"):
+        return {"darwin": "macos", "win32": "windows"}[sys.platform]
+    try:
+        release = platform.freedesktop_os_release()
+    except OSError:
+        return "linux"
+    names = [release.get("ID", ""), *release.get("ID_LIKE", "").split()]
+    known = (FAMILIES.get(name, name) for name in names)
+    return next((name for name in known if name in PROCESSOR), "linux")
+
+
+def for_processor() -> str:
+    """What to install for the processor.
+
+    Returns:
+        A command or a sentence; Intel's runtime first where it is built for this computer.
+    """
+    intel = platform.machine() in ("x86_64", "AMD64") and sys.platform in ("linux", "win32")
+    return f"{INTEL}, or {PROCESSOR[system()]}" if intel else PROCESSOR[system()]
+
+
+def for_graphics() -> str:
+    """What to install for a graphics card.
+
+    Returns:
+        A command or a sentence.
+    """
+    return GRAPHICS[system()]

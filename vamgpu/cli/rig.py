@@ -1,0 +1,41 @@
+"""``vam rig``: what a rig's file says, and what its combination of parts guarantees."""
+
+from __future__ import annotations
+
+from cyclopts import App
+from rich.markup import escape
+
+from vamgpu.cli.commands import app
+from vamgpu.cli.options import Settings, console
+
+group: App = App(name="rig", help="Look at the file of a rig, without touching a machine.")
+app.command(group)
+ROLES = ("motion", "clock", "display", "light", "lens", "feedback")
+
+
+@group.command
+def check(rig: str, /, *, speed: float | None = None, settings: Settings = None) -> int:
+    """Say which parts fill the roles of a rig, what they guarantee together, and what not.
+
+    Args:
+        rig: the TOML file of the rig, or emulated
+        speed: of vials [deg/s], 40 by default, and of webs [mm/s], 1 by default
+    """
+    from vamgpu.geometry import positive
+    from vamgpu.hosts.rigs.config import read_rig
+    from vamgpu.hosts.rigs.guarantees import driver_of, guarantees, refused
+
+    screen, setup = console(), read_rig(rig, settings or ()).setup
+    for role in ROLES:
+        parts = getattr(setup, role)
+        names = ", ".join(driver_of(part) for part in (parts if isinstance(parts, tuple) else (parts,)) if part)
+        screen.print(f"  {role:<12} [bold]{escape(names or 'none')}[/]")
+    unit = "deg" if setup.rig.machine in ("vial", "any") else "mm"
+    usual = 40.0 if unit == "deg" else 1.0
+    found = guarantees(setup, usual if speed is None else positive(f"speed [{unit}/s]", speed), unit)
+    for one in found:
+        screen.print(f"  {one.about:<12} [{'green' if one.holds else 'yellow'}]{escape(str(one))}[/]")
+    if refused(found, setup):
+        screen.print(f"  {'refused':<12} [red]\\[safety] accepts drift = {setup.safety.drift:g}[/]")
+        return 1
+    return 0

@@ -1,0 +1,80 @@
+"""A job's target, dose and frames as layers of napari."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vamgpu.cli.commands import app
+from vamgpu.cli.options import console
+from vamgpu.errors import BadInput
+
+if TYPE_CHECKING:
+    from vamgpu.printing.proof import Proof
+
+
+@app.command
+def view(job: Path, /, *, device: str | None = None) -> None:
+    """Show a written job's target, dose, print and frames in napari, if it is installed.
+
+    Args:
+        job: the job folder
+        device: where to compute the dose; the best device here by default
+    """
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.run import prove
+    from vamgpu.jobs.web import is_web_folder
+    from vamgpu.storage.atomic import named
+
+    job = named(job)
+    napari = opened()
+    if is_web_folder(job):
+        raise BadInput(f"{str(job)!r} is a web, which has no end to be shown; draw its report: vam prove {job}")
+    with shown(console()) as progress:
+        proof = prove(job, device, progress=progress).proof
+    viewer = napari.Viewer(title=proof.name)
+    for layer in layers(proof):
+        viewer.add_image(**layer)
+    napari.run()
+
+
+def opened() -> Any:
+    """The napari package.
+
+    Returns:
+        The module.
+
+    Raises:
+        BadInput: It is not installed.
+    """
+    try:
+        return import_module("napari")
+    except ImportError as error:
+        raise BadInput(
+            f'napari shows a job and does not load here ({error}): pip install "vamgpu[view]"; without it, '
+            "vam prove draws a report for a browser"
+        ) from error
+
+
+def layers(proof: Proof) -> list[dict[str, Any]]:
+    """What napari is given, volumes as [z, y, x] in mm about the axis, so that its slider moves along z.
+
+    Args:
+        proof: Of the job.
+
+    Returns:
+        Arguments of ``add_image``, the lowest layer first.
+    """
+    pitch = proof.operator.grid.pitch
+    corner = [-0.5 * (n - 1) * pitch for n in proof.dose.shape[::-1]]
+    space = {"scale": [pitch] * 3, "translate": corner, "units": ["mm"] * 3, "axis_labels": ["z", "y", "x"]}
+    dose, target = (values.numpy().transpose(2, 1, 0) for values in (proof.dose, proof.target))
+    return [
+        {"data": proof.frames.gray_levels(), "name": "frames", "visible": False,
+         "axis_labels": ["angle", "row", "column"]},
+        {"data": dose, "name": "dose", "colormap": "inferno", **space},
+        {"data": target, "name": "target", "colormap": "gray", "opacity": 0.4, "visible": False, **space},
+        {"data": (dose >= proof.scores.threshold).astype("uint8"), "name": "printed", "colormap": "green",
+         "opacity": 0.4, "visible": False, **space},
+    ]  # fmt: skip

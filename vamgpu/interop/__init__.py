@@ -1,0 +1,8 @@
+"""Operators, doses and kinetics as differentiable functions of other libraries: see `.torch` and `.jax`."""
+
+from __future__ import annotations
+
+from vamgpu.interop.functions import Differentiable, Kinetics, Linear, function_of
+from vamgpu.interop.proof import ProofDose
+
+__all__ = ["Differentiable", "Kinetics", "Linear", "ProofDose", "function_of"]

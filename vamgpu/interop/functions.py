@@ -1,0 +1,135 @@
+"""What is differentiable: values on a device, and derivatives by the inputs from those by the value."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.methods.joint.models import KineticModel, LinearModel, Pair
+from vamgpu.operators.compose import combine
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.space import Space
+
+
+class Differentiable(ABC):
+    """A function of fields with its vector-Jacobian product; heirs become functions of PyTorch and JAX.
+
+    Attributes:
+        device: Where it computes.
+        spaces: Of its inputs, one each.
+        space: Of its value.
+    """
+
+    device: Device
+    spaces: tuple[Space, ...]
+    space: Space
+
+    @abstractmethod
+    def value(self, *inputs: DeviceArray) -> DeviceArray:
+        """Compute the function.
+
+        Args:
+            inputs: Fields [space.shape] of its spaces; stay as they are.
+
+        Returns:
+            The value, [space.shape].
+        """
+
+    @abstractmethod
+    def slopes(self, inputs: Sequence[DeviceArray], slope: DeviceArray) -> Sequence[DeviceArray]:
+        """Compute derivatives by the inputs.
+
+        Args:
+            inputs: Where to differentiate, each [space.shape].
+            slope: Derivative of a number by the value, [space.shape]; stays as it is.
+
+        Returns:
+            Derivatives of that number by each input, [space.shape].
+        """
+
+
+class Linear(Differentiable):
+    """An operator, whose transpose is its vector-Jacobian product everywhere.
+
+    Args:
+        operator: The operator.
+    """
+
+    def __init__(self, operator: LinearOperator) -> None:
+        self.operator: LinearOperator = operator
+        self.device: Device = operator.device
+        self.spaces: tuple[Space, ...] = (operator.domain,)
+        self.space: Space = operator.range
+
+    @property
+    def transposed(self) -> Linear:
+        """The function by which slopes are found, linear too."""
+        return Linear(self.operator.T)
+
+    def value(self, *inputs: DeviceArray) -> DeviceArray:
+        return self.operator(inputs[0])
+
+    def slopes(self, inputs: Sequence[DeviceArray], slope: DeviceArray) -> Sequence[DeviceArray]:
+        return (self.operator.T(slope),)
+
+
+class Kinetics(Differentiable):
+    """Effective dose of visible and ultraviolet light, by the adjoint of the kinetics.
+
+    Slopes expose the light anew, since a model keeps the states of the last light alone.
+
+    Args:
+        model: Of both colors.
+    """
+
+    def __init__(self, model: KineticModel | LinearModel) -> None:
+        visible, ultraviolet = model.operators
+        self.model: KineticModel | LinearModel = model
+        self.device: Device = visible.device
+        self.spaces: tuple[Space, ...] = (visible.range, ultraviolet.range)
+        self.space: Space = visible.domain
+
+    def value(self, *inputs: DeviceArray) -> DeviceArray:
+        return self.model.expose(Pair(*inputs))
+
+    def slopes(self, inputs: Sequence[DeviceArray], slope: DeviceArray) -> Sequence[DeviceArray]:
+        self.model.expose(Pair(*inputs))
+        return self.model.gradient(combine(1.0, slope, 0.0, slope, self.device.empty(slope.shape)))
+
+
+def function_of(what: Any) -> Differentiable:
+    """The differentiable function that something stands for.
+
+    Args:
+        what: An operator, a model of kinetics, or a `Differentiable`.
+
+    Returns:
+        The function.
+
+    Raises:
+        BadInput: It is none of these.
+    """
+    if isinstance(what, Differentiable):
+        return what
+    if isinstance(what, LinearOperator):
+        return Linear(what)
+    if isinstance(what, (KineticModel, LinearModel)):
+        return Kinetics(what)
+    raise BadInput(
+        f"got {what!r}; expected an operator, a KineticModel, a LinearModel or a vamgpu.interop.Differentiable"
+    )
+
+
+def sent(device: Device, values: np.ndarray) -> DeviceArray:
+    """A field of an array on the host, shared where device and host share memory.
+
+    Slopes may be so small that `Device.upload` takes them for a mistake in units; here they are not checked.
+    """
+    real = np.asarray(values, device.real)
+    return device.upload(real) if device.is_gpu else device.field(device.adopt(real))

@@ -1,0 +1,331 @@
+"""Dr.TVAM (EPFL): a configuration in JSON, meshes beside it, patterns as an NPZ file or EXR images.
+
+Its frames lie as ours do: row 0 is the largest z, column 0 the smallest r, and pattern k of n is shown where the
+projector stands at the angle 2πk/n, counterclockwise unless the configuration says clockwise. Lengths have no unit
+there; they are taken for millimeters.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from math import ceil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, EmptyMesh, StorageError
+from vamgpu.geometry import Grid, Turntable
+from vamgpu.jobs.foreign.found import Found
+from vamgpu.jobs.model import JobFile
+from vamgpu.methods.saved import target_of as known_target
+from vamgpu.operators.projection import Projection
+from vamgpu.optics.vat import Vat
+from vamgpu.optics.vial import Vial
+from vamgpu.printing.export import check_folder
+from vamgpu.printing.frames import Frames
+from vamgpu.storage.atomic import replacing
+from vamgpu.storage.images import write_exr
+from vamgpu.storage.numpy_files import map_npy, read_npz
+from vamgpu.storage.reading import parse_json, read_text
+from vamgpu.targets.target import Target
+
+if TYPE_CHECKING:
+    from vamgpu.targets.solid import Solid
+
+PATTERNS = ("patterns.npz", "patterns", "patterns_normalized_uint8.npz")
+"""Where its patterns are, beside the configuration or in its output folder, the best first."""
+
+
+def read_drtvam(path: Path, patterns: Path | None = None) -> Found:
+    """Patterns of a configuration.
+
+    Args:
+        path: The JSON file, such as ``opt_config.json`` of an output folder.
+        patterns: NPZ, NPY or a folder of EXR images; what lies beside the file by default.
+
+    Raises:
+        StorageError: A file is missing or damaged.
+        BadInput: It describes a set-up that this library has no model of.
+    """
+    from vamgpu.jobs.foreign.pictures import images_of
+
+    with _explaining(path):
+        said = parse_json(read_text(path))
+        setup = _set_up(path, said)
+        place = patterns if patterns is not None else _beside(path, said)
+        light = _patterns(place) if place.is_file() else images_of(place)[0]
+    if light.ndim != 3:
+        raise BadInput(f"its patterns have shape {light.shape}; expected [pattern, row, column]")
+    angles, rows, columns = light.shape
+    tables = setup.tables(angles, (columns, rows))
+    tables["target"] = {"mesh": str(setup.part.mesh.resolve()), "factor": 1.0, **tables["target"]}
+    found = np.ascontiguousarray(light[:, ::-1].transpose(0, 2, 1))
+    if setup.clockwise:  # the same light in the order in which our turntable turns
+        found = np.roll(found[::-1], 1, axis=0)
+    return Found("Dr.TVAM", found, Turntable(angles), tables, setup.part, notes=setup.notes)
+
+
+def read_task(path: Path) -> tuple[dict[str, Any], Solid, tuple[str, ...]]:
+    """What a configuration asks for, to be solved here.
+
+    Args:
+        path: The JSON file.
+
+    Returns:
+        Tables of a job file but for the part's mesh, the part where Dr.TVAM puts it, and what was left out.
+
+    Raises:
+        StorageError: A file is missing or damaged.
+        BadInput: It describes a set-up that this library has no model of.
+        MeshError: The mesh cannot be used.
+    """
+    with _explaining(path):
+        said = parse_json(read_text(path))
+        setup, projector = _set_up(path, said), said["projector"]
+        pixels = int(projector["resx"]), int(projector["resy"])
+        tables = setup.tables(int(projector["n_patterns"]), pixels)
+        own = [name for name in ("loss", "optimizer", "n_steps") if name in said]
+    tables["target"]["origin"] = [0.0, 0.0, 0.0]
+    notes = (f"its {', '.join(own)} left out: `vam solve` has methods of its own",) if own else ()
+    return tables, setup.part.placed(), (*setup.notes, *notes)
+
+
+@contextmanager
+def _explaining(path: Path) -> Iterator[None]:
+    """Say of a configuration that cannot be read what was expected."""
+    try:
+        yield
+    except (OSError, UnicodeDecodeError) as error:
+        if isinstance(error, StorageError):
+            raise
+        raise StorageError(f"cannot read {str(path)!r}: {error}; expected a configuration of Dr.TVAM") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, BadInput):
+            raise
+        raise BadInput(
+            f"{str(path)!r} lacks or garbles {error}; expected a configuration of Dr.TVAM in JSON"
+        ) from error
+
+
+@dataclass(frozen=True, eq=False)
+class _SetUp:
+    """All that a configuration says but its patterns."""
+
+    pitch: float
+    voxel: float
+    vessel: dict[str, Any]
+    clockwise: bool
+    part: _Part
+    notes: tuple[str, ...]
+
+    def tables(self, angles: int, pixels: tuple[int, int]) -> dict[str, Any]:
+        """Tables of a job file, for patterns of that size."""
+        return {
+            "target": {"pitch": _mm(self.voxel)},
+            "beam": {"pitch": _mm(self.pitch), "pixels": list(pixels), "spread": "0 mm"},
+            "turntable": {"angles": angles},
+            **self.vessel,
+        }
+
+
+def _set_up(path: Path, said: Any) -> _SetUp:
+    projector, sensor, target = (_table(said, name) for name in ("projector", "sensor", "target"))
+    vessel, vial_notes = _vessel(_table(said, "vial"))
+    pitch = float(projector["pixel_size"])
+    notes = [*_projector(projector), *vial_notes]
+    if "diffusion" in said:
+        notes.append("its diffusion is left out; add [resin.diffusion] to the job")
+    voxel = min(float(sensor.get(f"scale{axis}", 1.0)) / float(_table(sensor, "film").get(f"res{axis}", 256))
+                for axis in "xyz")  # fmt: skip
+    part = _Part(path.parent / str(target["filename"]), target)
+    clockwise = bool(projector.get("clockwise", False))
+    return _SetUp(pitch, voxel, vessel, clockwise, part, tuple(notes))
+
+
+class _Part:
+    """The part where Dr.TVAM puts it: its bounding box, not its circle, is centered, and scaled by its longest edge."""
+
+    def __init__(self, mesh: Path, said: Mapping[str, Any]) -> None:
+        self.mesh, self.said = mesh, said
+
+    def placed(self) -> Solid:
+        """The part, centered on nothing but what the configuration says. Raises `MeshError`."""
+        from vamgpu.targets.mesh import load_mesh
+
+        solid = load_mesh(self.mesh, center=False)
+        if not self.said.get("scale_and_center", True):
+            return solid
+        low, high = solid.bounds
+        middle = [float(self.said.get(f"box_center_{axis}", 0.0)) for axis in "xyz"]
+        size = float(self.said.get("size", 1.0)) / float((high - low).max())
+        return solid.translated(-0.5 * (low + high)).scaled(size).translated(middle)
+
+    def __call__(self, file: JobFile, device: Device) -> Target:
+        from vamgpu.targets.voxelize import voxelize
+
+        solid = self.placed()
+        solid = solid.scaled(file.target.factor or 1.0)
+        pitch, (low, high) = file.target.pitch, solid.bounds
+        across = 2 * ceil(solid.radius / pitch + file.target.margin) + 2
+        along = 2 * ceil(max(abs(low[2]), abs(high[2])) / pitch) + 2
+        grid = Grid((across, across, along), pitch)
+        fraction, volume = voxelize(solid, grid, device)
+        if volume <= 0.0:
+            raise EmptyMesh(f"{solid.name}: no voxel of {pitch:g} mm is filled; expected a part not much thinner than "
+                            "a voxel: check its size, or use a smaller target.pitch")  # fmt: skip
+        return Target(grid, solid.name, fraction, solid.radius, volume, solid.height, solid)
+
+
+def write_drtvam(light: np.ndarray, path: Path) -> None:
+    """Write light [angle, r, z] as Dr.TVAM's ``patterns.npz``: float32 [pattern, row, column]."""
+    patterns = np.ascontiguousarray(light.transpose(0, 2, 1)[:, ::-1], np.float32)
+    with open(path, "wb") as file:
+        np.savez_compressed(file, patterns=patterns)
+
+
+def export_drtvam(frames: Frames, path: str | Path) -> Path:
+    """Write a folder that Dr.TVAM reads: ``config.json``, ``patterns.npz`` and ``target.ply``.
+
+    It takes ``config.json`` as it is, and the patterns with ``--forward_mode --patterns patterns.npz``. Where OpenEXR
+    is installed, they are in ``patterns/`` as EXR images too.
+
+    Args:
+        frames: Frames whose plan is known, such as those of a job folder.
+        path: The new folder.
+
+    Returns:
+        The path.
+
+    Raises:
+        BadInput: Dr.TVAM has no model of the set-up, or nobody knows the plan.
+        StorageError: The folder exists, or cannot be written.
+    """
+    plan, place = frames.plan, Path(path)
+    A, target = getattr(plan, "operator", None), None if plan is None else known_target(plan)
+    if plan is None or not isinstance(A, Projection):
+        raise BadInput(f"got {frames!r} of {'no plan' if plan is None else repr(A)}; expected frames of a Projection: "
+                       "export those of a job that `vam solve` wrote")  # fmt: skip
+    said = _configuration(A, target)
+    check_folder(place)
+    with replacing(place) as draft:
+        draft.mkdir()
+        light = plan.sinogram.numpy()
+        write_drtvam(light, draft / "patterns.npz")
+        if find_spec("OpenEXR"):
+            (draft / "patterns").mkdir()
+            for index, pattern in enumerate(light.transpose(0, 2, 1)[:, ::-1]):
+                write_exr(draft / "patterns" / f"{index:04d}.exr", pattern)
+        if target is not None and target.solid is not None:
+            target.solid.save(draft / "target.ply")
+        (draft / "config.json").write_text(json.dumps(said, indent=2) + "\n", encoding="utf-8")
+    return place
+
+
+def _configuration(A: Projection, target: Target | None) -> dict[str, Any]:
+    """A set-up in Dr.TVAM's words. Raises `BadInput` for one that it has none for."""
+    if A.motion.theta is not None or A.motion.dwell is not None:
+        raise BadInput(
+            f"got {A.motion} angles; expected even ones over a full turn, lit as long: Dr.TVAM has no others"
+        )
+    vessel = A.vessel
+    medium: dict[str, Any] = {"albedo": 0.0, "extinction": float(getattr(vessel, "absorption", 0.0))}
+    if isinstance(vessel, Vial):
+        medium["ior"] = vessel.resin_index
+        vial = {"type": "cylindrical", "r_ext": vessel.radius, "r_int": vessel.inner_radius, "ior": vessel.wall_index,
+                "ior_surrounding": vessel.bath_index}  # fmt: skip
+    elif vessel is None or isinstance(vessel, Vat) and vessel.radius is not None:
+        medium["ior"] = getattr(vessel, "resin_index", 1.0)
+        vial = {"type": "index_matched", "r": getattr(vessel, "radius", None) or 2.0 * A.grid.inscribed_radius}
+    else:
+        raise BadInput(f"got {vessel!r}; expected a Vial, a Vat with a radius or no vessel: Dr.TVAM has no other that "
+                       "is round")  # fmt: skip
+    (columns, rows), pitch = A.beam.pixels, A.beam.pitch
+    film = {"type": "vfilm"} | {f"res{axis}": n for axis, n in zip("xyz", A.grid.shape, strict=True)}
+    scales = {f"scale{axis}": n * A.grid.pitch for axis, n in zip("xyz", A.grid.shape, strict=True)}
+    said: dict[str, Any] = {
+        "vial": {**vial, "medium": medium},
+        "projector": {"type": "collimated", "n_patterns": A.motion.angles, "resx": columns, "resy": rows,
+                      "pixel_size": float(pitch), "motion": "circular", "distance": 20.0 + 2.0 * columns * pitch},
+        "sensor": {"type": "dda", **scales, "film": film},
+    }  # fmt: skip
+    if target is not None and target.solid is not None:
+        said["target"] = {"filename": "target.ply", "scale_and_center": False}
+    return said
+
+
+def _table(said: Any, name: str) -> dict[str, Any]:
+    table = said[name]
+    if not isinstance(table, dict):
+        raise TypeError(f"{name}, which is no table")
+    return table
+
+
+def _mm(value: float) -> str:
+    return f"{value!r} mm"
+
+
+def _projector(said: Mapping[str, Any]) -> list[str]:
+    """What is left out of a projector. Raises `BadInput` for one whose light is not parallel."""
+    kind, motion = said.get("type"), said.get("motion", "circular")
+    if kind not in ("collimated", "telecentric") or motion != "circular" or said.get("tilt"):
+        raise BadInput(
+            f"its projector is {kind!r} with motion {motion!r}; expected a collimated or telecentric one that goes "
+            "round in a circle without a tilt: import its patterns as a folder of EXR images with a job of your own"
+        )
+    if kind == "telecentric":
+        return ["its aperture is left out: light is taken for parallel; add [defocus] to the job"]
+    return []
+
+
+def _vessel(said: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """The table of a vessel, and what is left out of it. Raises `BadInput` for what this library has no model of."""
+    medium, kind, notes = _table(said, "medium"), said.get("type"), []
+    albedo, extinction = float(medium.get("albedo", 0.0)), float(medium["extinction"])
+    if albedo > 0.0:
+        notes.append(f"its resin scatters (albedo {albedo:g}), which is left out: {1 - albedo:.3g} of its extinction "
+                     "is taken for absorption")  # fmt: skip
+    if said.get("occlusions"):
+        raise BadInput("its vial has occlusions, which are not imported; expected none: state them as inserts of a job "
+                       "of your own")  # fmt: skip
+    around, resin = float(said.get("ior_surrounding", 1.0)), float(medium["ior"])
+    absorption = f"{extinction * (1.0 - albedo)!r} 1/mm"
+    if kind == "index_matched":
+        radius = float(said["r"])
+        return {"vat": {"width": _mm(2.0 * radius), "radius": _mm(radius), "absorption": absorption}}, notes
+    if kind == "cylindrical":
+        outer, inner = float(said["r_ext"]), float(said["r_int"])
+        return {
+            "vial": {"radius": _mm(outer), "wall": _mm(round(outer - inner, 12)), "resin_index": resin,
+                     "wall_index": float(said["ior"]), "bath_index": around, "absorption": absorption}
+        }, notes  # fmt: skip
+    raise BadInput(
+        f"its vial is {kind!r}; expected index_matched or cylindrical: import its patterns as a folder of EXR images "
+        "with a job of your own, whose [vessel] says what they went through"
+    )
+
+
+def _beside(path: Path, said: Mapping[str, Any]) -> Path:
+    """Its patterns. Raises `StorageError`."""
+    places = [path.parent, *([path.parent / str(said["output"])] if "output" in said else [])]
+    tried = [place / name for place in places for name in PATTERNS]
+    found = next((each for each in tried if each.exists()), None)
+    if found is None:
+        raise StorageError(f"no patterns beside {str(path)!r}: looked for {', '.join(PATTERNS)}; name them with "
+                           "--patterns, or let `vam solve` find light: --out job.toml")  # fmt: skip
+    return found
+
+
+def _patterns(path: Path) -> np.ndarray:
+    """Patterns [pattern, row, column] of an NPZ or NPY file. Raises `StorageError`, `BadInput`."""
+    if path.suffix.lower() == ".npy":
+        return np.array(map_npy(path))
+    held = read_npz(path)
+    if len(held) != 1 and "patterns" not in held:
+        raise BadInput(f"{str(path)!r} holds {', '.join(held) or 'nothing'}; expected one array, patterns")
+    return held.get("patterns", next(iter(held.values())))

@@ -1,0 +1,62 @@
+"""A small ring in a vial, for prints that are watched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vamgpu.jobs.demo import _begun
+from vamgpu.jobs.read import Job
+from vamgpu.jobs.run import StageProgress, _quietly, solve
+
+JOB = """\
+# A nut of 2 mm in a vial of 16 mm whose resin and wall are matched, small enough to be planned anew in a second.
+
+[target]
+shape = "nut"
+height = "2 mm"
+pitch = "150 um"
+
+[beam]
+pitch = "150 um"
+
+[turntable]
+angles = 60
+
+[vial]
+radius = "8 mm"
+wall = "0.5 mm"
+resin_index = 1.5
+wall_index = 1.5
+bath_index = 1.0
+absorption = "0.1 1/mm"
+
+[solve]
+iterations = 30
+
+[frames]
+bits = 8
+"""
+
+AGED = {
+    "inhibitor": 41.8 / 56.8, "lamp": 0.9, "drift": -0.003, "absorption": 0.1, "across": 0.3, "along_z": 0.02,
+}  # fmt: skip
+"""How the demo's print differs from its plan: the third print of a vial, of the automatic exposure paper, and more; see
+`vamgpu.live.Truth`."""
+
+
+def demo_job(out: str | Path, *, progress: StageProgress = _quietly) -> Path:
+    """Solve and write the job of the watched demo.
+
+    Args:
+        out: The folder to write into.
+        progress: Is told the stage and its share that is done.
+
+    Returns:
+        The folder of the job.
+
+    Raises:
+        StorageError: The folder cannot be written.
+    """
+    job, left = _begun(Job, JOB, out, "nut", (), "report.html")
+    solve(job, left.folder, overwrite=True, progress=progress)
+    return left.folder

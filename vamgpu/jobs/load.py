@@ -1,0 +1,71 @@
+"""`load`: whatever was saved, as it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.jobs.web import is_web, is_web_folder, read_web
+from vamgpu.storage.folder import Folder
+
+if TYPE_CHECKING:
+    from vamgpu.jobs.read import Job
+    from vamgpu.jobs.web import WebJob
+    from vamgpu.methods.plan import Plan
+    from vamgpu.printing.frames import Frames
+    from vamgpu.printing.proof import Proof
+    from vamgpu.webs.store import WebFolder
+
+
+def load(path: str | Path, device: str | Device | None = None) -> Plan | Frames | Proof | Job | WebFolder | WebJob:
+    """Read what `Plan.save`, `Frames.save` or `Proof.save` wrote, a folder of ``vam solve``, or a job file.
+
+    Args:
+        path: A job folder, or a TOML job file.
+        device: Where to put arrays; the best device here by default.
+
+    Returns:
+        A `Plan`, `Frames` or a `Proof`, as it was saved; for a folder of ``vam solve`` its `Frames`, whose ``plan`` has
+        light, operator and target. A `WebFolder` for that of a web; a checked job for a file.
+
+    Raises:
+        StorageError: There is nothing, or something else, or it is damaged.
+        JobError: A key of a job file is wrong.
+    """
+    place = Path(path)
+    if place.suffix.lower() == ".toml":
+        from vamgpu.jobs.read import read_job
+
+        return read_web(place) if is_web(place) else read_job(place)
+    if is_web_folder(place):
+        from vamgpu.webs.store import WebFolder
+
+        return WebFolder.open(place)
+    folder, there = Folder.open(place), open_device(device)
+    saved = folder.manifest.details.get("saved", "frames")
+    if saved == "plan":
+        from vamgpu.methods.saved import load_plan
+
+        return load_plan(place, there)
+    if saved == "proof":
+        from vamgpu.printing.kept import load_proof
+
+        return load_proof(place, there)
+    from vamgpu.printing.folder import frames_of
+
+    return frames_of(folder, there, _plan_of(folder, there))
+
+
+def _plan_of(folder: Folder, device: Device) -> Plan | None:
+    """The plan of frames that a folder keeps as light; None for bytes, and for what nothing but Python describes."""
+    if "geometry" not in folder.manifest.inputs or folder.record("frames").dtype == "uint8":
+        return None
+    from vamgpu.methods.saved import load_plan
+
+    try:
+        return load_plan(folder.path, device)
+    except BadInput as error:
+        raise StorageError(f"the plan of {str(folder.path)!r} cannot be made again: {error}; write it again") from error

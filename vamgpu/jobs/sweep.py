@@ -1,0 +1,159 @@
+"""One job with several values of its keys: a folder and a proof for each, on one machine or on a cluster."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+
+from vamgpu.errors import BadInput, StorageError, VamError
+from vamgpu.jobs.cluster import workers
+from vamgpu.jobs.read import read_job
+from vamgpu.storage.atomic import replacing
+from vamgpu.storage.folder import Folder
+
+MOST = 100_000
+"""Points of a sweep; more are a mistake."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One choice of values, and what came of it.
+
+    Args:
+        number: Of the point, from 1.
+        values: Key of the job → its value, as ``--set`` takes it.
+        folder: The job folder.
+        window: Proved strict process window; NaN where there is none.
+        iou: Proved intersection over union at the best threshold.
+        error_rate: Share of voxels on the wrong side of it.
+        seconds: Exposure that the proof expects [s]; NaN where the job says no irradiance.
+        error: Why there is no light, or nothing.
+    """
+
+    number: int
+    values: Mapping[str, str] = field(hash=False)
+    folder: Path
+    window: float = float("nan")
+    iou: float = float("nan")
+    error_rate: float = float("nan")
+    seconds: float = float("nan")
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What a worker is given."""
+
+    job: Path
+    settings: tuple[str, ...]
+    point: Point
+
+
+def values_of(text: str) -> tuple[str, list[str]]:
+    """Read a key and its values.
+
+    Args:
+        text: ``key=value,value``; commas within brackets and quotes belong to a value.
+
+    Returns:
+        The key and the values.
+
+    Raises:
+        BadInput: There is no key, or a value is empty.
+    """
+    key, equals, rest = text.partition("=")
+    values = [value.strip() for value in re.findall(r'(?:"[^"]*"|\[[^\]]*\]|[^,"\[])+', rest)]
+    if not key.strip() or not equals or not values or not all(values) or rest.rstrip().endswith(","):
+        raise BadInput(f'got {text!r}; expected a key and its values, such as vial.absorption="0.04 /mm","0.05 /mm"')
+    return key.strip(), values
+
+
+def sweep(
+    job: str | Path,
+    vary: Mapping[str, Sequence[object]],
+    path: str | Path,
+    *,
+    settings: Sequence[str] = (),
+    cluster: str | None = None,
+    progress: Callable[[Point, int], None] = lambda point, count: None,
+) -> list[Point]:
+    """Solve and prove a job for every combination of values.
+
+    A point whose folder stands there from a run before is proven and not solved again. ``sweep.csv`` is written anew
+    after every point.
+
+    Args:
+        job: The TOML file; workers of a cluster must see it, and ``path``, at the same place.
+        vary: Key → values.
+        path: Folder of the job folders, which are numbered from 0001.vam in the order of the combinations.
+        settings: ``key=value`` for all points.
+        cluster: As `vamgpu.jobs.cluster.workers` takes it; None for this process.
+        progress: Is told every point when it is done, and how many there are.
+
+    Returns:
+        The points, in the order of the combinations.
+
+    Raises:
+        JobError: The file or a key is wrong; what a value does to a single point is in its ``error``.
+        BadInput: Nothing varies, or there are too many points.
+        DeviceError: As `vamgpu.jobs.cluster.workers`.
+        StorageError: The folder cannot be written.
+    """
+    source, place = Path(job).resolve(), Path(path).resolve()
+    combinations = list(product(*vary.values())) if vary else []
+    if not 1 <= len(combinations) <= MOST:
+        raise BadInput(f"got {len(combinations)} points; expected 1 to {MOST}: name keys and values to vary")
+    wanted = read_job(source, settings)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"cannot make the folder {str(path)!r}: {error}") from error
+    points = [
+        Point(number, dict(zip(vary, map(str, values), strict=True)), place / f"{number:04}.vam")
+        for number, values in enumerate(combinations, 1)
+    ]
+    tasks = [_Task(source, tuple(settings), point) for point in points]
+    with workers(cluster, wanted.file.solve.device) as each:
+        for found in each(_solved, tasks):
+            points[found.number - 1] = found
+            _write(place / "sweep.csv", points)
+            progress(found, len(points))
+    return points
+
+
+def _solved(task: _Task) -> Point:
+    """Solve and prove one point; what is wrong with it is its answer."""
+    from vamgpu.jobs.run import prove, solve
+
+    point = task.point
+    try:
+        job = read_job(task.job, (*task.settings, *(f"{key}={value}" for key, value in point.values.items())))
+        if not _is_done(point.folder, job.given):
+            solve(job, point.folder, overwrite=point.folder.exists())
+        proof = prove(point.folder, job.file.solve.device).proof
+    except VamError as error:
+        return replace(point, error=str(error))
+    scores, seconds = proof.scores, float("nan") if proof.seconds is None else proof.seconds
+    return replace(point, window=scores.window, iou=scores.iou, error_rate=scores.error_rate, seconds=seconds)
+
+
+def _is_done(folder: Path, given: object) -> bool:
+    from vamgpu.jobs.run import is_interrupted
+
+    try:
+        return Folder.open(folder).manifest.inputs.get("job") == given and not is_interrupted(folder)
+    except StorageError:
+        return False
+
+
+def _write(path: Path, points: Sequence[Point]) -> None:
+    with replacing(path, overwrite=True) as part, open(part, "w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow((*points[0].values, "folder", "window", "iou", "error_rate", "seconds", "error"))
+        for one in points:
+            numbers = (one.window, one.iou, one.error_rate, one.seconds)
+            table.writerow((*one.values.values(), one.folder.name, *map(repr, numbers), one.error))

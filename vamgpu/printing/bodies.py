@@ -1,0 +1,107 @@
+"""A dose judged by what single voxels are asked for, and what every body of a scene got."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.geometry import Grid
+from vamgpu.kernels.update import multiply
+from vamgpu.metrics.line import Line
+from vamgpu.metrics.parts import Parts
+from vamgpu.targets.limits import Asked, Limits
+
+PRINTED = ("print", "gray")
+
+
+@dataclass(frozen=True)
+class BodyDose:
+    """What a body got.
+
+    Args:
+        name: Of the body.
+        role: What is asked of it.
+        asked: The same in words.
+        voxels: That are judged.
+        least, mean, greatest: Dose over the threshold of the print.
+        wrong: Voxels that get another dose than asked.
+    """
+
+    name: str
+    role: str
+    asked: str
+    voxels: int
+    least: float
+    mean: float
+    greatest: float
+    wrong: int
+
+    def __str__(self) -> str:
+        dose = f"dose {self.least:.3f} … {self.mean:.3f} … {self.greatest:.3f} of the threshold"
+        return f"{self.name} ({self.role}): {self.asked}; {dose}; {self.wrong:,} of {self.voxels:,} voxels wrong"
+
+    def line(self) -> Line:
+        """As a row of a report."""
+        value = f"{self.least:.3f} … {self.greatest:.3f}, {self.wrong:,} wrong"
+        return Line(f"{self.role} {self.name!r}", value, f"{self.asked}; least and greatest dose over the threshold")
+
+
+def judged_parts(dose: DeviceArray, fraction: DeviceArray, limits: Limits | None) -> Parts:
+    """A dose over the limits of its voxels, and their classes: what scores are made of.
+
+    Args:
+        dose: [x, y, z] on the device.
+        fraction: Of what is printed, [x, y, z] on the same device.
+        limits: What single voxels are asked for; None judges the dose as it is.
+
+    Returns:
+        Both fields; voxels of which nothing is asked have the dose 0 and no class.
+    """
+    if limits is None:
+        return Parts(dose, fraction)
+    scaled = dose.device.upload(limits.scale)
+    dose.device.launch(multiply, x=dose, y=scaled, out=scaled)
+    return Parts(scaled, dose.device.upload(limits.classes(fraction.numpy())))
+
+
+def body_doses(
+    dose: np.ndarray, fraction: np.ndarray, limits: Limits, threshold: float, grid: Grid
+) -> tuple[BodyDose, ...]:
+    """What every body got that is asked for anything.
+
+    Args:
+        dose: [x, y, z].
+        fraction: Of what is printed, [x, y, z].
+        limits: What is asked of the voxels.
+        threshold: Of the scores, in units of the dose.
+        grid: The voxels, of which those in the inscribed cylinder are judged.
+
+    Returns:
+        In the order of the bodies; those of which no voxel is judged are left out.
+    """
+    judged = limits.judged & grid.cylinder()[:, :, None]
+    inside = fraction >= 0.5
+    doses = {k: dose[judged & (limits.body == k)] / (threshold or 1.0) for k in range(len(limits.bodies))}
+    made = [doses[k] / body.dose for k, body in enumerate(limits.bodies) if body.role in PRINTED]
+    plain = dose[judged & inside & (limits.dose == 1.0)] / (threshold or 1.0)
+    usual = float(plain.mean() if plain.size else np.concatenate(made).mean())
+    found = []
+    for k, body in enumerate(limits.bodies):
+        if doses[k].size:
+            wrong, asked = _judged(body, doses[k], usual)
+            least, mean, greatest = (float(end(doses[k])) for end in (np.min, np.mean, np.max))
+            found.append(BodyDose(body.name, body.role, asked, doses[k].size, least, mean, greatest, wrong))
+    return tuple(found)
+
+
+def _judged(body: Asked, dose: np.ndarray, usual: float) -> tuple[int, str]:
+    """Voxels that are wrong, and what is asked; dose: over the threshold.  usual: mean of what is printed."""
+    if body.role == "print":
+        return int((dose < 1.0).sum()), "at least the threshold"
+    if body.role == "keep out":
+        return int((dose >= body.dose).sum()), f"below {body.dose:g} of the threshold"
+    middle = body.dose * usual
+    wrong = (np.abs(dose - middle) > body.tolerance * middle) | (dose < body.dose)
+    return int(wrong.sum()), f"{body.dose:g} of the part's mean dose, within {100 * body.tolerance:g} %"

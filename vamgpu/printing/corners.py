@@ -1,0 +1,47 @@
+"""What frames print at the corners of tolerances."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import Any
+
+from vamgpu.methods.part import on_device
+from vamgpu.methods.tolerances import Corner, CornerDose, CornerDoses, Tolerances, at
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.reductions import window
+from vamgpu.printing.bodies import judged_parts
+from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.simulate import ShownLight
+
+
+def prove_corners(A: Any, frames: ShownLight, target: Any, tolerances: Tolerances) -> CornerDoses:
+    """Expose frames at every corner, by rays traced for it where its operator is a `Projection`, else by itself.
+
+    Args:
+        A: What the frames were solved with, the nominal operator.
+        frames: As for `simulate`.
+        target: A `Target`, or fractions [x, y, z].
+        tolerances: How far the print may be off.
+
+    Returns:
+        The doses at all corners.
+
+    Raises:
+        ToleranceError: A tolerance contradicts the operator.
+        BadInput: Frames or target are of another geometry.
+    """
+    fraction, light = on_device(A, target), frames.irradiance(A.device)
+    limits = getattr(target, "limits", None)
+    reach = A.grid.inscribed_radius / A.grid.pitch * (1.0 + 1e-6)
+    found: dict[Corner, tuple[float, float, float]] = {}
+    told = []
+    for corner in tolerances.corners():
+        if corner.optics not in found:
+            operator = at(A, corner)
+            plain = isinstance(operator, Projection)
+            dose = IndependentExposure(operator).averaged(light)[0] if plain else operator.T(light)
+            parts = judged_parts(dose, fraction, limits)
+            found[corner.optics] = window(parts.dose, parts.target, reach)
+        least, leak, greatest = (value * (1.0 + corner.dose) for value in found[corner.optics])
+        told.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
+    return CornerDoses(tuple(told))

@@ -1,0 +1,59 @@
+"""Tables of files as pydantic reads them: nothing unknown, nothing converted in silence."""
+
+from __future__ import annotations
+
+from os.path import isfile
+from pathlib import Path
+from typing import Any, ClassVar
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationInfo, model_validator
+
+from vamgpu.deprecated import warn_renamed
+
+
+class Section(BaseModel):
+    """A table: nothing unknown, nothing converted in silence."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    renamed: ClassVar[dict[str, str]] = {}
+    """Old key → the key it is called now, for one release."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _current(cls, table: Any) -> Any:
+        for old in cls.renamed.keys() & table.keys() if isinstance(table, dict) else ():
+            new = cls.renamed[old]
+            if new in table:
+                continue  # the old key is complained of as unknown
+            warn_renamed(f"the key {old}", new, category=FutureWarning)
+            table = {new if key == old else key: value for key, value in table.items()}
+        return table
+
+
+class Misplaced(ValueError):
+    """What is wrong between the tables of a file. key: where one would begin to mend it."""
+
+    def __init__(self, message: str, *key: str) -> None:
+        super().__init__(message)
+        self.key = key
+
+
+def _is_there(value: Any, info: ValidationInfo) -> Any:
+    context = info.context or {}
+    if context.get("files") and isinstance(value, str):
+        path = Path(context["folder"]) / value
+        if not isfile(path):  # which no name, however odd, breaks
+            raise ValueError(f"there is no file {str(path)!r}; expected a path relative to the job file: correct it")
+    return value
+
+
+Named: AfterValidator = AfterValidator(_is_there)
+"""The type of a key that may name a file: complains where the file is not there, if it is to be read."""
+
+
+def tupled(value: Any) -> Any:
+    """Lists as tuples, all the way down."""
+    return tuple(tupled(entry) for entry in value) if isinstance(value, list) else value
+
+
+Listed: BeforeValidator = BeforeValidator(tupled)
