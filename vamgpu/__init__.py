@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+from vamgpu.deprecated import renamed
+
 _PUBLIC = {
     "devices": "vamgpu.backend",
     "open_device": "vamgpu.backend",
@@ -16,9 +18,11 @@ _PUBLIC = {
     "Turntable": "vamgpu.geometry",
     "WebGrid": "vamgpu.web",
     "Projection": "vamgpu.operators.projection",
+    "PolarGrid": "vamgpu.operators.polar",
+    "SpectralProjection": "vamgpu.operators.spectral",
     "WebProjection": "vamgpu.operators.web",
     "TracedProjection": "vamgpu.operators.traced",
-    "Carried": "vamgpu.operators.carried",
+    "CoRotatingMedium": "vamgpu.operators.medium",
     "RayBundle": "vamgpu.operators.bundle",
     "Oblique": "vamgpu.operators.oblique",
     "Defocus": "vamgpu.operators.defocus",
@@ -28,8 +32,10 @@ _PUBLIC = {
     "Wobbled": "vamgpu.operators.moves",
     "Vial": "vamgpu.optics.vial",
     "Vat": "vamgpu.optics.vat",
+    "DoubleWalledVial": "vamgpu.optics.double_walled",
+    "SquareBath": "vamgpu.optics.square",
     "GradedVial": "vamgpu.optics.graded",
-    "Aimed": "vamgpu.optics.beams",
+    "Misaligned": "vamgpu.optics.beams",
     "Fan": "vamgpu.optics.beams",
     "Occluded": "vamgpu.optics.occluder",
     "Cone": "vamgpu.optics.rising",
@@ -38,6 +44,8 @@ _PUBLIC = {
     "Roller": "vamgpu.optics.roller",
     "TunableLens": "vamgpu.optics.lens",
     "Target": "vamgpu.targets.target",
+    "Body": "vamgpu.scene",
+    "Scene": "vamgpu.scene",
     "optimize": "vamgpu.methods",
     "Plan": "vamgpu.methods",
     "BCLP": "vamgpu.methods",
@@ -48,6 +56,7 @@ _PUBLIC = {
     "PenaltyMinimization": "vamgpu.methods",
     "ProcessWindow": "vamgpu.methods",
     "Recipe": "vamgpu.methods",
+    "Tolerances": "vamgpu.methods",
     "Frames": "vamgpu.printing.frames",
     "GrayCurve": "vamgpu.printing.gray",
     "FocusMasks": "vamgpu.printing.focus",
@@ -55,6 +64,7 @@ _PUBLIC = {
     "export": "vamgpu.printing.export",
     "simulate": "vamgpu.printing.simulate",
     "Proof": "vamgpu.printing.proof",
+    "load": "vamgpu.jobs.load",
     "Stream": "vamgpu.webs.stream",
     "timetable": "vamgpu.webs.timetable",
     "Resin": "vamgpu.chemistry.materials",
@@ -68,7 +78,7 @@ _PUBLIC = {
     "stationary": "vamgpu.chemistry.stationary",
     "Colors": "vamgpu.methods.dual",
     "superpose": "vamgpu.methods.dual",
-    "Aims": "vamgpu.methods.joint",
+    "LossWeights": "vamgpu.methods.joint",
     "KineticModel": "vamgpu.methods.joint",
     "TwoColorResin": "vamgpu.methods.joint",
     "optimize_colors": "vamgpu.methods.joint",
@@ -78,17 +88,25 @@ _PUBLIC = {
     "Spiral": "vamgpu.targets.spiral",
     "gray_wedges": "vamgpu.targets.designs",
     "usaf": "vamgpu.targets.designs",
+    "live": "vamgpu.hosts.live.watched",
 }
 """Public name → module that defines it."""
 
-__version__ = "0.1.0"
+__version__ = "0.3.0.dev0"
 __all__ = [*_PUBLIC, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
-def __getattr__(name: str) -> Any:
+def _load(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"vamgpu has no {name!r}; it has {', '.join(_PUBLIC)}")
+    if name == "live":  # the room of that name, which prints when it is called
+        return import_module("vamgpu.live")
     return getattr(import_module(_PUBLIC[name]), name)
+
+
+_RENAMED = {"Aimed": "Misaligned", "Aims": "LossWeights", "Carried": "CoRotatingMedium"}
+"""Old name → the module and the name it has now, for one release."""
+__getattr__ = renamed(__name__, _RENAMED, otherwise=_load)
 
 
 def __dir__() -> list[str]:

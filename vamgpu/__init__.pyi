@@ -14,6 +14,8 @@ from vamgpu.chemistry.stationary import stationary as stationary
 from vamgpu.geometry import Beam as Beam
 from vamgpu.geometry import Grid as Grid
 from vamgpu.geometry import Turntable as Turntable
+from vamgpu.hosts.live.watched import live as live
+from vamgpu.jobs.load import load as load
 from vamgpu.methods import (
     BCLP as BCLP,
 )
@@ -42,29 +44,35 @@ from vamgpu.methods import (
     Recipe as Recipe,
 )
 from vamgpu.methods import (
+    Tolerances as Tolerances,
+)
+from vamgpu.methods import (
     optimize as optimize,
 )
 from vamgpu.methods.compare import compared as compared
 from vamgpu.methods.dual import Colors as Colors
 from vamgpu.methods.dual import superpose as superpose
-from vamgpu.methods.joint import Aims as Aims
 from vamgpu.methods.joint import KineticModel as KineticModel
+from vamgpu.methods.joint import LossWeights as LossWeights
 from vamgpu.methods.joint import TwoColorResin as TwoColorResin
 from vamgpu.methods.joint import optimize_colors as optimize_colors
 from vamgpu.metrics.merit import merit as merit
 from vamgpu.operators.bundle import RayBundle as RayBundle
-from vamgpu.operators.carried import Carried as Carried
 from vamgpu.operators.defocus import Defocus as Defocus
 from vamgpu.operators.defocus import Defocused as Defocused
+from vamgpu.operators.medium import CoRotatingMedium as CoRotatingMedium
 from vamgpu.operators.moves import Tiles as Tiles
 from vamgpu.operators.moves import Wobbled as Wobbled
 from vamgpu.operators.oblique import Oblique as Oblique
+from vamgpu.operators.polar import PolarGrid as PolarGrid
 from vamgpu.operators.projection import Projection as Projection
+from vamgpu.operators.spectral import SpectralProjection as SpectralProjection
 from vamgpu.operators.traced import TracedProjection as TracedProjection
 from vamgpu.operators.web import WebProjection as WebProjection
 from vamgpu.operators.wobble import Wobble as Wobble
-from vamgpu.optics.beams import Aimed as Aimed
 from vamgpu.optics.beams import Fan as Fan
+from vamgpu.optics.beams import Misaligned as Misaligned
+from vamgpu.optics.double_walled import DoubleWalledVial as DoubleWalledVial
 from vamgpu.optics.film import Film as Film
 from vamgpu.optics.graded import GradedVial as GradedVial
 from vamgpu.optics.lens import TunableLens as TunableLens
@@ -73,6 +81,7 @@ from vamgpu.optics.rising import Cone as Cone
 from vamgpu.optics.rising import Inclined as Inclined
 from vamgpu.optics.roller import Roller as Roller
 from vamgpu.optics.shadowgram import shadowgram as shadowgram
+from vamgpu.optics.square import SquareBath as SquareBath
 from vamgpu.optics.vat import Vat as Vat
 from vamgpu.optics.vial import Vial as Vial
 from vamgpu.printing.export import export as export
@@ -82,6 +91,8 @@ from vamgpu.printing.gray import GrayCurve as GrayCurve
 from vamgpu.printing.pack import pack as pack
 from vamgpu.printing.proof import Proof as Proof
 from vamgpu.printing.simulate import simulate as simulate
+from vamgpu.scene import Body as Body
+from vamgpu.scene import Scene as Scene
 from vamgpu.targets.designs import gray_wedges as gray_wedges
 from vamgpu.targets.designs import usaf as usaf
 from vamgpu.targets.spiral import Spiral as Spiral

@@ -1,4 +1,4 @@
-"""Every error this library raises on purpose; each message says what was got, what was wanted and what to do."""
+"""Every error this library raises on purpose; each message says what was got, what was expected and what to do."""
 
 from __future__ import annotations
 
@@ -63,6 +63,20 @@ class UnstableStep(BadInput):
         self.limit = limit
 
 
+class ToleranceError(BadInput):
+    """A tolerance contradicts another one or the print that it is of, or no light can bear it.
+
+    Attributes:
+        binds: Which one: "axis", "spread", "absorption", "dose", "index" or "wobble".
+    """
+
+    binds: str
+
+    def __init__(self, binds: str, why: str) -> None:
+        super().__init__(f"the tolerance of {binds} {why}")
+        self.binds = binds
+
+
 class SliceError(BadInput):
     """A stack of slices cannot be used: one is missing, misnumbered, damaged, or unlike the others."""
 
@@ -91,6 +105,10 @@ class DeviceLost(DeviceError):
     """A machine that answered before does no longer: unplugged, without power, or hung."""
 
 
+class OriginLost(DeviceLost):
+    """A machine forgot the print that it was in the midst of; nobody can go on with it."""
+
+
 class DeviceBusy(DeviceError):
     """A machine is held by another program."""
 
@@ -112,7 +130,7 @@ class ProtocolError(DeviceError):
 
 
 class TimingInfeasible(BadInput):
-    """A machine cannot keep pace; ``limit`` names what binds, ``speed`` is the greatest that fits, in ``unit``."""
+    """A machine cannot keep pace; ``limit`` names what limits it, ``speed`` is the greatest that fits, in ``unit``."""
 
     def __init__(self, message: str, limit: str, speed: float, unit: str) -> None:
         super().__init__(message)
@@ -122,7 +140,7 @@ class TimingInfeasible(BadInput):
 
 
 class Underrun(DeviceError):
-    """Pictures came too late too often; the light was turned off and then the motion stopped."""
+    """Frames came too late too often; the light was turned off and then the motion stopped."""
 
 
 class JobError(BadInput):
@@ -177,3 +195,7 @@ class MemoryNotice(UserWarning):
 
 class SliceWarning(UserWarning):
     """A stack of slices, or what is asked of it, is usable but likely not what was meant."""
+
+
+class ToleranceWarning(UserWarning):
+    """Light was found that does not print at every corner of its tolerances."""

@@ -79,14 +79,14 @@ def find_axis(
     low, high, noise = _levels(read, dark)
     if not high - low > LEAST_CONTRAST * noise:
         raise BadInput(
-            f"the readings go from {low:.4g} to {high:.4g} with a noise of {noise:.2g}; wanted a shadow "
+            f"the readings go from {low:.4g} to {high:.4g} with a noise of {noise:.2g}; expected a shadow "
             f"{LEAST_CONTRAST:g} times deeper than the noise: light the roller, average readings"
         )
     crossings = _crossings(read, low, high, noise)
     if not 1 <= len(crossings) <= 2:
         where = ", ".join(f"{place[at]:g}" for at, _ in crossings) or "none"
         raise BadInput(
-            f"the scan has {len(crossings)} edges between light and shadow (columns {where}); wanted the two of a "
+            f"the scan has {len(crossings)} edges between light and shadow (columns {where}); expected the two of a "
             "roller: scan past it on both sides, clean what else casts shadows"
         )
     ends = [0, *(at for at, _ in crossings), place.size]
@@ -100,7 +100,7 @@ def _axis(edges: tuple[Edge, ...], radius: float | None) -> RollerAxis:
         first, last = edges
         if first.rising or not last.rising:
             raise BadInput(
-                f"light lies between columns {first.column:.1f} and {last.column:.1f} and shadow outside; wanted the "
+                f"light lies between columns {first.column:.1f} and {last.column:.1f} and shadow outside; expected the "
                 "roller's shadow between two edges: swap the reading's sign, or scan around the roller"
             )
         error = 0.5 * float(np.hypot(first.error, last.error))
@@ -108,7 +108,7 @@ def _axis(edges: tuple[Edge, ...], radius: float | None) -> RollerAxis:
     (edge,) = edges
     if radius is None:
         raise BadInput(
-            f"the scan has one edge, at column {edge.column:.1f}, which does not tell where the axis is; wanted both "
+            f"the scan has one edge, at column {edge.column:.1f}, which does not tell where the axis is; expected both "
             "edges, or radius= in columns"
         )
     return RollerAxis(edge.column + (-radius if edge.rising else radius), radius, edge.error, edges)
@@ -118,13 +118,13 @@ def _readings(light: ArrayLike, columns: ArrayLike | None) -> tuple[np.ndarray, 
     read = np.asarray(light, np.float64)
     place = np.arange(read.size, dtype=np.float64) if columns is None else np.asarray(columns, np.float64)
     if read.ndim != 1 or place.shape != read.shape:
-        raise ShapeMismatch(f"readings have shape {read.shape} and columns {place.shape}; wanted one for each")
+        raise ShapeMismatch(f"readings have shape {read.shape} and columns {place.shape}; expected one for each")
     if read.size < LEAST_COLUMNS:
-        raise BadInput(f"the scan has {read.size} readings; wanted {LEAST_COLUMNS} or more")
+        raise BadInput(f"the scan has {read.size} readings; expected {LEAST_COLUMNS} or more")
     if not (np.isfinite(read).all() and np.isfinite(place).all()):
-        raise BadInput("readings or columns hold values that are not finite; wanted finite numbers throughout")
+        raise BadInput("readings or columns hold values that are not finite; expected finite numbers throughout")
     if (np.diff(place) <= 0).any():
-        raise BadInput("the columns of the scan do not rise; wanted each line once, in order")
+        raise BadInput("the columns of the scan do not rise; expected each line once, in order")
     return place, read
 
 

@@ -18,6 +18,21 @@ from vamgpu.errors import BadInput
 LEAST_POWERS = 6
 """A peak has four parameters; fewer readings than this do not tell how well it fits."""
 
+ROUNDS = 4
+"""Fits of a peak, each around the middle of the one before."""
+
+HARMONICS = np.arange(1.0, 16.0, 2.0) ** 2
+"""Squares of the odd harmonics of a Ronchi grating that a camera may see."""
+
+RATIO = 0.1
+"""Where fits of a grating's blur over its period begin."""
+
+FAINT = 1e-6
+"""Weight from which a reading counts."""
+
+REACH = 3.0
+"""Widths of a peak to either side of it that its place is found from, as far as the powers go on both."""
+
 LEAST_SHARE = 0.6
 """Share of the variance of sharpness that a peak must explain to count as one; noise alone gives 0.1 to 0.5."""
 
@@ -27,7 +42,7 @@ class Peak:
     """A Lorentzian floor + height / (1 + ((p − power) / width)²) fitted to sharpness over lens power.
 
     power: of the sharpest picture [dpt].  width: half width at half height [dpt].  error: standard error of the power
-    [dpt].  scatter: standard deviation of the readings about the curve.
+    [dpt], noise and what the curve misses both counted.  scatter: standard deviation of the readings about the curve.
     """
 
     power: float
@@ -68,10 +83,10 @@ def tenengrad(pictures: ArrayLike) -> np.ndarray:
     """
     given = np.asarray(pictures)
     if given.ndim < 2 or min(given.shape[-2:]) < 3:
-        raise BadInput(f"the pictures have shape {given.shape}; wanted [..., row, column] of 3 × 3 pixels at least")
+        raise BadInput(f"the pictures have shape {given.shape}; expected [..., row, column] of 3 × 3 pixels at least")
     light = given.astype(np.float64)
     if not np.isfinite(light).all():
-        raise BadInput("the pictures hold values that are not finite; wanted what the camera read")
+        raise BadInput("the pictures hold values that are not finite; expected what the camera read")
     up = light[..., :-2, :] + 2.0 * light[..., 1:-1, :] + light[..., 2:, :]
     side = light[..., :-2] + 2.0 * light[..., 1:-1] + light[..., 2:]
     across, along = up[..., 2:] - up[..., :-2], side[..., 2:, :] - side[..., :-2, :]
@@ -94,21 +109,67 @@ def fit_peak(powers: ArrayLike, sharpness: ArrayLike) -> Peak:
     span, floor, top = float(np.ptp(power)), float(np.quantile(sharp, 0.1)), int(np.argmax(sharp))
     height = float(sharp[top]) - floor
     if height <= 0:
-        raise BadInput(f"every picture of the stack is as sharp, {floor:.4g}; wanted a grating in focus at some power")
+        raise BadInput(
+            f"every picture of the stack is as sharp, {floor:.4g}; expected a grating in focus at some power"
+        )
     wide = power[sharp > floor + 0.5 * height]
     start = (power[top], max(0.5 * float(np.ptp(wide)), 0.5 * span / power.size), 1.0, 0.0)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", OptimizeWarning)
-            found, covariance = curve_fit(lorentzian, power, (sharp - floor) / height, p0=start, maxfev=4000)
+            found, _ = curve_fit(lorentzian, power, (sharp - floor) / height, p0=start, maxfev=4000)
     except (RuntimeError, OptimizeWarning) as error:
         raise BadInput(f"no peak fits {power.size} readings: {error}; widen or refine the powers") from error
     center, width, scaled, base = (float(value) for value in found)
-    left = float(np.sum(((sharp - floor) / height - lorentzian(power, *found)) ** 2))
-    scatter = float(np.sqrt(left / max(power.size - 4, 1)))
-    _judge(power, center, 1.0 - left * height**2 / float(np.sum((sharp - sharp.mean()) ** 2)))
-    return Peak(center, abs(width), height * scaled, floor + height * base, float(np.sqrt(covariance[0, 0])),
-                height * scatter)  # fmt: skip
+    left = sharp - lorentzian(power, center, width, height * scaled, floor + height * base)
+    scatter = float(np.sqrt(left @ left / max(power.size - 4, 1)))
+    _judge(power, center, 1.0 - float(left @ left) / float(np.sum((sharp - sharp.mean()) ** 2)))
+    center, error = _centered(power, (sharp - floor) / height, found)
+    return Peak(center, abs(width), height * scaled, floor + height * base, error, scatter)
+
+
+def _centered(power: np.ndarray, sharp: np.ndarray, start: np.ndarray) -> tuple[float, float]:
+    """The middle of a peak and its standard error [dpt], by powers that count alike on both sides of it.
+
+    Real peaks are no Lorentzians: where powers reach farther on one side, the wings there would pull the middle. The
+    curve here is that of a grating whose lines a Gaussian blurs.
+    """
+    from scipy.optimize import curve_fit
+
+    low, high = float(power.min()), float(power.max())
+    found, error = np.append(start, RATIO), np.inf
+    for _ in range(ROUNDS):
+        center, width = float(found[0]), abs(float(found[1]))
+        reach = min(center - low, high - center, REACH * abs(float(start[1])))
+        weight = np.clip(1.0 - ((power - center) / reach) ** 2, 0.0, None) ** 2
+        near = weight > FAINT
+        if width == 0.0 or np.count_nonzero(near) <= found.size:
+            break
+        try:
+            found, covariance = curve_fit(
+                grating_sharpness, power[near], sharp[near], p0=found, sigma=weight[near] ** -0.5, maxfev=2000
+            )
+        except RuntimeError:  # the first fit stands
+            break
+        if not low < found[0] < high:
+            break
+        error = float(np.sqrt(covariance[0, 0]))
+    if np.isfinite(error) and low < found[0] < high:
+        return float(found[0]), error
+    _, covariance = curve_fit(lorentzian, power, sharp, p0=start, maxfev=4000)
+    return float(start[0]), float(np.sqrt(covariance[0, 0]))
+
+
+def grating_sharpness(
+    x: np.ndarray, center: float, width: float, height: float, floor: float, ratio: float
+) -> np.ndarray:
+    """Mean squared gradient of a blurred Ronchi grating over lens power; shape of x.
+
+    Its odd harmonics k have gradients alike, and a Gaussian of standard deviation s leaves exp(−(2πks/p)²) of their
+    squares, where s² = s₀²·(1 + ((x − center) / width)²) and ratio = (2πs₀/p)².
+    """
+    blur = abs(ratio) * (1.0 + ((x - center) / width) ** 2)
+    return floor + height * np.exp(-np.multiply.outer(blur, HARMONICS)).sum(axis=-1)
 
 
 def fit_focus(positions: ArrayLike, powers: ArrayLike, stacks: Iterable[ArrayLike]) -> FocusLine:
@@ -120,17 +181,17 @@ def fit_focus(positions: ArrayLike, powers: ArrayLike, stacks: Iterable[ArrayLik
     """
     place = np.atleast_1d(np.asarray(positions, np.float64))
     if place.ndim != 1 or not np.isfinite(place).all() or np.unique(place).size < 2:
-        raise BadInput(f"positions is {positions!r}; wanted two or more different positions of the camera [mm]")
+        raise BadInput(f"positions is {positions!r}; expected two or more different positions of the camera [mm]")
     stepped = np.asarray(powers, np.float64)
     rows = np.broadcast_to(stepped, (place.size, stepped.shape[-1])) if stepped.ndim in (1, 2) else stepped
     if rows.ndim != 2 or rows.shape[0] != place.size:
-        raise BadInput(f"powers has shape {stepped.shape}; wanted (powers,) or ({place.size}, powers)")
+        raise BadInput(f"powers has shape {stepped.shape}; expected (powers,) or ({place.size}, powers)")
     peaks = []
     given = iter(stacks)
     for at, row in zip(place, rows, strict=True):
         pictures = next(given, None)
         if pictures is None:
-            raise BadInput(f"the stacks end after {len(peaks)} of {place.size} positions; wanted one for each")
+            raise BadInput(f"the stacks end after {len(peaks)} of {place.size} positions; expected one for each")
         try:
             peaks.append(fit_peak(row, tenengrad(pictures)))
         except BadInput as error:
@@ -145,7 +206,7 @@ def focus_line(positions: ArrayLike, peaks: Sequence[Peak]) -> FocusLine:
     """
     place = np.asarray(positions, np.float64)
     if place.shape != (len(peaks),) or not np.isfinite(place).all() or np.unique(place).size < 2:
-        raise BadInput(f"positions is {positions!r}; wanted two or more different ones [mm], one for each peak")
+        raise BadInput(f"positions is {positions!r}; expected two or more different ones [mm], one for each peak")
     power = np.array([peak.power for peak in peaks])
     error = np.array([peak.error for peak in peaks])
     weight = 1.0 / np.maximum(error, max(1e-3 * float(error.max()), 1e-12)) ** 2
@@ -154,9 +215,10 @@ def focus_line(positions: ArrayLike, peaks: Sequence[Peak]) -> FocusLine:
     spread = float(weight @ (place - center) ** 2)
     rise = float(weight @ ((place - center) * (power - middle))) / spread
     if rise == 0:
-        raise BadInput(f"the sharpest power is {middle:.4g} dpt at every position; wanted one that changes with it")
+        raise BadInput(f"the sharpest power is {middle:.4g} dpt at every position; expected one that changes with it")
     off = power - middle - rise * (place - center)
-    doubt = np.sqrt(float(weight @ off**2) / spread / max(place.size - 2, 1))
+    seen = float(weight @ off**2) / max(place.size - 2, 1)  # too few positions show less scatter than there is
+    doubt = np.sqrt(max(seen, 1.0 / float((1.0 / error**2).sum()) if (error > 0).all() else 0.0) / spread)
     slope = 1.0 / rise
     return FocusLine(slope, center - slope * middle, float(doubt) * slope**2, tuple(place.tolist()), tuple(peaks))
 
@@ -164,11 +226,11 @@ def focus_line(positions: ArrayLike, peaks: Sequence[Peak]) -> FocusLine:
 def _readings(powers: ArrayLike, sharpness: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     power, sharp = np.asarray(powers, np.float64), np.asarray(sharpness, np.float64)
     if power.shape != sharp.shape or power.ndim != 1:
-        raise BadInput(f"there are powers of shape {power.shape} and sharpness of {sharp.shape}; wanted one for each")
+        raise BadInput(f"there are powers of shape {power.shape} and sharpness of {sharp.shape}; expected one for each")
     if np.unique(power).size < LEAST_POWERS:
-        raise BadInput(f"the lens took {np.unique(power).size} powers; wanted {LEAST_POWERS} or more to fit a peak")
+        raise BadInput(f"the lens took {np.unique(power).size} powers; expected {LEAST_POWERS} or more to fit a peak")
     if not (np.isfinite(power).all() and np.isfinite(sharp).all()):
-        raise BadInput("powers or sharpness hold values that are not finite; wanted finite numbers throughout")
+        raise BadInput("powers or sharpness hold values that are not finite; expected finite numbers throughout")
     return power, sharp
 
 
@@ -181,6 +243,6 @@ def _judge(power: np.ndarray, center: float, share: float) -> None:
         )
     if not share >= LEAST_SHARE:
         raise BadInput(
-            f"a peak explains {100 * share:.0f} % of how sharpness varies; wanted {100 * LEAST_SHARE:.0f} % or more: "
+            f"a peak explains {100 * share:.0f} % of how sharpness varies; expected {100 * LEAST_SHARE:.0f} % or more: "
             "show a grating, expose longer"
         )

@@ -23,8 +23,8 @@ FALLS = 6.0
 class GrayReading:
     """Light over gray levels, the dark reading subtracted, never falling.
 
-    levels: rising from 0 to 255.  intensity: at each, in the readings' unit.  error: standard error of each.  moved:
-    the most that a level was moved so that none falls.
+    levels: rising from 0 to 255.  intensity: at each, in the readings' unit.  error: standard error of each, the dark
+    reading's counted.  moved: the most that a level was moved so that none falls.
     """
 
     levels: tuple[int, ...]
@@ -50,12 +50,12 @@ def fit_gray(levels: Sequence[int], readings: ArrayLike, dark: ArrayLike) -> Gra
     if read.ndim != 2 or level.shape != read.shape[:1] or read.shape[1] < 2 or base.ndim != 1 or not base.size:
         raise ShapeMismatch(
             f"there are levels of shape {level.shape}, readings {read.shape} and dark ones {base.shape}; "
-            "wanted (levels,), (levels, 2 or more) and (1 or more,)"
+            "expected (levels,), (levels, 2 or more) and (1 or more,)"
         )
     if not (np.isfinite(read).all() and np.isfinite(base).all()):
-        raise BadInput("the readings hold values that are not finite; wanted what the meter read")
+        raise BadInput("the readings hold values that are not finite; expected what the meter read")
     if (np.diff(level) <= 0).any() or (int(level[0]), int(level[-1])) != (0, TOP) or (level != np.round(level)).any():
-        raise BadInput(f"the levels go from {level[0]} to {level[-1]}; wanted whole numbers rising from 0 to {TOP}")
+        raise BadInput(f"the levels go from {level[0]} to {level[-1]}; expected whole numbers rising from 0 to {TOP}")
     light = read.mean(axis=1) - base.mean()
     error = _errors(read)
     _judge(level, light, error)
@@ -65,10 +65,12 @@ def fit_gray(levels: Sequence[int], readings: ArrayLike, dark: ArrayLike) -> Gra
         at = int(np.argmax(np.abs(fall) / error))
         raise BadInput(
             f"the light falls at level {level[at]} by {2 * abs(fall[at]):.3g}, {2 * abs(fall[at]) / error[at]:.0f} "
-            "times the readings' error; wanted light that never falls: let the lamp warm up, wait longer at each level"
+            "times the readings' error; expected light that never falls: let the lamp warm up, wait longer at each "
+            "level"
         )
     kept = np.clip(risen, 0.0, None)
-    return GrayReading(tuple(int(each) for each in level), tuple(kept.tolist()), tuple(error.tolist()),
+    whole = np.hypot(error, float(np.sqrt((error**2).mean() * read.shape[1] / base.size)))  # the dark reading's too
+    return GrayReading(tuple(int(each) for each in level), tuple(kept.tolist()), tuple(whole.tolist()),
                        float(np.abs(fall).max()))  # fmt: skip
 
 
@@ -84,7 +86,7 @@ def _judge(level: np.ndarray, light: np.ndarray, error: np.ndarray) -> None:
     rise = float(light[-1] - light[0])
     if not rise > LEAST_CONTRAST * float(error.max()):
         raise BadInput(
-            f"the light rises by {rise:.4g} from level 0 to {TOP}, with an error of {float(error.max()):.2g}; wanted "
+            f"the light rises by {rise:.4g} from level 0 to {TOP}, with an error of {float(error.max()):.2g}; expected "
             f"{LEAST_CONTRAST:g} times the error: light the meter, raise the power, average readings"
         )
     if light.size >= 4:

@@ -38,6 +38,7 @@ class EdgeResponse:
     frequency: [1/mm], rising from 0 to half a cycle a pixel.  modulation: at each, 1 at 0.  half: frequency [1/mm] at
     which half the modulation is left.  angle: of the edge against the nearer axis of the camera [deg].  width: standard
     deviation [mm] of the Gaussian blur nearest to the edge's.  contrast: (light − dark) / (light + dark).
+    width_error: standard error of the width [mm].
     """
 
     frequency: np.ndarray
@@ -46,6 +47,7 @@ class EdgeResponse:
     angle: float
     width: float
     contrast: float
+    width_error: float = 0.0
 
 
 def slanted_edge(picture: ArrayLike, pixel: float) -> EdgeResponse:
@@ -58,11 +60,11 @@ def slanted_edge(picture: ArrayLike, pixel: float) -> EdgeResponse:
     """
     pitch, light = positive("pixel [mm]", pixel), _upright(picture)
     _contrast(light)
-    low, high, column, slope, width = _line(light)
+    (low, high, column, slope, width), doubt = _line(light)
     across = abs(slope) * (light.shape[0] - 1)
     if across < LEAST_SLANT:
         raise BadInput(
-            f"the edge moves by {across:.2g} pixels from the first to the last row; wanted {LEAST_SLANT:g} or more: "
+            f"the edge moves by {across:.2g} pixels from the first to the last row; expected {LEAST_SLANT:g} or more: "
             "turn the camera or the edge by about 5°"
         )
     spread, lines = _spread(light, column, slope, width)
@@ -70,7 +72,7 @@ def slanted_edge(picture: ArrayLike, pixel: float) -> EdgeResponse:
     half = _half(frequency, modulation)
     return EdgeResponse(
         frequency / pitch, modulation, half / pitch, float(np.degrees(np.arctan(slope))), width * pitch,
-        abs(high - low) / max(high + low, 1e-12),
+        abs(high - low) / max(high + low, 1e-12), doubt * pitch,
     )  # fmt: skip
 
 
@@ -78,9 +80,9 @@ def _upright(picture: ArrayLike) -> np.ndarray:
     """The picture as float64, with its edge nearer to columns than to rows."""
     light = np.asarray(picture, np.float64)
     if light.ndim != 2 or min(light.shape) < 16:
-        raise BadInput(f"the picture has shape {light.shape}; wanted [row, column] of 16 × 16 pixels at least")
+        raise BadInput(f"the picture has shape {light.shape}; expected [row, column] of 16 × 16 pixels at least")
     if not np.isfinite(light).all():
-        raise BadInput("the picture holds values that are not finite; wanted what the camera read")
+        raise BadInput("the picture holds values that are not finite; expected what the camera read")
     along, across = (float(np.ptp(light.mean(axis=axis))) for axis in (1, 0))
     return light.T if along > across else light
 
@@ -90,7 +92,7 @@ def _contrast(light: np.ndarray) -> None:
     low, high = (float(q) for q in np.quantile(light, (0.05, 0.95)))
     if not high - low > LEAST_CONTRAST * noise:
         raise BadInput(
-            f"the picture goes from {low:.4g} to {high:.4g} with a noise of {noise:.2g}; wanted an edge "
+            f"the picture goes from {low:.4g} to {high:.4g} with a noise of {noise:.2g}; expected an edge "
             f"{LEAST_CONTRAST:g} times higher than the noise: light it, expose longer"
         )
 
@@ -103,8 +105,9 @@ def _step(at: np.ndarray, low: float, high: float, column: float, slope: float, 
     return low + (high - low) * ndtr(distance / width)
 
 
-def _line(light: np.ndarray) -> tuple[float, float, float, float, float]:
-    """Dark, light, and the edge's column at the middle row, columns a row, and blur [pixels]; a step fitted to all."""
+def _line(light: np.ndarray) -> tuple[tuple[float, float, float, float, float], float]:
+    """Dark, light, and the edge's column at the middle row, columns a row, and blur [pixels]; a step fitted to all.
+    And the standard error of the blur."""
     from scipy.optimize import OptimizeWarning, curve_fit
 
     rows, columns = light.shape
@@ -117,13 +120,13 @@ def _line(light: np.ndarray) -> tuple[float, float, float, float, float]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", OptimizeWarning)
-            found, _ = curve_fit(_step, at, light.ravel(), p0=(low, high, middle, slope, 3.0), maxfev=400)
+            found, covariance = curve_fit(_step, at, light.ravel(), p0=(low, high, middle, slope, 3.0), maxfev=400)
     except (RuntimeError, OptimizeWarning) as error:
         raise BadInput(f"no edge fits the picture: {error}; show one edge between dark and light") from error
     dark, bright, place, tilt, width = (float(value) for value in found)
     if not 0.0 < place < columns - 1.0:
-        raise BadInput(f"the edge lies at column {place:.1f} of {columns}; wanted it inside the picture: center it")
-    return dark, bright, place, tilt, abs(width)
+        raise BadInput(f"the edge lies at column {place:.1f} of {columns}; expected it inside the picture: center it")
+    return (dark, bright, place, tilt, abs(width)), float(np.sqrt(covariance[4, 4]))
 
 
 def _spread(light: np.ndarray, column: float, slope: float, width: float) -> tuple[np.ndarray, np.ndarray]:
@@ -136,7 +139,7 @@ def _spread(light: np.ndarray, column: float, slope: float, width: float) -> tup
     reach = min(max(REACH * width, NARROWEST), room)
     if reach < FLAT * width or reach < 0.5 * NARROWEST:
         raise BadInput(
-            f"the edge is blurred by {width:.3g} pixels and has {room:.3g} beside it in every row; wanted "
+            f"the edge is blurred by {width:.3g} pixels and has {room:.3g} beside it in every row; expected "
             f"{max(FLAT * width, 0.5 * NARROWEST):.3g}: center it, or let the camera see more"
         )
     count = int(reach * OVERSAMPLE)
@@ -168,7 +171,7 @@ def _half(frequency: np.ndarray, modulation: np.ndarray) -> float:
     below = np.flatnonzero(modulation < 0.5)
     if not below.size:
         raise BadInput(
-            f"the modulation is still {modulation[-1]:.2f} at half a cycle a pixel; wanted it to fall below a half: "
+            f"the modulation is still {modulation[-1]:.2f} at half a cycle a pixel; expected it to fall below a half: "
             "let the camera look closer"
         )
     at = int(below[0])

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vamgpu.errors import BadInput, StorageError
+from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.storage.reading import load_toml
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,9 @@ class PointSpread:
 
         Raises:
             BadInput: a value out of its range, or a blur finer than the pixels alone make it.
+
+        Returns:
+            The blur of the optics alone.
         """
         seen, edge = positive("blur [mm]", blur), positive("pitch [mm]", pitch)
         boxes = (positive("fill", fill) * edge**2 + positive("pixel [mm]", pixel, zero=True) ** 2) / 12.0
@@ -68,17 +72,43 @@ class PointSpread:
         Raises:
             StorageError: the file cannot be read.
             BadInput: it holds no calibration of this kind, or a blur finer than the pixels.
+
+        Returns:
+            The blur there.
         """
         place = Path(path)
         file = place / "result.toml" if place.is_dir() else place
-        try:
-            data = tomllib.loads(file.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise StorageError(f"cannot read the calibration {str(path)!r}: {error}; check the path") from error
-        except tomllib.TOMLDecodeError as error:
-            raise BadInput(f"{str(file)!r} is no valid TOML: {error}") from error
-        positions, blurs, pixel = _measured(data, str(file))
+        positions, blurs, pixel = _measured(load_toml(file, "the calibration"), str(file))
         return cls.behind(float(blurs[np.argmin(np.abs(positions - at))]), pitch, fill, pixel)
+
+    @classmethod
+    def between(cls, path: str | Path, pitch: float, fill: float = 1.0, reach: float = inf) -> tuple[float, float]:
+        """The least and the greatest blur along the light, by the result of ``vam calibrate mtf``.
+
+        Args:
+            path: the folder of the result, or its ``result.toml``.
+            pitch: edge of the projector's pixel where the camera stood [mm].
+            fill: share of a pixel's area that is lit.
+            reach: of what is printed, before and behind the axis [mm]; at least one position must be as near.
+
+        Raises:
+            StorageError: the file cannot be read.
+            BadInput: it holds no calibration of this kind, none so near, or a blur finer than the pixels.
+
+        Returns:
+            Both standard deviations [mm].
+        """
+        place = Path(path)
+        file = place / "result.toml" if place.is_dir() else place
+        positions, blurs, pixel = _measured(load_toml(file, "the calibration"), str(file))
+        near = blurs[np.abs(positions) <= reach]
+        if not near.size:
+            raise BadInput(
+                f"{str(file)!r} was measured at {positions.tolist()} mm; expected one within {reach:g} mm of the "
+                "axis: take a greater reach, or measure there"
+            )
+        least, greatest = (cls.behind(float(blur), pitch, fill, pixel).width for blur in (near.min(), near.max()))
+        return least, greatest
 
 
 def _measured(data: dict[str, Any], file: str) -> tuple[np.ndarray, np.ndarray, float]:
@@ -93,6 +123,8 @@ def _measured(data: dict[str, Any], file: str) -> tuple[np.ndarray, np.ndarray, 
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(f"{file!r} garbles its numbers: {error}; run vam calibrate mtf again") from error
     if positions.ndim != 1 or positions.shape != blurs.shape or not positions.size:
-        raise BadInput(f"{file!r} has {positions.size} positions and {blurs.size} blurs; expected as many of each, "
-                       "one at least: run vam calibrate mtf again")
+        raise BadInput(
+            f"{file!r} has {positions.size} positions and {blurs.size} blurs; expected as many of each, "
+            "one at least: run vam calibrate mtf again"
+        )
     return positions, blurs, pixel

@@ -39,7 +39,7 @@ class Aging:
         positive("fresh [s]", self.fresh)
         positive("refill", self.refill, zero=True)
         if not (0.0 <= self.spent < 1.0 and 0.0 <= self.lost < 1.0):
-            raise BadInput(f"spent is {self.spent!r}, lost {self.lost!r}; wanted shares, 0 ≤ share < 1")
+            raise BadInput(f"spent is {self.spent!r}, lost {self.lost!r}; expected shares, 0 ≤ share < 1")
 
     def night(self, vial: ResinHistory, full: float) -> ResinHistory:
         """The vial after stirring and a night; ``full``: its depth [mm] before the first print."""
@@ -86,17 +86,26 @@ class AgingFit:
 def fit_aging(
     seconds: Sequence[float] = BENCHY_SECONDS, *, lost: float = LOST, deviations: Sequence[float] | None = None
 ) -> AgingFit:
-    """Fit `Aging` to print times of consecutive generations, all and with each left out. Raises `BadInput`.
+    """Fit `Aging` to print times of consecutive generations, all and with each left out.
 
-    At least four generations, as three numbers are fitted.  deviations: of the times [s], as weights; none by default.
+    Args:
+        seconds: Print times [s], four or more.
+        lost: Share of the resin that a print takes away.
+        deviations: Standard deviations of the times [s], as weights; none by default.
+
+    Returns:
+        The fit, and its errors with and without each generation.
+
+    Raises:
+        BadInput: There are too few times, or one is not positive.
     """
     times = np.array([positive("print time [s]", t) for t in seconds])
     if len(times) < 4:
-        raise BadInput(f"{len(times)} generations; wanted at least 4: three numbers are fitted to all but one")
+        raise BadInput(f"{len(times)} generations; expected at least 4: three numbers are fitted to all but one")
     weights = [1.0] * len(times) if deviations is None else deviations
     spreads = np.array([positive("deviation [s]", s) for s in weights])
     if len(spreads) != len(times):
-        raise BadInput(f"{len(spreads)} deviations of {len(times)} generations; wanted one each")
+        raise BadInput(f"{len(spreads)} deviations of {len(times)} generations; expected one each")
     every = np.ones(len(times), bool)
     whole = _fit(times, spreads, every, lost)
     left_out, naive = [], []

@@ -18,10 +18,10 @@ from vamgpu.kernels.filter import filter_rows
 from vamgpu.kernels.gauss import blur_planes
 from vamgpu.kernels.update import linear
 from vamgpu.operators.compose import NO_FLOOR
-from vamgpu.operators.linear import LinearOperator, Transposed
+from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.space import VolumeSpace, WebSpace
 from vamgpu.schema import check
-from vamgpu.schema.quantities import Diffusivity, Exposure, Quantity, Thickness
+from vamgpu.schema.quantities import Diffusivity, ExposureTime, Quantity, Thickness
 from vamgpu.web import WebGrid
 
 DROPPED = 1e-7
@@ -35,14 +35,21 @@ class Diffusion:
     What was consumed at time t has until the end to spread, so a dose is blurred by the mean over the exposure of heat
     kernels of variance 2D(T − t) along each axis; ``optical`` widens all of them.
 
-    diffusivity: D [mm²/s].  seconds: exposure T.  optical: standard deviation [mm] of the light's own blur.
-    stages: Gaussians that stand for the mean, at the nodes of Gauss and Legendre.
     Sources: A. Orth et al., Nat. Commun. 14 (2023) 4412: diffusion and optical blur as one kernel to be deconvolved;
-    the mean over the exposure is derived here.  Raises `BadInput`.
+    the mean over the exposure is derived here.
+
+    Args:
+        diffusivity: D [mm²/s].
+        seconds: Exposure T [s].
+        optical: Standard deviation [mm] of the light's own blur.
+        stages: Gaussians that stand for the mean, at the nodes of Gauss and Legendre.
+
+    Raises:
+        BadInput: A value is out of its range.
     """
 
     diffusivity: Diffusivity
-    seconds: Exposure
+    seconds: ExposureTime
     optical: Thickness = 0.0
     stages: Annotated[int, Quantity(least=1, most=16, whole=True, hint="1 to 16 Gaussians")] = 4
 
@@ -61,7 +68,14 @@ class Diffusion:
         return tuple((float(0.5 * w), float(v)) for w, v in zip(weights, spread, strict=True))
 
     def transfer(self, frequency: float) -> float:
-        """What is left of a wave of that many radians per mm, in a continuous medium, with the exact mean."""
+        """Tell what is left of a wave in a continuous medium, with the exact mean.
+
+        Args:
+            frequency: Of the wave [rad/mm].
+
+        Returns:
+            The share that is left.
+        """
         q = self.diffusivity * self.seconds * frequency**2
         left = -np.expm1(-q) / q if q > 0 else 1.0
         return float(left * np.exp(-0.5 * (self.optical * frequency) ** 2))
@@ -85,12 +99,23 @@ def heat_taps(variance: float) -> np.ndarray:
 class Spread(LinearOperator):
     """Doses [x, y, z] after diffusion, on a device; 0 beyond the volume, and what leaves it does not return.
 
-    grid: of the doses.  diffusion: over an exposure.  Each Gaussian is made from the one before by the difference of
-    their variances, three short convolutions.
+    Each Gaussian is made from the one before by the difference of their variances, three short convolutions.
+
+    Args:
+        grid: The voxels of the doses.
+        diffusion: What spreads, over an exposure.
+        device: Where to compute; the best device here by default.
     """
 
+    domain: VolumeSpace | WebSpace
+    range: VolumeSpace | WebSpace
+    device: Device
+    grid: Grid | WebGrid
+    diffusion: Diffusion
+
     def __init__(self, grid: Grid | WebGrid, diffusion: Diffusion, device: str | Device | None = None) -> None:
-        self.domain = self.range = VolumeSpace(grid) if isinstance(grid, Grid) else WebSpace(grid)
+        self.domain = VolumeSpace(grid) if isinstance(grid, Grid) else WebSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.range = self.domain  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.grid, self.diffusion, self.device = grid, diffusion, open_device(device)
         edges = (grid.pitch,) * 3 if isinstance(grid, Grid) else grid.edges
         self._stages: list[tuple[float, tuple[DeviceArray, ...]]] = []
@@ -99,11 +124,6 @@ class Spread(LinearOperator):
             steps = [heat_taps((variance - before) / edge**2) for edge in edges]
             self._stages.append((weight, tuple(self.device.table(taps, "float32") for taps in steps)))
             before = variance
-        self._transpose = Transposed(self)
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802
-        return self._transpose
 
     @cached_property
     def _scratch(self) -> tuple[DeviceArray, DeviceArray, DeviceArray]:

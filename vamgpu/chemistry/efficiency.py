@@ -11,9 +11,11 @@ from numpy.typing import ArrayLike
 
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.kinetics import advance
-from vamgpu.chemistry.species import Floats, Light, Rates, State
+from vamgpu.chemistry.species import Floats, LightCycle, Rates, SpeciesState
 from vamgpu.errors import BadInput
-from vamgpu.geometry import counts, positive
+from vamgpu.geometry import positive
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Absorption, Background, Count, ExposureTime, Irradiance, Length
 
 HALVINGS = 22
 """Of the decades of UV in which the wanted W is looked for: of eleven they leave 6e-6 of a value."""
@@ -38,48 +40,62 @@ def exact_efficiency(alpha: float, beta: float = 0.0, stored: float = 0.0) -> fl
 class RotatingLight:
     """Even light of two colors on a turning vial, weakened by Beer-Lambert on the way to a point of the resin.
 
-    vial: inner radius [mm]
-    visible, uv: irradiance at the wall [mW/mm²]
-    visible_extinction, uv_extinction: natural, of the fresh resin [1/mm]
-    period: of a turn [s]
-    poses: intervals of constant light in a turn
+    Args:
+        vial: Inner radius [mm].
+        visible, uv: Irradiance at the wall [mW/mm²].
+        visible_extinction, uv_extinction: Natural, of the fresh resin [1/mm].
+        period: Of a turn [s].
+        poses: Intervals of constant light in a turn.
 
-    Raises `BadInput` for negative or infinite numbers, and a vial, a period or visible light of 0.
+    Raises:
+        BadInput: For negative or infinite numbers, and a vial, a period or visible light of 0.
     """
 
-    vial: float = 15.0
-    visible: float = 0.05
-    uv: float = 0.05
-    visible_extinction: float = 0.03
-    uv_extinction: float = 0.03
-    period: float = 9.0
-    poses: int = 72
+    vial: Length = 15.0
+    visible: Irradiance = 0.05
+    uv: Background = 0.05
+    visible_extinction: Absorption = 0.03
+    uv_extinction: Absorption = 0.03
+    period: ExposureTime = 9.0
+    poses: Count = 72
 
     def __post_init__(self) -> None:
-        for name in ("vial", "visible", "period"):
-            positive(name, getattr(self, name))
-        for name in ("uv", "visible_extinction", "uv_extinction"):
-            positive(name, getattr(self, name), zero=True)
-        counts("poses", (self.poses,), 1)
+        check(self)
 
     def path(self, radius: ArrayLike, phase: ArrayLike = 0.0) -> Floats:
-        """Way through the resin to points at ``radius`` [mm] and angle ``phase`` [rad], (points, poses) [mm].
+        """Measure the way through the resin, l = √(R² − r²) − x·cosθ − y·sinθ with r = y·cosθ − x·sinθ.
 
-        l = √(R² − r²) − x·cosθ − y·sinθ with r = y·cosθ − x·sinθ. Raises `BadInput` for points beyond the wall.
+        Args:
+            radius: Of the points [mm], (points,).
+            phase: Their angle [rad], (points,).
+
+        Returns:
+            Length [mm], (points, poses).
+
+        Raises:
+            BadInput: For points beyond the wall.
         """
         rho, start = np.broadcast_arrays(np.atleast_1d(np.asarray(radius, float)), np.asarray(phase, float))
         if not (np.isfinite(rho).all() and np.isfinite(start).all()) or rho.min() < 0 or rho.max() > self.vial:
-            raise BadInput(f"points at radii {rho.min():g} … {rho.max():g} mm; wanted 0 … {self.vial:g} mm, finite")
+            raise BadInput(f"points at radii {rho.min():g} … {rho.max():g} mm; expected 0 … {self.vial:g} mm, finite")
         turned = start[:, None] - 2.0 * np.pi * (np.arange(self.poses) + 0.5) / self.poses
         along, across = rho[:, None] * np.cos(turned), rho[:, None] * np.sin(turned)
         return np.sqrt(np.maximum(self.vial**2 - across**2, 0.0)) - along
 
-    def at(self, radius: ArrayLike, phase: ArrayLike = 0.0) -> Light:
-        """One turn of light at points; see `path`."""
+    def at(self, radius: ArrayLike, phase: ArrayLike = 0.0) -> LightCycle:
+        """Tell the light of one turn at points.
+
+        Args:
+            radius: Of the points [mm], (points,).
+            phase: Their angle [rad], (points,).
+
+        Returns:
+            The light, an interval for each angle.
+        """
         way = self.path(radius, phase)
         seconds = np.full(self.poses, self.period / self.poses)
         visible = self.visible * np.exp(-self.visible_extinction * way)
-        return Light(visible, self.uv * np.exp(-self.uv_extinction * way), seconds)
+        return LightCycle(visible, self.uv * np.exp(-self.uv_extinction * way), seconds)
 
 
 def efficiency_at(
@@ -112,7 +128,7 @@ def uv_needed(
     high = np.full(turn.sources, positive("most", most) * light.visible)
 
     def exposed(uv: Floats) -> tuple[Floats, Floats]:
-        scaled = Light(turn.visible, uv[:, None] * np.asarray(turn.uv), turn.seconds)
+        scaled = LightCycle(turn.visible, uv[:, None] * np.asarray(turn.uv), turn.seconds)
         return _exposed(rates, scaled, turns * light.poses, device)
 
     short = exposed(high)[0] < wanted
@@ -127,18 +143,18 @@ def uv_needed(
     return needed, needed * exposed(needed)[1]
 
 
-def _turns(resins: Sequence[Rates], light: RotatingLight, turn: Light, factor: float) -> int:
+def _turns(resins: Sequence[Rates], light: RotatingLight, turn: LightCycle, factor: float) -> int:
     """Turns that last ``factor`` times the longest induction without UV."""
     mean = float(np.asarray(turn.visible).mean(axis=1).min())
     slow = min(resin.k_a / resin.oxygen for resin in resins)
     if slow == 0:
-        raise BadInput("k_a is 0; wanted k_a > 0, or oxygen is never used up")
+        raise BadInput("k_a is 0; expected k_a > 0, or oxygen is never used up")
     return ceil(factor / (slow * mean * light.period)) + 1
 
 
-def _exposed(rates: Rates, turn: Light, intervals: int, device: str | Device | None) -> tuple[Floats, Floats]:
+def _exposed(rates: Rates, turn: LightCycle, intervals: int, device: str | Device | None) -> tuple[Floats, Floats]:
     """W (infinite where not depleted) and the time that took [s], (points,)."""
-    start = State(np.full(turn.sources, rates.oxygen), 0.0, rates.supply)
+    start = SpeciesState(np.full(turn.sources, rates.oxygen), 0.0, rates.supply)
     course = advance(rates, start, turn, intervals=intervals, device=device)
     done = course.depleted[0]
     time = np.where(done, course.event[0], intervals * float(np.asarray(turn.seconds)[0]))

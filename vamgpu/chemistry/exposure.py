@@ -14,36 +14,37 @@ from vamgpu.chemistry.transport import Box
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Turntable, positive
 from vamgpu.kernels.attenuate import column_density, expose
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Absorption, NonNegative
 
 
 @dataclass(frozen=True)
-class Extinction:
+class ColorExtinction:
     """What a color loses per length, μ + ε·[C]: constant [1/mm] and per_c [1/mm per mol/m³], natural logarithm.
 
     Raises `BadInput` below zero.
     """
 
-    constant: float = 0.0
-    per_c: float = 0.0
+    constant: Absorption = 0.0
+    per_c: NonNegative = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("constant", "per_c"):
-            object.__setattr__(self, name, positive(f"Extinction {name}", getattr(self, name), zero=True))
+        check(self)
 
 
 @dataclass(frozen=True, eq=False)
-class Exposure:
-    """Sinograms of both colors, [angle, r, z] in mW/mm² where they enter the resin, each pose for the same time.
+class ColorExposure:
+    """Sinograms of both colors, [angle, r, z] in mW/mm² where they enter the resin, each angle for the same time.
 
     box: of the resin, with its radius; its slices are the rows of the light.  pitch: between columns of light [mm], by
-    default the box's along x.  motion: the poses, by default evenly over a turn.  Either color may be None.
+    default the box's along x.  motion: the angles, by default evenly over a turn.  Either color may be None.
     Raises `BadInput`, `ShapeMismatch`.
     """
 
     box: Box
     visible: np.ndarray | None
     ultraviolet: np.ndarray | None
-    extinction: tuple[Extinction, Extinction] = (Extinction(), Extinction())
+    extinction: tuple[ColorExtinction, ColorExtinction] = (ColorExtinction(), ColorExtinction())
     pitch: float | None = None
     device: Device = field(default=None)  # type: ignore[assignment] - must be the transport's
     motion: Turntable | None = None
@@ -58,15 +59,15 @@ class Exposure:
         for light in given:
             if np.ndim(light) != 3 or light.shape != given[0].shape or light.shape[2] != self.box.shape[2]:
                 raise ShapeMismatch(
-                    f"light has shape {np.shape(light)}; wanted [angle, r, {self.box.shape[2]}] alike for both colors"
+                    f"light has shape {np.shape(light)}; expected [angle, r, {self.box.shape[2]}] alike for both colors"
                 )
             if not np.isfinite(light).all() or np.min(light) < 0:
-                raise BadInput(f"light holds {np.min(light):g} mW/mm²; wanted finite numbers ≥ 0")
+                raise BadInput(f"light holds {np.min(light):g} mW/mm²; expected finite numbers ≥ 0")
 
         motion = Turntable(given[0].shape[0]) if self.motion is None else self.motion
         object.__setattr__(self, "motion", motion)
         if motion.angles != given[0].shape[0] or motion.dwell is not None:
-            raise BadInput(f"light of {given[0].shape[0]} poses got {motion} angles; expected as many, each lit as "
+            raise BadInput(f"light of {given[0].shape[0]} angles got {motion} angles; expected as many, each lit as "
                            "long: solve with a Turntable without dwell")  # fmt: skip
 
     @property
@@ -77,13 +78,13 @@ class Exposure:
 
     @property
     def angles(self) -> int:
-        """Poses of a turn."""
+        """Angles of a turn."""
         return self.shape[0]
 
     def irradiance(self, inhibitor: DeviceArray, angle: int) -> tuple[DeviceArray, DeviceArray]:
-        """Irradiance [mW/mm²] of both colors in every voxel at pose ``angle``, through C as it is [mol/m³].
+        """Irradiance [mW/mm²] in every voxel at the angle numbered ``angle``, through C as it is [mol/m³].
 
-        The fields are the exposure's own: the next pose writes over them.
+        The fields are the exposure's own: the next angle writes over them.
         """
         pose, (path, visible, ultraviolet) = self._pose(angle % self.angles), self._fields
         self.device.launch(column_density, species=inhibitor, open=self._open, pose=pose, path=path)

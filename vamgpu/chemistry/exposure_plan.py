@@ -42,7 +42,7 @@ class Disturbance:
         positive("Disturbance ultraviolet", self.ultraviolet, zero=True)
         positive("Disturbance blur [mm]", self.blur, zero=True)
         if not np.isfinite(self.axis):
-            raise BadInput(f"Disturbance axis is {self.axis!r}; wanted a finite offset [mm]")
+            raise BadInput(f"Disturbance axis is {self.axis!r}; expected a finite offset [mm]")
 
 
 def disturbances(dose: float = 0.0, axis: float = 0.0, blur: float = 0.0) -> tuple[Disturbance, ...]:
@@ -52,7 +52,7 @@ def disturbances(dose: float = 0.0, axis: float = 0.0, blur: float = 0.0) -> tup
     """
     dose, axis = positive("dose", dose, zero=True), positive("axis [mm]", axis, zero=True)
     if dose >= 1.0:
-        raise BadInput(f"dose may be off by {dose:g}; wanted a share below 1")
+        raise BadInput(f"dose may be off by {dose:g}; expected a share below 1")
     shares = (1.0,) if dose == 0.0 else (1.0 - dose, 1.0 + dose)
     offsets = (0.0,) if axis == 0.0 else (-axis, 0.0, axis)
     widths = (0.0,) if blur == 0.0 else (0.0, blur)
@@ -63,9 +63,9 @@ def disturbances(dose: float = 0.0, axis: float = 0.0, blur: float = 0.0) -> tup
 class TurnLight:
     """The light of one turn, visible and perhaps ultraviolet, with the operators that say where it goes.
 
-    light, ultraviolet_light: [angle, r, z] ≥ 0 on the device, fluence in air of every pose [mJ/mm²].  strength: visible
-    dose that a unit of ultraviolet dose undoes, the linear model's k.  Raises `ShapeMismatch`, `DeviceError`, and
-    `BadInput` for poses that are lit for unequal times, whose fluence is no longer that of the light.
+    light, ultraviolet_light: [angle, r, z] ≥ 0 on the device, fluence in air of every angle [mJ/mm²].  strength:
+    visible dose that a unit of ultraviolet dose undoes, the linear model's k.  Raises `ShapeMismatch`, `DeviceError`,
+    and `BadInput` for angles that are lit for unequal times, whose fluence is no longer that of the light.
     """
 
     visible: Projection
@@ -78,7 +78,7 @@ class TurnLight:
         require(self.visible.range, self.light, "the visible light")
         for operator in (self.visible, self.ultraviolet or self.visible):
             if operator.motion.dwell is not None:
-                raise BadInput(f"the light of a turn got {operator.motion} angles; expected poses that share a turn "
+                raise BadInput(f"the light of a turn got {operator.motion} angles; expected angles that share a turn "
                                "evenly: solve with a Turntable without dwell")  # fmt: skip
         if (self.ultraviolet is None) != (self.ultraviolet_light is None):
             raise BadInput("ultraviolet light needs its operator, and the operator its light; give both or neither")
@@ -127,9 +127,9 @@ class TurnLight:
 class ExposurePlan:
     """How a print is sent.
 
-    turns, power: times the light of a turn.  period: of a turn, seconds: of the print, frame: of a pose [s].
+    turns, power: times the light of a turn.  period: of a turn, seconds: of the print, frame: of an angle [s].
     visible_peak, visible_mean, ultraviolet_peak, ultraviolet_mean: irradiance in air of the brightest pixel at its
-    brightest, and of all pixels at all poses [mW/cm²].  visible_energy, ultraviolet_energy: sent in all [mJ].
+    brightest, and of all pixels at all angles [mW/cm²].  visible_energy, ultraviolet_energy: sent in all [mJ].
     """
 
     turns: int
@@ -149,11 +149,21 @@ def plan_exposure(
     turn: TurnLight, turns: int, power: float, *, period: float | None = None, visible_limit: float | None = None,
     ultraviolet_limit: float | None = None,
 ) -> ExposurePlan:  # fmt: skip
-    """Seconds and mW/cm² for a number of turns at a power, poses sharing a turn evenly.
+    """Find seconds and irradiances for a number of turns at a power, angles sharing a turn evenly.
 
-    period: of a turn [s]; without it the shortest that the limits allow.  visible_limit, ultraviolet_limit: irradiance
-    of a full-on pixel in air [mW/cm²].  Raises `BadInput` for a period too short for a limit, saying which, and where
-    neither a period nor the limit of a color that shines is given.
+    Args:
+        turn: The light of a turn.
+        turns: How many.
+        power: Factor by which the light of a turn is multiplied.
+        period: Of a turn [s]; without it the shortest that the limits allow.
+        visible_limit, ultraviolet_limit: Irradiance of a full-on pixel in air [mW/cm²].
+
+    Returns:
+        Times [s] and irradiances [mW/cm²].
+
+    Raises:
+        BadInput: The period is too short for a limit, or neither a period nor the limit of a color that shines is
+            given.
     """
     turns, power = counts("turns", (turns,), 1)[0], positive("power", power)
     angles = turn.visible.motion.angles
@@ -181,7 +191,7 @@ def plan_exposure(
 
 
 def _sent(light: DeviceArray | None) -> tuple[float, float]:
-    """Greatest and mean fluence of a pose [mJ/mm²]."""
+    """Greatest and mean fluence of an angle [mJ/mm²]."""
     if light is None:
         return 0.0, 0.0
     return extent(light)[1], total(light) / float(np.prod(light.shape))

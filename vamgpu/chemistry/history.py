@@ -11,6 +11,7 @@ from typing import Any, Literal
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import positive
 from vamgpu.storage.atomic import explained, replacing
+from vamgpu.storage.reading import parse_json, read_text
 
 FORMAT = "vamgpu resin history"
 VERSION = 1
@@ -66,7 +67,7 @@ class ResinHistory:
         positive("seconds", seconds, zero=True)
         _share("spent", spent)
         if not 0.0 <= lost < 1.0:
-            raise BadInput(f"lost is {lost!r}; wanted a share of the resin, 0 ≤ lost < 1")
+            raise BadInput(f"lost is {lost!r}; expected a share of the resin, 0 ≤ lost < 1")
         oxygen, depth = self.oxygen * (1.0 - spent), self.depth * (1.0 - lost)
         return self._next("print", oxygen, depth, dose=positive("dose [mJ/mm³]", dose, zero=True), seconds=seconds,
                           note=note)  # fmt: skip
@@ -98,19 +99,19 @@ class ResinHistory:
     def load(cls, path: str | Path) -> ResinHistory:
         """Read a state. Raises `StorageError` for a file that cannot be read or is none."""
         try:
-            data = json.loads(Path(path).read_text(encoding="utf-8"))
+            data = parse_json(read_text(path))
         except OSError as error:
             raise explained("read", Path(path), error) from error
         except ValueError as error:
-            raise StorageError(f"{str(path)!r} is no JSON: {error}; wanted a file that save() wrote") from error
+            raise StorageError(f"{str(path)!r} is no JSON: {error}; expected a file that save() wrote") from error
         try:
             if data["format"] != FORMAT or data["version"] > VERSION:
-                raise BadInput(f"got {data['format']!r}, version {data['version']}; wanted version {VERSION}")
+                raise BadInput(f"got {data['format']!r}, version {data['version']}; expected version {VERSION}")
             told: dict[str, Any] = {f.name: data[f.name] for f in fields(cls)}
             told["events"] = tuple(Event(**event) for event in told["events"])
             return cls(**told)
         except (KeyError, TypeError, BadInput) as error:
-            raise StorageError(f"{str(path)!r} is no {FORMAT}: {error}; wanted a file that save() wrote") from error
+            raise StorageError(f"{str(path)!r} is no {FORMAT}: {error}; expected a file that save() wrote") from error
 
 
 def recovery(diffusivity: float, seconds: float, depth: float) -> float:
@@ -128,5 +129,5 @@ def recovery(diffusivity: float, seconds: float, depth: float) -> float:
 
 def _share(name: str, value: float) -> float:
     if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0.0 <= value <= 1.0:
-        raise BadInput(f"{name} is {value!r}; wanted a share, 0 to 1")
+        raise BadInput(f"{name} is {value!r}; expected a share, 0 to 1")
     return float(value)

@@ -12,7 +12,7 @@ import numpy as np
 
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.kinetics import advance
-from vamgpu.chemistry.species import Floats, Light, Rates, State
+from vamgpu.chemistry.species import Floats, LightCycle, Rates, SpeciesState
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
@@ -63,14 +63,14 @@ def induction_times(rates: list[Rates], device: str | Device | None = None) -> F
     Raises `BadInput` for rates that are not normalized to [A] = 1, and what `advance` raises.
     """
     if any(resin.oxygen != 1.0 for resin in rates):
-        raise BadInput(f"oxygen is {[r.oxygen for r in rates if r.oxygen != 1.0][0]:g}; wanted rates normalized to 1")
+        raise BadInput(f"oxygen is {[r.oxygen for r in rates if r.oxygen != 1.0][0]:g}; expected rates normalized to 1")
     supply = max(resin.supply for resin in rates)
     if any(resin.supply != supply for resin in rates):
-        raise BadInput("the resins have different supplies; wanted one, or a call each")
-    start = State([1.0, 1.0, TRACE, 1.0], 0.0, supply)
+        raise BadInput("the resins have different supplies; expected one, or a call each")
+    start = SpeciesState([1.0, 1.0, TRACE, 1.0], 0.0, supply)
     visible = [[0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [1.0, 1.0]]
     uv = [[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 0.0]]
-    course = advance(rates, start, Light(visible, uv, [UV_SECONDS, LONGEST]), device=device)
+    course = advance(rates, start, LightCycle(visible, uv, [UV_SECONDS, LONGEST]), device=device)
     dose = np.where(course.depleted, course.dose, LONGEST)
     without = np.array([1.0 / resin.k_a for resin in rates])
     dose[:, 2] += without
@@ -81,17 +81,28 @@ def fit_induction(
     measured: tuple[float, float, float, float] = MEASURED, *, supply: float = 200.0, order: int = 0,
     device: str | Device | None = None,
 ) -> Fit:  # fmt: skip
-    """α, k_C and k₂ from induction times [s] in the order of `NAMES`; k_A is 1 over the first.
+    """Fit α, k_C and k₂ to induction times; k_A is 1 over the first.
 
     A grid of resins in one launch, then least squares from its best entries. Three constants for three times: the
-    errors that remain are the equations' own. supply: [C] over [A] before printing; 200 does not run out.
-    Raises `BadInput` for times that are not positive, or a UV trial that is shorter than the one without.
+    errors that remain are the equations' own.
+
+    Args:
+        measured: Induction times [s] in the order of `NAMES`.
+        supply: [C] over [A] before printing, a ratio; 200 does not run out.
+        order: Of the reaction in [C], 0 or 1.
+        device: Where to compute; the best device here by default.
+
+    Returns:
+        The constants and the times that they give.
+
+    Raises:
+        BadInput: For times that are not positive, or a UV trial that is shorter than the one without.
     """
     from scipy.optimize import least_squares
 
     wanted = tuple(positive("measured [s]", value) for value in measured)
     if len(wanted) != len(NAMES) or min(wanted) < wanted[0]:
-        raise BadInput(f"measured is {measured}; wanted {len(NAMES)} times, the first (without UV) the shortest")
+        raise BadInput(f"measured is {measured}; expected {len(NAMES)} times, the first (without UV) the shortest")
 
     def resin(logs: Floats) -> Rates:
         alpha, k_c, k_2 = np.exp(logs)

@@ -9,7 +9,7 @@ import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
-from vamgpu.chemistry.species import Floats, Light, Rates, State
+from vamgpu.chemistry.species import Floats, LightCycle, Rates, SpeciesState
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
 from vamgpu.kernels.kinetics import MOST, UNSETTLED, inhibit
@@ -19,7 +19,7 @@ TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class KineticTrajectory:
     """Where items end, all arrays (resins, items), concentrations in the unit of the rates.
 
     a, b, c: concentrations; a and b are 0 from the event on, and c stays what it was.
@@ -44,15 +44,16 @@ class Course:
         return np.isfinite(self.event)
 
     @property
-    def states(self) -> State:
+    def states(self) -> SpeciesState:
         """The ends as one list of items, resin after resin."""
-        return State(self.a.ravel(), self.b.ravel(), self.c.ravel())
+        return SpeciesState(self.a.ravel(), self.b.ravel(), self.c.ravel())
 
 
 def advance(
-    rates: Rates | Sequence[Rates], state: State, light: Light, *, intervals: int | None = None, first: int = 0,
+    rates: Rates | Sequence[Rates], state: SpeciesState, light: LightCycle, *, intervals: int | None = None, first: int
+    = 0,
     rows: int = 1, tolerance: float = TOLERANCE, device: str | Device | None = None,
-) -> Course:  # fmt: skip
+) -> KineticTrajectory:  # fmt: skip
     """Expose every item in every resin to the light (eqs 5–7, made non-negative and continued at the origin).
 
     Rosenbrock steps of third order, as long as each item allows; [B] + 2[C] + α[A] falls by k_B times the dose up to
@@ -71,13 +72,15 @@ def advance(
     """
     resins = (rates,) if isinstance(rates, Rates) else tuple(rates) if isinstance(rates, Sequence) else ()
     if not resins or not all(isinstance(resin, Rates) for resin in resins):
-        raise BadInput(f"rates are {rates!r}; wanted Rates, or several")
-    if not isinstance(state, State) or not isinstance(light, Light):
-        raise BadInput(f"got {type(state).__name__} and {type(light).__name__}; wanted a State and a Light")
+        raise BadInput(f"rates are {rates!r}; expected Rates, or several")
+    if not isinstance(state, SpeciesState) or not isinstance(light, LightCycle):
+        raise BadInput(
+            f"got {type(state).__name__} and {type(light).__name__}; expected a SpeciesState and a LightCycle"
+        )
     if not isinstance(first, (int, np.integer)):
-        raise BadInput(f"first is {first!r}; wanted the number of an interval")
+        raise BadInput(f"first is {first!r}; expected the number of an interval")
     if light.sources not in (1, len(state)):
-        raise BadInput(f"{light.sources} sources of light for {len(state)} items; wanted 1 or {len(state)}")
+        raise BadInput(f"{light.sources} sources of light for {len(state)} items; expected 1 or {len(state)}")
     (count,) = counts("intervals", (light.intervals if intervals is None else intervals,), 1)
     (rows,) = counts("rows", (rows,), 1)
     every = -(-count // (rows - 1)) if rows > 1 else count
@@ -100,7 +103,7 @@ def advance(
     efficiency = _efficiency(np.repeat([resin.k_a for resin in resins], len(state)), before[:, 0], ends)
     event = np.where(when < 0, np.nan, when)
     a, b, c, dose, event, efficiency = (v.reshape(shape) for v in (*ends.T, event, efficiency))
-    return Course(a, b, c, dose, event, efficiency, path.numpy().astype(np.float64).reshape(*shape, rows, 4))
+    return KineticTrajectory(a, b, c, dose, event, efficiency, path.numpy().astype(np.float64).reshape(*shape, rows, 4))
 
 
 def _efficiency(k_a: Floats, oxygen: Floats, ends: Floats) -> Floats:

@@ -50,8 +50,14 @@ class Compensated:
 
 
 def precompensate(
-    fraction: DeviceArray | npt.NDArray[np.floating], grid: Grid | WebGrid, diffusion: Diffusion, *,
-    background: float = 0.0, ridge: float = RIDGE, iterations: int = ITERATIONS, device: str | Device | None = None,
+    fraction: DeviceArray | npt.NDArray[np.floating],
+    grid: Grid | WebGrid,
+    diffusion: Diffusion,
+    *,
+    background: float = 0.0,
+    ridge: float = RIDGE,
+    iterations: int = ITERATIONS,
+    device: str | Device | None = None,
 ) -> Compensated:
     """The dose to ask for so that background + (1 − background)·fraction is left after diffusion.
 
@@ -82,10 +88,10 @@ def contrast(
 ) -> DeviceArray:
     """u so that background + (1 − background)·u ≥ 0, and u after diffusion is near the goal; on the device."""
     if not 0.0 <= background < 1.0:
-        raise BadInput(f"background is {background!r}; wanted 0 ≤ background < 1")
+        raise BadInput(f"background is {background!r}; expected 0 ≤ background < 1")
     positive("ridge", ridge)
     if isinstance(iterations, bool) or not isinstance(iterations, int) or iterations < 1:
-        raise BadInput(f"iterations is {iterations!r}; wanted at least 1")
+        raise BadInput(f"iterations is {iterations!r}; expected at least 1")
     device, floor = spread.device, -background / (1.0 - background)
     shape, ahead, new = (_copy(goal) for _ in range(3))
     image, slope = device.empty(goal.shape), device.empty(goal.shape)
@@ -112,8 +118,15 @@ def misfit(spread: Spread, dose: DeviceArray, goal: DeviceArray) -> float:
 
 
 def stream(
-    slabs: Iterable[npt.NDArray[np.floating]], grid: Grid, diffusion: Diffusion, *, background: float = 0.0,
-    ridge: float = RIDGE, iterations: int = ITERATIONS, block: int = 64, halo: int | None = None,
+    slabs: Iterable[npt.NDArray[np.floating]],
+    grid: Grid,
+    diffusion: Diffusion,
+    *,
+    background: float = 0.0,
+    ridge: float = RIDGE,
+    iterations: int = ITERATIONS,
+    block: int = 64,
+    halo: int | None = None,
     device: str | Device | None = None,
 ) -> Iterator[npt.NDArray[np.float32]]:
     """Compensated doses of an endless column, slab by slab of any thickness along z, in bounded memory.
@@ -125,7 +138,7 @@ def stream(
     here = open_device(device)
     margin = ceil(HALO * diffusion.deviation / grid.pitch) + 2 if halo is None else halo
     if block < 1 or margin < 0:
-        raise BadInput(f"block is {block!r}, halo {margin!r}; wanted at least 1 and 0 slices")
+        raise BadInput(f"block is {block!r}, halo {margin!r}; expected at least 1 and 0 slices")
     column = np.zeros((*grid.shape[:2], margin), np.float32)
     spreads: dict[int, Spread] = {}
 
@@ -152,7 +165,7 @@ def stream(
 
 def _fits(slab: npt.NDArray[np.floating], grid: Grid) -> None:
     if slab.ndim != 3 or slab.shape[:2] != grid.shape[:2]:
-        raise ShapeMismatch(f"a slab has shape {slab.shape}; wanted {(*grid.shape[:2], 'any')} = [x, y, z]")
+        raise ShapeMismatch(f"a slab has shape {slab.shape}; expected {(*grid.shape[:2], 'any')} = [x, y, z]")
 
 
 def _on(spread: Spread, fraction: DeviceArray | npt.NDArray[np.floating]) -> DeviceArray:
@@ -161,7 +174,7 @@ def _on(spread: Spread, fraction: DeviceArray | npt.NDArray[np.floating]) -> Dev
     if isinstance(fraction, DeviceArray):
         return fraction
     if not np.isfinite(fraction).all():
-        raise BadInput("fractions hold numbers that are not finite; wanted 0..1")
+        raise BadInput("fractions hold numbers that are not finite; expected 0..1")
     return spread.device.upload(np.asarray(fraction))
 
 

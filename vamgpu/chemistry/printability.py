@@ -21,6 +21,8 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
 from vamgpu.geometry import counts, positive
 from vamgpu.operators.reductions import EVERYWHERE, extent
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Positive
 
 CONDITIONS = ("the part hardens before the last turn", "the part stays soft", "the rest hardens")
 """What is wrong where (a), (b) and (c) do not hold."""
@@ -30,12 +32,11 @@ CONDITIONS = ("the part hardens before the last turn", "the part stays soft", "t
 class Thresholds:
     """Doses from which resin bends light otherwise (T_opt) and is firm (T_mec ≥ T_opt). Raises `BadInput`."""
 
-    optical: float
-    mechanical: float
+    optical: Positive
+    mechanical: Positive
 
     def __post_init__(self) -> None:
-        for name in ("optical", "mechanical"):
-            object.__setattr__(self, name, positive(f"Thresholds {name}", getattr(self, name)))
+        check(self)
         if self.mechanical < self.optical:
             raise BadInput(f"T_mec is {self.mechanical:g}, below T_opt = {self.optical:g}; resin is firm only after it "
                            "has begun to harden")  # fmt: skip
@@ -61,7 +62,7 @@ class TurnDoses:
     def __post_init__(self) -> None:
         values = (self.in_least, self.in_most, self.out_most)
         if not all(isfinite(value) for value in values) or self.in_least > self.in_most:
-            raise BadInput(f"{self!r}: wanted finite doses, and in_least ≤ in_most")
+            raise BadInput(f"{self!r}: expected finite doses, and in_least ≤ in_most")
 
     @property
     def gap(self) -> float:
@@ -75,7 +76,7 @@ class TurnDoses:
         reach: radius of the cylinder that counts [voxels].  Raises `ShapeMismatch`, `EmptyMesh`.
         """
         if tuple(dose.shape) != tuple(target.shape):
-            raise ShapeMismatch(f"the dose has shape {dose.shape}, the target {target.shape}; wanted the same")
+            raise ShapeMismatch(f"the dose has shape {dose.shape}, the target {target.shape}; expected the same")
         if isinstance(dose, DeviceArray):
             inside, outside = extent(dose, target, 0.5, inf, reach), extent(dose, target, -inf, 0.5, reach)
         else:
@@ -91,34 +92,34 @@ class TurnDoses:
     def worst(cls, *cases: TurnDoses) -> TurnDoses:
         """The least and greatest of several cases: what holds for it holds for each. Raises `BadInput` for none."""
         if not cases:
-            raise BadInput("the worst of no cases; wanted at least one")
+            raise BadInput("the worst of no cases; expected at least one")
         return cls(min(c.in_least for c in cases), max(c.in_most for c in cases), max(c.out_most for c in cases))
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PowerVerdict:
     """Whether the three conditions hold.
 
-    early, firm, spill: what remains until (a), (b) and (c) fail, in dose; not above 0 where one fails.
+    early, firm, overcure: what remains until (a), (b) and (c) fail, in dose; not above 0 where one fails.
     """
 
     early: float
     firm: float
-    spill: float
+    overcure: float
 
     @property
     def holds(self) -> bool:
         """Whether all three do."""
-        return min(self.early, self.firm, self.spill) > 0.0
+        return min(self.early, self.firm, self.overcure) > 0.0
 
     @property
     def failures(self) -> tuple[str, ...]:
         """What goes wrong, in words."""
-        rests = (self.early, self.firm, self.spill)
+        rests = (self.early, self.firm, self.overcure)
         return tuple(words for words, rest in zip(CONDITIONS, rests, strict=True) if rest <= 0.0)
 
     @classmethod
-    def of(cls, before: TurnDoses, after: TurnDoses, thresholds: Thresholds) -> Verdict:
+    def of(cls, before: TurnDoses, after: TurnDoses, thresholds: Thresholds) -> PowerVerdict:
         """From the doses before and after the last turn, for light whose effect is not proportional to turns."""
         return cls(thresholds.optical - before.in_most, after.in_least - thresholds.mechanical,
                    thresholds.optical - after.out_most)  # fmt: skip
@@ -152,10 +153,10 @@ class PowerWindow:
         return max(0.0, 1.0 - self.low / self.middle) if self.legal else 0.0
 
 
-def judge(doses: TurnDoses, thresholds: Thresholds, turns: int, power: float = 1.0) -> Verdict:
+def judge(doses: TurnDoses, thresholds: Thresholds, turns: int, power: float = 1.0) -> PowerVerdict:
     """The three conditions after ``turns`` equal turns at a power. Raises `BadInput`."""
     n, power = counts("turns", (turns,), 1)[0], positive("power", power)
-    return Verdict(
+    return PowerVerdict(
         thresholds.optical - (n - 1) * power * doses.in_most,
         n * power * doses.in_least - thresholds.mechanical,
         thresholds.optical - n * power * doses.out_most,
@@ -167,9 +168,9 @@ def power_window(doses: TurnDoses, thresholds: Thresholds, turns: int) -> PowerW
     n = counts("turns", (turns,), 1)[0]
     low = thresholds.mechanical / (n * doses.in_least) if doses.in_least > 0 else inf
     early = thresholds.optical / ((n - 1) * doses.in_most) if n > 1 and doses.in_most > 0 else inf
-    spill = thresholds.optical / (n * doses.out_most) if doses.out_most > 0 else inf
-    high = min(early, spill)
-    return PowerWindow(n, low, high, "" if high == inf else "a" if early <= spill else "c")
+    overcure = thresholds.optical / (n * doses.out_most) if doses.out_most > 0 else inf
+    high = min(early, overcure)
+    return PowerWindow(n, low, high, "" if high == inf else "a" if early <= overcure else "c")
 
 
 def most_turns(doses: TurnDoses, thresholds: Thresholds) -> float:

@@ -7,31 +7,39 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from vamgpu.chemistry.concentrations import Concentrations
-from vamgpu.chemistry.exposure import Exposure
+from vamgpu.chemistry.exposure import ColorExposure
 from vamgpu.chemistry.transport import Transport
 from vamgpu.errors import BadInput, StorageError, UnstableStep
 from vamgpu.geometry import counts, positive
 from vamgpu.storage.atomic import replacing
+from vamgpu.storage.numpy_files import read_npz
 
 Progress = Callable[[int, Concentrations], None]
 
 
 @dataclass(frozen=True, eq=False)
 class PrintRun:
-    """Turns of a dual-color print: light of a pose, through the C there is, for a frame's time; then the next pose.
+    """Turns of a dual-color print: light of an angle, through the C there is, for a frame's time; then the next angle.
+    Source: paper, "Reactive Transport Simulation".
 
-    turn: seconds a turn takes.  turns: how many.  steps: of transport a frame, by default the fewest that are stable
-    (see `Transport.advance`).
-    Raises `BadInput`, `UnstableStep`. Source: paper, "Reactive Transport Simulation".
+    Args:
+        transport: How species move and react.
+        exposure: The light of a turn.
+        turn: Time of a turn [s].
+        turns: How many.
+        steps: Steps of transport a frame; by default the fewest that are stable (see `Transport.advance`).
+
+    Raises:
+        BadInput: A value is out of its range.
+        UnstableStep: The steps are too long to be stable.
     """
 
     transport: Transport
-    exposure: Exposure
+    exposure: ColorExposure
     turn: float
     turns: int
     steps: int | None = None
@@ -45,7 +53,7 @@ class PrintRun:
             raise BadInput("a print wants a transport with a reaction; this one only diffuses")
         if self.steps is not None and self.frame_time / self.steps > self.transport.limit:
             raise UnstableStep(
-                f"{self.steps} steps a frame of {self.frame_time:g} s are not stable; wanted steps of at most "
+                f"{self.steps} steps a frame of {self.frame_time:g} s are not stable; expected steps of at most "
                 f"{self.transport.limit:g} s: {self.transport.steps(self.frame_time)} or more",
                 self.transport.limit,
             )
@@ -69,10 +77,18 @@ class PrintRun:
         every: int | None = None,
         progress: Progress | None = None,
     ) -> int:
-        """Show frames ``frame`` … ``until`` − 1 (by default to the end), changing the state; returns the next frame.
+        """Show frames ``frame`` … ``until`` − 1, changing the state.
 
-        save: a file that is replaced after every ``every`` frames (by default each turn) and at the end; see `load`.
-        progress: called with the next frame and the state after each frame.
+        Args:
+            state: Concentrations, changed in place.
+            frame: The first frame.
+            until: The frame to stop before; the end by default.
+            save: A file that is replaced after every ``every`` frames and at the end; see `load`.
+            every: Frames from one saving to the next; a turn by default.
+            progress: Called with the next frame and the state after each frame.
+
+        Returns:
+            The next frame.
         """
         last = min(self.frames, until if until is not None else self.frames)
         pace = every or self.exposure.angles
@@ -88,19 +104,37 @@ class PrintRun:
         return frame
 
     def save(self, path: str | Path, state: Concentrations, frame: int) -> None:
-        """Write the state before ``frame`` to an .npz file that appears whole or not at all. Raises `StorageError`."""
+        """Write the state before ``frame`` to an .npz file that appears whole or not at all.
+
+        Args:
+            path: The .npz file.
+            state: Concentrations.
+            frame: The frame that comes next.
+
+        Raises:
+            StorageError: The file cannot be written.
+        """
         with replacing(path, overwrite=True) as draft, draft.open("wb") as file:
             about = {"frame": np.array(frame), "time": np.array(state.time), "print": np.array(self.fingerprint)}
             np.savez(file, **about, **state.numpy())  # pyright: ignore[reportArgumentType] - names of arrays, not options
 
     def load(self, path: str | Path) -> tuple[Concentrations, int]:
-        """The state and the next frame of a file that `run` saved. Raises `StorageError` for another print's."""
+        """Read what `run` saved.
+
+        Args:
+            path: The file.
+
+        Returns:
+            The state and the next frame.
+
+        Raises:
+            StorageError: The file cannot be read, or is of another print.
+        """
         try:
-            with np.load(path, allow_pickle=False) as kept:
-                found = {name: kept[name] for name in kept.files}
+            found = read_npz(path)
             fields = [self.transport.device.upload(found[name]) for name in Concentrations.FIELDS]
             frame, time, owner = int(found["frame"]), float(found["time"]), str(found["print"])
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        except (OSError, ValueError, KeyError, TypeError) as error:
             raise StorageError(f"cannot read the print in {str(path)!r}: {error}; start it anew") from error
         if owner != self.fingerprint:
             raise StorageError(f"{str(path)!r} is of another print: its resin, light or times differ; start it anew")

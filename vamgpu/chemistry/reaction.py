@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from vamgpu.chemistry.species import Rates
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.schema import check
+from vamgpu.schema.quantities import NonNegative, Positive
 
 
 @dataclass(frozen=True)
@@ -22,21 +24,18 @@ class Reaction:
     Source: paper eqs 5-7; C of first order as "Reactive Transport Simulation" has it. Raises `BadInput`.
     """
 
-    k_a: float
-    k_b: float
-    k_c: float
-    k_2: float
-    initial: float = 1.0
+    k_a: NonNegative
+    k_b: NonNegative
+    k_c: NonNegative
+    k_2: NonNegative
+    initial: Positive = 1.0
     order: int = 1
-    cross: float = 0.0
-    optical: float = 1.0
-    mechanical: float = 2.0
+    cross: NonNegative = 0.0
+    optical: Positive = 1.0
+    mechanical: Positive = 2.0
 
     def __post_init__(self) -> None:
-        for name in ("k_a", "k_b", "k_c", "k_2", "cross"):
-            object.__setattr__(self, name, positive(f"Reaction {name}", getattr(self, name), zero=True))
-        for name in ("initial", "optical", "mechanical"):
-            object.__setattr__(self, name, positive(f"Reaction {name}", getattr(self, name)))
+        check(self)
         if self.order not in (0, 1):
             raise BadInput(f"Reaction order is {self.order!r}; C splits by order 0 or 1")
         if self.mechanical < self.optical:

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.schema import check
+from vamgpu.schema.quantities import NonNegative, Positive
 
 Floats = NDArray[np.float64]
 
@@ -36,35 +38,33 @@ class Rates:
     Raises `BadInput` for negative or infinite numbers, an order that is not 0 or 1, or order 1 without a supply.
     """
 
-    k_a: float
-    k_b: float
-    k_c: float
-    k_2: float
-    oxygen: float = 1.0
-    supply: float = 5.0
+    k_a: NonNegative
+    k_b: NonNegative
+    k_c: NonNegative
+    k_2: NonNegative
+    oxygen: Positive = 1.0
+    supply: NonNegative = 5.0
     order: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("k_a", "k_b", "k_c", "k_2", "supply"):
-            positive(name, getattr(self, name), zero=True)
-        positive("oxygen", self.oxygen)
+        check(self)
         if self.order not in (0, 1):
-            raise BadInput(f"order is {self.order!r}; wanted 0 (eq. 7) or 1 (in proportion to [C])")
+            raise BadInput(f"order is {self.order!r}; expected 0 (eq. 7) or 1 (in proportion to [C])")
         if self.order == 1 and self.supply == 0:
-            raise BadInput("order 1 with a supply of 0; wanted [C] > 0 to compare with, or order 0")
+            raise BadInput("order 1 with a supply of 0; expected [C] > 0 to compare with, or order 0")
 
     @property
     def alpha(self) -> float:
         """α = k_B/k_A: sensitivity of B to visible light over that of A. Raises `BadInput` where k_A is 0."""
         if self.k_a == 0:
-            raise BadInput("k_a is 0; wanted k_a > 0, or α = k_b/k_a has no value")
+            raise BadInput("k_a is 0; expected k_a > 0, or α = k_b/k_a has no value")
         return self.k_b / self.k_a
 
     def beta(self, visible: float, uv: float) -> float:
         """β = k_C·I_UV/(k_A·I_vis), for irradiances [mW/mm²]. Raises `BadInput` without visible light."""
         lost = self.k_a * positive("visible", visible)
         if lost == 0:
-            raise BadInput("k_a is 0; wanted k_a > 0, or β has no value")
+            raise BadInput("k_a is 0; expected k_a > 0, or β has no value")
         return self.k_c * positive("uv", uv, zero=True) / lost
 
     @property
@@ -77,9 +77,9 @@ class Rates:
         pairing = 2.0 * self.k_2 * positive("lophyl", lophyl, zero=True)
         return 1.0 / pairing if pairing else float("inf")
 
-    def start(self, lophyl: float = 0.0) -> State:
+    def start(self, lophyl: float = 0.0) -> SpeciesState:
         """The state before printing, with [B] = ``lophyl``."""
-        return State(self.oxygen, lophyl, self.supply)
+        return SpeciesState(self.oxygen, lophyl, self.supply)
 
     @property
     def row(self) -> tuple[float, ...]:
@@ -89,7 +89,7 @@ class Rates:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class SpeciesState:
     """[A], [B] and [C] of any number of items, in the unit of their `Rates`; arrays (items,) after construction.
 
     Raises `BadInput` for what is negative or not finite, and for lengths that differ.
@@ -104,14 +104,14 @@ class State:
         try:
             values = np.broadcast_arrays(*values)
         except ValueError as error:
-            raise BadInput(f"[A], [B], [C] have shapes {[v.shape for v in values]}; wanted one length") from error
+            raise BadInput(f"[A], [B], [C] have shapes {[v.shape for v in values]}; expected one length") from error
         for name, value in zip("abc", values, strict=True):
             if value.ndim != 1 or not value.size:
-                raise BadInput(f"[{name.upper()}] has shape {value.shape}; wanted (items,) with at least one item")
+                raise BadInput(f"[{name.upper()}] has shape {value.shape}; expected (items,) with at least one item")
             object.__setattr__(self, name, value)
 
     @classmethod
-    def of(cls, **amounts: ArrayLike) -> State:
+    def of(cls, **amounts: ArrayLike) -> SpeciesState:
         """A state by species, letters or names (``A=``, ``oxygen=``); raises `BadInput` for one that does not exist."""
         known: Mapping[str, str] = {name: letter for letter, full in SPECIES.items() for name in (letter, full)}
         for name in amounts:
@@ -131,7 +131,7 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class LightCycle:
     """Irradiances through intervals of constant light, gone through again and again.
 
     visible, uv: [mW/mm²], (intervals,) or (sources, intervals); arrays (sources, intervals) after construction
@@ -152,9 +152,11 @@ class Light:
             visible, uv = (np.broadcast_to(v, (*v.shape[:-1], seconds.size)) for v in (visible, uv))
         except ValueError as error:
             got = f"light of shapes {[v.shape for v in shades]} for {seconds.size} intervals"
-            raise BadInput(f"{got}; wanted (sources, intervals)") from error
+            raise BadInput(f"{got}; expected (sources, intervals)") from error
         if visible.ndim > 2 or seconds.ndim > 1 or not visible.size:
-            raise BadInput(f"light of shape {visible.shape} for {seconds.shape} intervals; wanted (sources, intervals)")
+            raise BadInput(
+                f"light of shape {visible.shape} for {seconds.shape} intervals; expected (sources, intervals)"
+            )
         object.__setattr__(self, "visible", np.atleast_2d(visible))
         object.__setattr__(self, "uv", np.atleast_2d(uv))
         object.__setattr__(self, "seconds", seconds)
@@ -182,10 +184,10 @@ def _checked(name: str, value: ArrayLike) -> Floats:
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError) as error:
-        raise BadInput(f"{name} is {value!r}; wanted numbers") from error
+        raise BadInput(f"{name} is {value!r}; expected numbers") from error
     bad = array.size - np.count_nonzero(np.isfinite(array))
     if bad:
-        raise BadInput(f"{name} holds {bad} values that are not finite; wanted finite numbers ≥ 0")
+        raise BadInput(f"{name} holds {bad} values that are not finite; expected finite numbers ≥ 0")
     if array.size and array.min() < 0:
-        raise BadInput(f"{name} is {array.min():g} at its lowest; wanted nothing below 0")
+        raise BadInput(f"{name} is {array.min():g} at its lowest; expected nothing below 0")
     return array

@@ -39,18 +39,28 @@ def made(rates: Rates, uv: float, supply: float | None = None) -> float:
 
 
 def stationary(rates: Rates, visible: float, uv: float, supply: float | None = None) -> Stationary | None:
-    """The stationary state under irradiances [mW/mm²] while [C] is held at ``supply``, or None.
+    """Find the stationary state of constant light while [C] is held.
 
     It exists only for 2k_C·I_UV > k_B·I_vis (β > α/2), is (0, √((2k_C·I_UV − k_B·I_vis)/(2k₂))), and is a stable node:
-    the oscillating center of the paper's text cannot be, [A] never grows. Raises `BadInput` for negative irradiances,
-    and for k₂ = 0, where [B] would grow for ever.
+    the oscillating center of the paper's text cannot be, [A] never grows.
+
+    Args:
+        rates: Of the reactions.
+        visible, uv: Irradiances [mW/mm²].
+        supply: Concentration of C that is held; that of the rates by default.
+
+    Returns:
+        The state, or None where there is none.
+
+    Raises:
+        BadInput: An irradiance is negative, or k₂ is 0 and [B] would grow for ever.
     """
     a, b = (k * positive("visible", visible, zero=True) for k in (rates.k_a, rates.k_b))
     surplus = 2.0 * made(rates, uv, supply) - b
     if surplus <= 0.0:
         return None
     if rates.k_2 == 0.0:
-        raise BadInput("k_2 is 0; wanted k_2 > 0, or [B] grows without a limit where 2k_C·I_UV > k_B·I_vis")
+        raise BadInput("k_2 is 0; expected k_2 > 0, or [B] grows without a limit where 2k_C·I_UV > k_B·I_vis")
     level = float(np.sqrt(surplus / (2.0 * rates.k_2)))
     jacobian = np.array([[-a / level, 0.0], [b / level, -4.0 * rates.k_2 * level]])
     return Stationary(level, jacobian, np.sort(np.diag(jacobian)))
@@ -94,5 +104,5 @@ def neutral_uv(rates: Rates, a: float, b: float, visible: float, supply: float |
     pull = lit * (rates.k_a * A**2 + rates.k_b * B**2) / (A + B) + 2.0 * rates.k_2 * B**3
     per = made(rates, 1.0, supply)
     if per == 0.0:
-        raise BadInput("UV makes no B here (k_c or [C] is 0); wanted both above 0")
+        raise BadInput("UV makes no B here (k_c or [C] is 0); expected both above 0")
     return float(pull / (2.0 * B * per))

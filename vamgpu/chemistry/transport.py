@@ -12,7 +12,6 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.chemistry.boundary import Boundary
 from vamgpu.chemistry.concentrations import NEVER, Concentrations
 from vamgpu.chemistry.reaction import Reaction
 from vamgpu.chemistry.species import SPECIES
@@ -23,6 +22,49 @@ from vamgpu.kernels.transport import transport
 FUSED, CACHE = 5, 2_500_000
 """Most steps an item with a block of columns takes before it goes on, and bytes that what lies between may fill."""
 SPACING = 256
+FACES = ("x low", "x high", "y low", "y high", "z low", "z high")
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """A face held at a concentration [mol/m³, or normalized like the field]. Raises `BadInput` below zero."""
+
+    value: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "value", positive("the value of a fixed face", self.value, zero=True))
+
+
+Face = Fixed | None
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """One entry a face of a species' box, in the order of `FACES`: None where no flux passes, or `Fixed`."""
+
+    faces: tuple[Face, Face, Face, Face, Face, Face] = (None, None, None, None, None, None)
+
+    def __post_init__(self) -> None:
+        known = isinstance(self.faces, (tuple, list)) and len(self.faces) == 6
+        if not known or not all(face is None or isinstance(face, Fixed) for face in self.faces):
+            raise BadInput(f"faces are {self.faces!r}; expected six of None or Fixed: {', '.join(FACES)}")
+
+    @classmethod
+    def fixed(cls, value: float, *names: str) -> Boundary:
+        """The faces of those names (see `FACES`) held at a value, no flux elsewhere. Raises `BadInput`."""
+        unknown = sorted(set(names) - set(FACES))
+        if unknown:
+            raise BadInput(f"no face is named {unknown[0]!r}; the faces are {', '.join(FACES)}")
+        faces = [Fixed(value) if name in names else None for name in FACES]
+        return cls((faces[0], faces[1], faces[2], faces[3], faces[4], faces[5]))
+
+    def ghosts(self) -> np.ndarray:
+        """g0 and g1 of each face, shape (6, 2): the voxel beyond holds g0 + g1·c, so that the face holds its value."""
+        return np.array([(0.0, 1.0) if face is None else (2.0 * face.value, -1.0) for face in self.faces])
+
+    def holds(self, axis: int) -> int:
+        """How many faces across an axis are fixed."""
+        return sum(face is not None for face in self.faces[2 * axis : 2 * axis + 2])
 
 
 @dataclass(frozen=True)
@@ -40,7 +82,7 @@ class Box:
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", counts("Box shape", self.shape, 3))
         if not isinstance(self.pitch, (tuple, list)) or len(self.pitch) != 3:
-            raise BadInput(f"Box pitch is {self.pitch!r}; wanted three edges [mm] along x, y, z")
+            raise BadInput(f"Box pitch is {self.pitch!r}; expected three edges [mm] along x, y, z")
         object.__setattr__(self, "pitch", tuple(positive("Box pitch [mm]", d) for d in self.pitch))
         if self.radius is not None:
             object.__setattr__(self, "radius", positive("Box radius [mm]", self.radius))
@@ -71,12 +113,12 @@ class Transport:
         for name in ("diffusivities", "boundaries"):
             given = getattr(self, name)
             if not isinstance(given, (tuple, list, np.ndarray)) or len(given) != 3:
-                raise BadInput(f"{name} are {given!r}; wanted one for each of {', '.join(SPECIES)}")
+                raise BadInput(f"{name} are {given!r}; expected one for each of {', '.join(SPECIES)}")
         if not all(isinstance(boundary, Boundary) for boundary in self.boundaries):
-            raise BadInput(f"boundaries are {self.boundaries!r}; wanted a Boundary for each of {', '.join(SPECIES)}")
+            raise BadInput(f"boundaries are {self.boundaries!r}; expected a Boundary for each of {', '.join(SPECIES)}")
         for name, wanted in (("box", Box), ("reaction", Reaction | None)):
             if not isinstance(getattr(self, name), wanted):
-                raise BadInput(f"{name} is {getattr(self, name)!r}; wanted a {name.capitalize()}")
+                raise BadInput(f"{name} is {getattr(self, name)!r}; expected a {name.capitalize()}")
         named = zip(SPECIES, self.diffusivities, strict=True)
         checked = tuple(positive(f"diffusivity of {name} [mm²/s]", value) for name, value in named)
         object.__setattr__(self, "diffusivities", checked)
@@ -124,9 +166,9 @@ class Transport:
         try:
             values = np.asarray(value, np.float64)
         except (TypeError, ValueError) as error:
-            raise BadInput(f"{name} is {value!r}; wanted numbers") from error
+            raise BadInput(f"{name} is {value!r}; expected numbers") from error
         if values.shape not in ((), self.box.shape):
-            raise ShapeMismatch(f"{name} has shape {values.shape}; wanted a number or {self.box.shape}")
+            raise ShapeMismatch(f"{name} has shape {values.shape}; expected a number or {self.box.shape}")
         if not np.isfinite(values).all() or values.min() < 0:
             raise BadInput(f"{name} holds {values.min():g}; concentrations are finite and ≥ 0")
         return self.device.upload(np.broadcast_to(values, self.box.shape))
@@ -146,7 +188,7 @@ class Transport:
         Raises `UnstableStep`, `BadInput`.
         """
         if not isinstance(state, Concentrations):
-            raise BadInput(f"state is {state!r}; wanted Concentrations, as start() makes them")
+            raise BadInput(f"state is {state!r}; expected Concentrations, as start() makes them")
         span = positive("seconds", seconds)
         count = self.steps(span) if steps is None else counts("steps", (steps,), 1)[0]
         step = span / count

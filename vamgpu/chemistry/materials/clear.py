@@ -2,60 +2,44 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import ClassVar
 
-from vamgpu.chemistry.materials import library
 from vamgpu.chemistry.materials.dispersion import Dispersion
-from vamgpu.chemistry.materials.extinction import Extinction
-from vamgpu.chemistry.materials.sourced import Density, Sourced
+from vamgpu.chemistry.materials.library import Absorbing
+from vamgpu.chemistry.materials.sourced import Density
 
 
-class Clear(Sourced):
-    """A transparent material: its refractive index, what it absorbs, its density; None where no source says."""
+class Clear(Absorbing):
+    """A transparent material: its refractive index, what it absorbs, its density; None where no source says.
 
-    name: str
+    Args:
+        name: What it is called.
+        index: Refractive index by wavelength.
+        extinction: Absorption by wavelength.
+        density: Density [mJ·s²/mm⁵].
+        note: Whatever else a reader should know.
+    """
+
     index: Dispersion
-    extinction: Extinction | None = None
     density: Density | None = None
     note: str = ""
 
-    def absorption(self, wavelength: float) -> float:
-        """Absorption [1/mm] at a wavelength [mm]. Raises `OutsideData` where there are no data."""
-        return absorption_of(self.name, self.extinction, wavelength)
-
 
 class Glass(Clear):
-    """A solid wall or window."""
+    """A solid wall or window.
 
-    @classmethod
-    def load(cls, name: str | Path) -> Glass:
-        """A bundled glass by its name, or the file at a path. Raises `MaterialError`."""
-        return library.load(cls, "glasses", name)
+    Args:
+        name, index, extinction, density, note: As for `Clear`, density in [mJ·s²/mm⁵].
+    """
 
-    @classmethod
-    def names(cls) -> tuple[str, ...]:
-        """The bundled glasses."""
-        return library.bundled("glasses")
+    folder: ClassVar[str] = "glasses"
 
 
 class Liquid(Clear):
-    """A bath around a vial."""
+    """A bath around a vial.
 
-    @classmethod
-    def load(cls, name: str | Path) -> Liquid:
-        """A bundled liquid by its name, or the file at a path. Raises `MaterialError`."""
-        return library.load(cls, "liquids", name)
+    Args:
+        name, index, extinction, density, note: As for `Clear`, density in [mJ·s²/mm⁵].
+    """
 
-    @classmethod
-    def names(cls) -> tuple[str, ...]:
-        """The bundled liquids."""
-        return library.bundled("liquids")
-
-
-def absorption_of(name: str, extinction: Extinction | None, wavelength: float) -> float:
-    """Absorption [1/mm] where there may be no data. Raises `OutsideData`."""
-    if extinction is None:
-        from vamgpu.errors import OutsideData
-
-        raise OutsideData(f"no source gives the absorption of {name}; add an [extinction] table in a file of your own")
-    return extinction.at(wavelength)
+    folder: ClassVar[str] = "liquids"

@@ -6,11 +6,12 @@ from math import sqrt
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from vamgpu.chemistry.materials.sourced import Numbers, Source, Sourced, Wavelengths, tupled
+from vamgpu.chemistry.materials.sourced import Numbers, Source, Sourced, Wavelengths
 from vamgpu.errors import OutsideData
 from vamgpu.geometry import positive
+from vamgpu.schema.section import Listed
 from vamgpu.units import nm, um
 
 NEAR = 0.5 * nm
@@ -28,43 +29,79 @@ def within(name: str, wavelength: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-class Dispersion(Sourced):
-    """Refractive index n(λ), λ in µm in the formulas.
+class Spectrum(Sourced):
+    """Numbers against wavelength.
 
-    form: "sellmeier": n² = 1 + constant + Σ Bᵢλ²/(λ² − Cᵢ), terms (B, C [µm²]); "powers": n² = constant + Σ aᵢλ^pᵢ,
-    terms (a, p); "cauchy": n = constant + Σ aᵢλ^pᵢ; "points": ``index`` at ``wavelength``, linear between them.
-    wavelength: the first and the last one [mm] the formula holds for, or all of the points, ascending.
+    Args:
+        wavelength: In vacuum [mm], ascending.
+        source: Where the numbers are from.
     """
 
-    form: Literal["sellmeier", "powers", "cauchy", "points"]
     wavelength: Wavelengths
-    constant: float = 0.0
-    terms: Annotated[tuple[tuple[float, float], ...], BeforeValidator(tupled)] = ()
-    index: Numbers | None = None
-    temperature: Annotated[float, Field(gt=0)] | None = None
     source: Source
 
-    @model_validator(mode="after")
-    def _complete(self) -> Dispersion:
-        if np.any(np.diff(self.wavelength) <= 0):
-            raise ValueError("wanted ascending wavelengths, none twice")
-        if self.form == "points":
-            if self.index is None or len(self.index) != len(self.wavelength) or self.terms:
-                raise ValueError('wanted as many numbers in index as in wavelength, and no terms, for form = "points"')
-        elif len(self.wavelength) != 2 or not self.terms or self.index is not None:
-            raise ValueError(f'wanted the first and the last wavelength, terms and no index, for form = "{self.form}"')
-        low = min(self._at(w / um) for w in np.linspace(self.wavelength[0], self.wavelength[-1], 201))
-        if not low >= 1.0:
-            raise ValueError(f"the index falls to {low:.4g} within its wavelengths; wanted at least 1 everywhere")
-        return self
+    @field_validator("wavelength")
+    @classmethod
+    def _ascending(cls, wavelength: tuple[float, ...]) -> tuple[float, ...]:
+        if np.any(np.diff(wavelength) <= 0):
+            raise ValueError("expected ascending wavelengths, none twice")
+        return wavelength
 
     @property
     def range(self) -> tuple[float, float]:
         """First and last wavelength [mm]."""
         return self.wavelength[0], self.wavelength[-1]
 
+
+class Dispersion(Spectrum):
+    """Refractive index n(λ), λ in µm in the formulas.
+
+    Args:
+        form: "sellmeier": n² = 1 + constant + Σ Bᵢλ²/(λ² − Cᵢ), terms (B, C [µm²]); "powers": n² = constant + Σ aᵢλ^pᵢ,
+            terms (a, p); "cauchy": n = constant + Σ aᵢλ^pᵢ; "points": ``index`` at ``wavelength``, linear between them.
+        wavelength: The first and the last one [mm] the formula holds for, or all of the points, ascending.
+        constant: The formula's constant, dimensionless.
+        terms: The formula's coefficients, in pairs.
+        index: Refractive index at each wavelength of "points".
+        temperature: At which it was measured [K].
+        source: Where the numbers are from.
+    """
+
+    form: Literal["sellmeier", "powers", "cauchy", "points"]
+    constant: float = 0.0
+    terms: Annotated[tuple[tuple[float, float], ...], Listed] = ()
+    index: Numbers | None = None
+    temperature: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Dispersion:
+        if self.form == "points":
+            if self.index is None or len(self.index) != len(self.wavelength) or self.terms:
+                raise ValueError(
+                    'expected as many numbers in index as in wavelength, and no terms, for form = "points"'
+                )
+        elif len(self.wavelength) != 2 or not self.terms or self.index is not None:
+            raise ValueError(
+                f'expected the first and the last wavelength, terms and no index, for form = "{self.form}"'
+            )
+        low = min(self._at(w / um) for w in np.linspace(self.wavelength[0], self.wavelength[-1], 201))
+        if not low >= 1.0:
+            raise ValueError(f"the index falls to {low:.4g} within its wavelengths; expected at least 1 everywhere")
+        return self
+
     def at(self, wavelength: float) -> float:
-        """Refractive index at a wavelength [mm], as ``405 * units.nm``. Raises `OutsideData`, `BadInput`."""
+        """Tell the refractive index at a wavelength.
+
+        Args:
+            wavelength: In vacuum [mm], as ``405 * units.nm``.
+
+        Returns:
+            Refractive index, dimensionless.
+
+        Raises:
+            OutsideData: No source covers that wavelength.
+            BadInput: A value is out of its range.
+        """
         return self._at(within("the refractive index", wavelength, *self.range) / um)
 
     def _at(self, micrometers: float) -> float:

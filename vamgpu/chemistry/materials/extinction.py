@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from vamgpu.chemistry.materials.dispersion import within
-from vamgpu.chemistry.materials.sourced import Source, Sourced, Wavelengths, tupled
+from vamgpu.chemistry.materials.dispersion import Spectrum, within
 from vamgpu.quantity import parse
+from vamgpu.schema.section import Listed
 
 
 def _absorptions(values: Any) -> Any:
@@ -19,35 +19,40 @@ def _absorptions(values: Any) -> Any:
     return tuple(parse(text, "an absorption", zero=True) for text in values)
 
 
-class Extinction(Sourced):
-    """What light loses on its way, at measured wavelengths and linear between them.
+class Extinction(Spectrum):
+    """What light loses on its way, at measured wavelengths and linear between them; either absorption or k is given.
 
-    Either ``absorption`` [1/mm], per length and natural (light falls as e^{−μx}), or ``k``, the imaginary part of the
-    refractive index: μ = 4πk/λ.
+    Args:
+        wavelength: In vacuum [mm], ascending.
+        absorption: Per length [1/mm] and natural: light falls as e^{−μx}.
+        k: Imaginary part of the refractive index, μ = 4πk/λ.
+        source: Where the numbers are from.
     """
 
-    wavelength: Wavelengths
     absorption: Annotated[tuple[float, ...] | None, BeforeValidator(_absorptions)] = None
-    k: Annotated[tuple[Annotated[float, Field(ge=0)], ...] | None, BeforeValidator(tupled)] = None
-    source: Source
+    k: Annotated[tuple[Annotated[float, Field(ge=0)], ...] | None, Listed] = None
 
     @model_validator(mode="after")
     def _complete(self) -> Extinction:
-        if np.any(np.diff(self.wavelength) <= 0):
-            raise ValueError("wanted ascending wavelengths, none twice")
         if (self.absorption is None) == (self.k is None):
-            raise ValueError("wanted exactly one of absorption and k")
+            raise ValueError("expected exactly one of absorption and k")
         if len(self.wavelength) != len(self.absorption or self.k or ()):
-            raise ValueError("wanted as many values as wavelengths")
+            raise ValueError("expected as many values as wavelengths")
         return self
 
-    @property
-    def range(self) -> tuple[float, float]:
-        """First and last wavelength [mm]."""
-        return self.wavelength[0], self.wavelength[-1]
-
     def at(self, wavelength: float) -> float:
-        """Absorption [1/mm] at a wavelength [mm]. Raises `OutsideData`, `BadInput`."""
+        """Tell the absorption at a wavelength.
+
+        Args:
+            wavelength: In vacuum [mm].
+
+        Returns:
+            Absorption [1/mm], natural logarithm.
+
+        Raises:
+            OutsideData: No source covers that wavelength.
+            BadInput: A value is out of its range.
+        """
         place = within("the absorption", wavelength, *self.range)
         if self.absorption is not None:
             return float(np.interp(place, self.wavelength, self.absorption))

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import ClassVar
 
-from vamgpu.chemistry.materials import library
-from vamgpu.chemistry.materials.sourced import Density, Duration, MolarMass, Sourced
+from vamgpu.chemistry.materials.library import Material
+from vamgpu.chemistry.materials.sourced import Density, Duration, MolarMass
 
 
-class Inhibitor(Sourced):
-    """A dissolved inhibitor.
+class Inhibitor(Material):
+    """A dissolved inhibitor. Numbers have a ``.value`` and its ``.source``; what no source gives is None.
 
-    molar_mass: [g/mol].  density: as a liquid at its boiling point [mJ·s²/mm⁵].  lifetime: how long it lasts by itself
-    [s].  Each is ``.value`` with its ``.source``; what no source gives is None.
+    Args:
+        name: What it is called.
+        molar_mass: Molar mass [g/mol].
+        density: As a liquid at its boiling point [mJ·s²/mm⁵].
+        lifetime: How long it lasts by itself [s].
     """
 
-    name: str
+    folder: ClassVar[str] = "inhibitors"
     molar_mass: MolarMass | None = None
     density: Density | None = None
     lifetime: Duration | None = None
-
-    @classmethod
-    def load(cls, name: str | Path) -> Inhibitor:
-        """A bundled inhibitor ("oxygen", "lophyl"), or the file at a path. Raises `MaterialError`."""
-        return library.load(cls, "inhibitors", name)
-
-    @classmethod
-    def names(cls) -> tuple[str, ...]:
-        """The bundled inhibitors."""
-        return library.bundled("inhibitors")

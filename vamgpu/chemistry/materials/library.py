@@ -2,48 +2,83 @@
 
 from __future__ import annotations
 
-import tomllib
-from difflib import get_close_matches
 from pathlib import Path
-from typing import TypeVar
+from typing import ClassVar, Self
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from vamgpu.errors import MaterialError
+from vamgpu.chemistry.materials.extinction import Extinction
+from vamgpu.chemistry.materials.sourced import Sourced
+from vamgpu.errors import MaterialError, OutsideData
+from vamgpu.schema.registry import nearest_of
+from vamgpu.storage.reading import load_toml
 
 DATA = Path(__file__).parent / "data"
-Wanted = TypeVar("Wanted", bound=BaseModel)
 
 
-def bundled(kind: str) -> tuple[str, ...]:
-    """Names of the materials of a kind ("resins", "inhibitors", "glasses", "liquids") that come with the library."""
-    return tuple(sorted(path.stem for path in (DATA / kind).glob("*.toml")))
+class Material(Sourced):
+    """A table of a file of its own; ``folder`` is where those of its kind lie that come with the library."""
+
+    folder: ClassVar[str]
+    name: str
+
+    @classmethod
+    def load(cls, name: str | Path) -> Self:
+        """Read a bundled one by its name, or the file at a path.
+
+        Args:
+            name: The name, or a path that ends in .toml.
+
+        Returns:
+            The material.
+
+        Raises:
+            MaterialError: No such material is known, or its file is wrong, naming every wrong value.
+        """
+        if isinstance(name, Path) or str(name).endswith(".toml"):
+            return cls._read(Path(name))
+        if name not in cls.names():
+            near = nearest_of(str(name), cls.names())
+            guess = f"did you mean {near!r}?" if near else "give the path of a .toml file for another one"
+            raise MaterialError(f"no {name!r} among the {cls.folder} {', '.join(cls.names())}; {guess}")
+        return cls._read(DATA / cls.folder / f"{name}.toml")
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Names of those that come with the library."""
+        return tuple(sorted(path.stem for path in (DATA / cls.folder).glob("*.toml")))
+
+    @classmethod
+    def _read(cls, path: Path) -> Self:
+        data = load_toml(path, "the material", missing=MaterialError, wrong=MaterialError)
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            raise MaterialError("\n".join(_complaint(path, entry) for entry in error.errors())) from error
 
 
-def load(model: type[Wanted], kind: str, name: str | Path) -> Wanted:
-    """A bundled material by its name, or one from a path that ends in .toml. Raises `MaterialError`."""
-    if isinstance(name, Path) or str(name).endswith(".toml"):
-        return read(model, Path(name))
-    if name not in bundled(kind):
-        near = get_close_matches(str(name), bundled(kind), 1)
-        guess = f"did you mean {near[0]!r}?" if near else "give the path of a .toml file for another one"
-        raise MaterialError(f"no {name!r} among the {kind} {', '.join(bundled(kind))}; {guess}")
-    return read(model, DATA / kind / f"{name}.toml")
+class Absorbing(Material):
+    """A material that light passes."""
 
+    extinction: Extinction | None = None
 
-def read(model: type[Wanted], path: Path) -> Wanted:
-    """The material of a file. Raises `MaterialError` naming every wrong value."""
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise MaterialError(f"cannot read {str(path)!r}: {reason}; wanted a TOML file: check the path") from error
-    except tomllib.TOMLDecodeError as error:
-        raise MaterialError(f"{path}: not valid TOML: {error}; correct that line") from error
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        raise MaterialError("\n".join(_complaint(path, entry) for entry in error.errors())) from error
+    def absorption(self, wavelength: float) -> float:
+        """Tell the absorption at a wavelength.
+
+        Args:
+            wavelength: In vacuum [mm].
+
+        Returns:
+            Absorption [1/mm], natural logarithm.
+
+        Raises:
+            OutsideData: No source covers that wavelength.
+        """
+        if self.extinction is None:
+            raise OutsideData(
+                f"no source gives the absorption of {self.name}; add an [extinction] table in a file of your own"
+            )
+        return self.extinction.at(wavelength)
 
 
 def _complaint(path: Path, entry: object) -> str:

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Any
-
-from pydantic import BeforeValidator
+from typing import Annotated, Any, ClassVar
 
 from vamgpu.chemistry.diffusivity import wilke_chang
-from vamgpu.chemistry.materials import library
-from vamgpu.chemistry.materials.clear import absorption_of
 from vamgpu.chemistry.materials.dispersion import Dispersion
-from vamgpu.chemistry.materials.extinction import Extinction
 from vamgpu.chemistry.materials.inhibitor import Inhibitor
+from vamgpu.chemistry.materials.library import Absorbing
 from vamgpu.chemistry.materials.sourced import (
     Concentration,
     CriticalDose,
@@ -22,15 +17,20 @@ from vamgpu.chemistry.materials.sourced import (
     Sourced,
     Temperature,
     Viscosity,
-    tupled,
 )
 from vamgpu.errors import MaterialError, OutsideData
+from vamgpu.schema.section import Listed
 
 
 class Component(Sourced):
-    """What a resin is mixed from.
+    """What a resin is mixed from. At most one of share and concentration is given: the one that the source gives.
 
-    share: of the mass, 0..1.  concentration: [mol/m³].  At most one is given: the one that the source gives.
+    Args:
+        name: What it is called.
+        role: What it does, such as "monomer" or "photoinitiator".
+        share: Share of the mass, 0..1.
+        concentration: Concentration [mol/m³].
+        source: Where the number is from.
     """
 
     name: str
@@ -40,51 +40,62 @@ class Component(Sourced):
     source: Source | None = None
 
 
-class Resin(Sourced):
-    """A resin and what its sources say of it; None for what they do not.
+class Resin(Absorbing):
+    """A resin and what its sources say of it; None for what they do not. Numbers have a ``.value`` and its ``.source``.
 
-    viscosity: [mJ·s/mm³], as the rest ``.value`` with its ``.source``.  molar_mass: average [g/mol].  temperature: at
-    which it is used [K].  oxygen: dissolved in air-saturated resin [mol/m³].  critical_dose: from which it is
-    solid [mJ/mm³].  index, extinction: against wavelength.
+    Args:
+        name: What it is called.
+        components: What it is mixed from.
+        viscosity: Dynamic viscosity [mJ·s/mm³].
+        molar_mass: Average molar mass [g/mol].
+        temperature: Temperature [K] at which it is used.
+        oxygen: Oxygen dissolved in air-saturated resin [mol/m³].
+        critical_dose: Dose [mJ/mm³] from which it is solid.
+        index, extinction: Refractive index and absorption by wavelength.
+        note: Whatever else a reader should know.
     """
 
-    name: str
-    components: Annotated[tuple[Component, ...], BeforeValidator(tupled)] = ()
+    folder: ClassVar[str] = "resins"
+    components: Annotated[tuple[Component, ...], Listed] = ()
     viscosity: Viscosity | None = None
     molar_mass: MolarMass | None = None
     temperature: Temperature | None = None
     oxygen: Concentration | None = None
     critical_dose: CriticalDose | None = None
     index: Dispersion | None = None
-    extinction: Extinction | None = None
     note: str = ""
 
-    @classmethod
-    def load(cls, name: str | Path) -> Resin:
-        """A bundled resin by its name, or the file at a path. Raises `MaterialError`."""
-        return library.load(cls, "resins", name)
-
-    @classmethod
-    def names(cls) -> tuple[str, ...]:
-        """The bundled resins."""
-        return library.bundled("resins")
-
     def refraction(self, wavelength: float) -> float:
-        """Refractive index at a wavelength [mm]. Raises `OutsideData`."""
+        """Tell the refractive index at a wavelength.
+
+        Args:
+            wavelength: In vacuum [mm].
+
+        Returns:
+            Refractive index, dimensionless.
+
+        Raises:
+            OutsideData: No source covers that wavelength.
+        """
         if self.index is None:
             raise OutsideData(f"no source gives the index of {self.name}; add an [index] table in a file of your own")
         return self.index.at(wavelength)
 
-    def absorption(self, wavelength: float) -> float:
-        """Absorption [1/mm] at a wavelength [mm]. Raises `OutsideData`."""
-        return absorption_of(self.name, self.extinction, wavelength)
-
     def diffusivity(
         self, inhibitor: str | Inhibitor, *, temperature: float | None = None, molar_mass: float | None = None
     ) -> float:
-        """Diffusivity [mm²/s] of an inhibitor, estimated after Wilke and Chang with this resin as the solvent.
+        """Estimate the diffusivity of an inhibitor after Wilke and Chang, with this resin as the solvent.
 
-        temperature [K] and molar_mass [g/mol] replace the resin's own. Raises `MaterialError` for what is missing.
+        Args:
+            inhibitor: An inhibitor, or the name of one.
+            temperature: Temperature [K]; the resin's own by default.
+            molar_mass: Molar mass [g/mol]; the resin's own by default.
+
+        Returns:
+            Diffusivity [mm²/s].
+
+        Raises:
+            MaterialError: A number is missing.
         """
         solute = Inhibitor.load(inhibitor) if isinstance(inhibitor, str) else inhibitor
         return wilke_chang(

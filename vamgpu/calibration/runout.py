@@ -1,0 +1,354 @@
+"""How a vial's axis runs out: where a pin stands over a turn, from a camera's pictures of its shadow on lit mirrors.
+
+A pin on the turntable goes round the axis of rotation once a turn. Its place across the light is the axis (the mean),
+plus its eccentricity (a sine of one period), plus what the bearing adds. The same holds for its slope: the mean is how
+the axis leans against the mirrors' columns, the sine is how the pin, and the vial with it, wobbles about the axis.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.storage.reading import load_toml
+
+LEAST_POSES = 8
+"""Poses of a turn from which a sine and its scatter are told."""
+LEAST_CONTRAST = 8.0
+"""Depth of the shadow over the noise of a pixel."""
+SHARE = 0.2
+"""Of a lit line's peak: so much is taken off before its place is the mean."""
+OUTLYING = 4.0
+"""Times the usual distance from where a lit line should be, beyond which the edge of the pin has moved it."""
+ROWS = 4
+"""Rows of the camera that are averaged before a pin is fitted."""
+
+
+@dataclass(frozen=True)
+class CameraMap:
+    """Where mirrors lie in a camera's pictures.
+
+    column: pixel of mirror column 0 in the camera's row 0.  pitch: pixels a mirror column, below 0 where the camera
+    mirrors.  lean: pixels by which a mirror column moves from one row of the camera to the next.  row, height: of
+    mirror rows likewise.
+    """
+
+    column: float
+    pitch: float
+    lean: float
+    row: float
+    height: float
+    error: float = 0.0
+    lean_error: float = 0.0
+
+    @classmethod
+    def of(
+        cls, columns: Sequence[tuple[float, ArrayLike]], rows: Sequence[tuple[float, ArrayLike]]
+    ) -> CameraMap:  # fmt: skip
+        """Find it from pictures of single lit lines.
+
+        Args:
+            columns: Mirror columns and a picture of each alone [row, column], the dark subtracted.
+            rows: Mirror rows and a picture of each.
+
+        Returns:
+            The map.
+
+        Raises:
+            BadInput: The camera sees fewer than two lines of a kind.
+        """
+        column, pitch, lean, error, lean_error = _lines("columns", columns)
+        row, height, *_ = _lines("rows", [(number, np.asarray(each).T) for number, each in rows])
+        return cls(column, pitch, lean, row, height, error, lean_error)
+
+    def inside(self, mirrors: tuple[int, int], shape: tuple[int, ...]) -> tuple[slice, slice]:
+        """The part of a picture of a shape that mirrors fill, two mirrors short of their border."""
+        found = []
+        for zero, step, count, length in (
+            (self.row, self.height, mirrors[0], shape[0]), (self.column, self.pitch, mirrors[1], shape[1])
+        ):  # fmt: skip
+            low, high = sorted((zero + 2 * step, zero + (count - 3) * step))
+            found.append(slice(max(int(np.ceil(low)), 0), min(int(high) + 1, length)))
+        return found[0], found[1]
+
+    def on_mirrors(self, pin: PinShadow, mirrors: tuple[int, int]) -> tuple[float, float]:
+        """Column of a pin at the mirrors' middle row, and columns that it moves by from row to row."""
+        middle = self.row + 0.5 * (mirrors[0] - 1) * self.height
+        column = pin.column + pin.slope * middle
+        return (column - self.column - self.lean * middle) / self.pitch, (
+            (pin.slope - self.lean) * self.height / self.pitch
+        )
+
+
+def _lines(what: str, lines: Sequence[tuple[float, ArrayLike]]) -> tuple[float, float, float, float, float]:
+    """Place of line 0 in the first row, pixels from line to line, pixels a line moves by from row to row; and the
+    standard errors of the lines' place in the middle row and of the last."""
+    pictures = [(number, np.asarray(each, np.float64)) for number, each in lines]
+    peak = max((float(each.max()) for _, each in pictures), default=0.0)
+    found: dict[float, tuple[np.ndarray, np.ndarray]] = {}
+    hidden = [light.max() <= 0.5 * peak for _, light in pictures]
+    for at, (number, light) in enumerate(pictures):
+        lit = np.clip(light - SHARE * peak, 0.0, None)
+        across, along = np.flatnonzero(lit.sum(axis=0)), lit.sum(axis=1)
+        room = 0 if any(hidden[max(at - 1, 0) : at + 2]) else min(across[0], light.shape[1] - 1 - across[-1])
+        if room < 2 + across.size:
+            continue  # out of sight, behind the pin, or so near to it that it may be shaded on one side
+        seen, place = np.flatnonzero(along > 0.5 * along.max()), np.arange(light.shape[1], dtype=float)
+        center = (lit[seen] @ place) / along[seen]
+        near = np.abs(place - center[:, None]) <= 2.0 + (lit[seen] > 0).sum(axis=1, keepdims=True)
+        found[number] = seen, (light[seen] * near) @ place / (light[seen] * near).sum(axis=1)
+    if len(found) < 2:
+        raise BadInput(
+            f"the camera sees {len(found)} of {len(pictures)} lit {what}; expected two or more: let it look at the "
+            "middle of the mirrors' image, expose longer"
+        )
+    middle = 0.5 * (pictures[0][1].shape[0] - 1)
+    while True:
+        rows = np.concatenate([seen for seen, _ in found.values()])
+        number = np.concatenate([np.full(seen.size, n) for n, (seen, _) in found.items()])
+        place = np.concatenate([center for _, center in found.values()])
+        terms = np.stack([np.ones_like(place), number, rows], axis=1)
+        (zero, pitch, lean), *_ = np.linalg.lstsq(terms, place, rcond=None)
+        bends = {
+            n: np.polynomial.Polynomial.fit(seen, center - zero - pitch * n - lean * seen, 1).convert().coef
+            for n, (seen, center) in found.items()
+        }
+        off = {n: abs(bend[0] + bend[1] * middle) + abs(bend[1]) * middle for n, bend in bends.items()}
+        worst = max(off, key=lambda n: off[n])
+        if len(found) <= 3 or off[worst] <= OUTLYING * float(np.median(list(off.values()))):
+            break
+        del found[worst]
+    share = np.sqrt(len(found))
+    error = float(np.std([bend[0] + bend[1] * middle for bend in bends.values()])) / share
+    return float(zero), float(pitch), float(lean), error, float(np.std([bend[1] for bend in bends.values()])) / share
+
+
+@dataclass(frozen=True)
+class PinShadow:
+    """The shadow of a straight pin in a picture.
+
+    column: of its middle in row 0 [pixels].  slope: pixels a row.  width: of the pin [pixels].
+    """
+
+    column: float
+    slope: float
+    width: float
+
+
+def find_pin(picture: ArrayLike, corner: tuple[int, int] = (0, 0)) -> PinShadow:
+    """The shadow of an upright pin: a band between two blurred edges, in least squares.
+
+    Args:
+        picture: Lit evenly or with a tilt [row, column].
+        corner: Row and column of its first pixel, from which places are counted.
+
+    Returns:
+        The shadow.
+
+    Raises:
+        BadInput: There is no shadow of one pin inside the picture.
+    """
+    from scipy.optimize import OptimizeWarning, curve_fit
+
+    light = np.asarray(picture, np.float64)
+    if light.ndim != 2 or min(light.shape) < 16 or not np.isfinite(light).all():
+        raise BadInput(f"the picture has shape {light.shape}; expected finite [row, column] of 16 × 16 pixels or more")
+    noise = 1.4826 * float(np.median(np.abs(np.diff(light, axis=0)))) / np.sqrt(2.0)
+    binned = light[: light.shape[0] // ROWS * ROWS].reshape(-1, ROWS, light.shape[1]).mean(axis=1)
+    profile = binned.mean(axis=0)
+    bright = float(np.quantile(profile, 0.9))
+    shade = np.clip(bright - profile, 0.0, None)
+    deep = shade > 0.5 * shade.max()
+    if not shade.max() > LEAST_CONTRAST * max(noise, 1e-12) or deep[0] or deep[-1]:
+        raise BadInput(
+            f"the picture goes from {profile.min():.4g} to {bright:.4g} with a noise of {noise:.2g}; expected the "
+            "shadow of one pin, light on both sides of it: put a pin on the turntable, light it, center the camera"
+        )
+    row, column = np.meshgrid(
+        np.arange(len(binned)) * ROWS + 0.5 * (ROWS - 1), np.arange(light.shape[1], dtype=float), indexing="ij"
+    )
+    middle = 0.5 * (light.shape[0] - 1)
+    start = (
+        float((shade * deep) @ np.arange(light.shape[1]) / (shade * deep).sum()), 0.0, max(0.5 * deep.sum(), 1.0), 1.5,
+        bright, 0.0, 0.0, min(shade.max() / bright, 0.99),
+    )  # fmt: skip
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", OptimizeWarning)
+            found, _ = curve_fit(
+                _band, np.stack([column.ravel(), row.ravel() - middle]), binned.ravel(), p0=start, maxfev=600
+            )
+    except (RuntimeError, OptimizeWarning) as error:
+        raise BadInput(f"no pin fits the picture: {error}; show one straight pin before even light") from error
+    place, slope, half = float(found[0]), float(found[1]), abs(float(found[2]))
+    if not half < place < light.shape[1] - 1 - half:
+        raise BadInput(f"the pin lies at column {place:.1f} of {light.shape[1]}; expected it inside: center the camera")
+    return PinShadow(place - slope * (middle + corner[0]) + corner[1], slope, 2.0 * half)
+
+
+def _band(
+    at: np.ndarray, column: float, slope: float, half: float, blur: float, light: float, across: float, along: float,
+    depth: float,
+) -> np.ndarray:  # fmt: skip
+    """Light with a tilt, but for a blurred band; ``at`` holds columns and rows, the row in the middle being 0."""
+    from scipy.special import ndtr
+
+    distance = (at[0] - column - slope * at[1]) / np.hypot(1.0, slope)
+    shade = ndtr((distance + half) / blur) - ndtr((distance - half) / blur)
+    return (light + across * distance + along * at[1]) * (1.0 - depth * shade)
+
+
+@dataclass(frozen=True)
+class Runout:
+    """What a turn says of the axis and of what stands on it, in columns of the mirrors.
+
+    axis: column of the axis at the middle row.  lean: columns by which the axis moves from row to row.  across: cosine
+    and sine over the angle of the pin's place, which is its eccentricity.  tilt: those of its slope, columns a row,
+    which is its wobble.  axis_error, lean_error, across_error, tilt_error: standard errors, those of cosine and sine
+    each.  left: standard deviation of the pin's place about the sine [columns], which is the bearing's and noise.
+    """
+
+    axis: float
+    lean: float
+    across: tuple[float, float]
+    tilt: tuple[float, float]
+    axis_error: float = 0.0
+    lean_error: float = 0.0
+    across_error: float = 0.0
+    tilt_error: float = 0.0
+    left: float = 0.0
+
+    @classmethod
+    def read(cls, numbers: Mapping[str, Any]) -> Runout:
+        """From the numbers that a calibration keeps.
+
+        Args:
+            numbers: By name.
+
+        Returns:
+            The runout.
+
+        Raises:
+            KeyError, TypeError, ValueError: The numbers are garbled.
+        """
+        (a, b), (c, d) = numbers["across"], numbers["tilt"]
+        names = ("error_columns", "lean_error", "across_error", "tilt_error", "left")
+        errors = (float(numbers[name]) for name in names)
+        return cls(
+            float(numbers["column"]), float(numbers["lean"]), (float(a), float(b)), (float(c), float(d)), *errors
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Runout:
+        """Read the result of ``vam calibrate runout``.
+
+        Args:
+            path: The folder of the result, or its ``result.toml``.
+
+        Returns:
+            The runout.
+
+        Raises:
+            StorageError: The file cannot be read.
+            BadInput: It holds no calibration of this kind.
+        """
+        place = Path(path)
+        file = place / "result.toml" if place.is_dir() else place
+        data = load_toml(file, "the calibration")
+        if data.get("calibration") != "runout":
+            kind = data.get("calibration", "none")
+            raise BadInput(
+                f"{str(file)!r} holds the calibration {kind!r}; expected 'runout', which vam calibrate runout writes"
+            )
+        try:
+            return cls.read(data["measured"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadInput(f"{str(file)!r} garbles its numbers: {error}; run vam calibrate runout again") from error
+
+    @property
+    def eccentricity(self) -> float:
+        """How far the pin stands from the axis [columns]."""
+        return float(np.hypot(*self.across))
+
+    @property
+    def wobble(self) -> float:
+        """Slope of the pin against the axis [columns a row]."""
+        return float(np.hypot(*self.tilt))
+
+    def columns(self, angles: ArrayLike, rows: int, *, turning: bool = True) -> np.ndarray:
+        """Columns by which a frame's rows move so that they follow the vial, their axis being at its place already.
+
+        Args:
+            angles: Of the frames [rad], (frames,).
+            rows: Of a frame, its middle on the mirrors' middle.
+            turning: Whether the angle is known; else only the lean, which is the same at every angle, counts.
+
+        Returns:
+            Columns [frame, row].
+        """
+        theta, down = np.asarray(angles, np.float64)[:, None], np.arange(rows) - 0.5 * (rows - 1)
+        moved = np.broadcast_to(self.lean * down, (theta.size, rows))
+        if not turning:
+            return moved.copy()
+        waves = np.cos(theta), np.sin(theta)
+        across, tilt = (sum(part * wave for part, wave in zip(each, waves, strict=True)) for each in
+                        (self.across, self.tilt))  # fmt: skip
+        return moved + across + tilt * down
+
+
+def fit_runout(
+    angles: ArrayLike, columns: ArrayLike, slopes: ArrayLike, place: CameraMap | None = None
+) -> Runout:  # fmt: skip
+    """The axis and a sine of one period a turn, in least squares.
+
+    Args:
+        angles: Of the poses [rad], over a whole turn, (poses,).
+        columns: Of the pin at the mirrors' middle row, (poses,).
+        slopes: Of the pin, columns a row, (poses,).
+        place: The map that they were found by, whose errors the axis and its lean have too; None for no error.
+
+    Returns:
+        The runout; its errors follow from the scatter about the sine.
+
+    Raises:
+        ShapeMismatch: The numbers differ.
+        BadInput: Too few poses, or poses that do not go round.
+    """
+    theta, column, slope = (np.asarray(each, np.float64) for each in (angles, columns, slopes))
+    if theta.ndim != 1 or column.shape != theta.shape or slope.shape != theta.shape:
+        raise ShapeMismatch(
+            f"there are angles of shape {theta.shape}, columns {column.shape} and slopes {slope.shape}; expected alike"
+        )
+    if not all(np.isfinite(each).all() for each in (theta, column, slope)):
+        raise BadInput("angles, columns or slopes hold values that are not finite; expected what was measured")
+    round_ = np.sort(theta % (2.0 * np.pi))
+    gap = float(np.diff(np.append(round_, round_[:1] + 2.0 * np.pi)).max(initial=0.0))
+    if theta.size < LEAST_POSES or gap > np.pi / 2.0:
+        raise BadInput(
+            f"{theta.size} poses with a gap of {np.degrees(gap):.0f}°; expected {LEAST_POSES} or more all around a "
+            "turn, 90° apart at most"
+        )
+    terms = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)], axis=1)
+    spread = np.linalg.inv(terms.T @ terms)
+    fits = []
+    for values in (column, slope):
+        found = spread @ terms.T @ values
+        off = values - terms @ found
+        scatter = float(np.sqrt(off @ off / (theta.size - 3)))
+        wave = float(np.sqrt(0.5 * (spread[1, 1] + spread[2, 2])))
+        fits.append((found.tolist(), scatter * float(np.sqrt(spread[0, 0])), scatter * wave, scatter))
+    (axis, *across), axis_error, across_error, left = fits[0]
+    (lean, *tilt), lean_error, tilt_error, _ = fits[1]
+    if place is not None:
+        axis_error = float(np.hypot(axis_error, place.error / place.pitch))
+        lean_error = float(np.hypot(lean_error, place.lean_error * place.height / place.pitch))
+    return Runout(
+        axis, lean, (across[0], across[1]), (tilt[0], tilt[1]), axis_error, lean_error, across_error, tilt_error, left
+    )
