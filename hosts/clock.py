@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import Generic, Protocol, TypeVar, runtime_checkable
+
+from vamgpu.hosts.schedules.timing import SECOND
 
 SHORT = 200_000
 """The last stretch before a wake-up that is not slept through but watched [ns]; a sleep overshoots by about 60 µs."""
@@ -22,13 +25,9 @@ class Clock(Protocol):
 
     real: bool
 
-    def now(self) -> int:
-        """The time [ns]; it never goes back."""
-        ...
-
-    def sleep_until(self, until: int) -> None:
-        """Return at ``until`` [ns] or soon after it; at once where that is past."""
-        ...
+    def now(self) -> int: ...  # the time [ns]; it never goes back
+    # return at ``until`` [ns] or soon after it; at once where that is past
+    def sleep_until(self, until: int) -> None: ...
 
 
 class RealClock:
@@ -41,7 +40,7 @@ class RealClock:
     real = True
 
     def __init__(self, watch: int = 0) -> None:
-        self.watch = int(watch)
+        self.watch: int = int(watch)
 
     def now(self) -> int:
         """The time [ns] since the machine started."""
@@ -54,3 +53,34 @@ class RealClock:
             time.sleep(left * 1e-9)
         while self.watch and _now() < until:
             pass
+
+
+TRIES = 4  # how often a question that took long is asked
+Answer = TypeVar("Answer")
+
+
+class TimedQuery(Generic[Answer]):
+    """A question, and the time in the middle between it and its answer.
+
+    slack: how long an answer may take [ns], if it does not take twice as long as the quickest so far.
+    """
+
+    def __init__(self, clock: Clock, ask: Callable[[], Answer], slack: float) -> None:
+        self._clock, self._ask, self._slack, self._quickest = clock, ask, slack, SECOND
+
+    def __call__(self) -> tuple[int, Answer]:
+        """When [ns], and what."""
+        for _ in range(TRIES - 1):
+            asked, answer, took = self._exchange()
+            if took <= max(2 * self._quickest, self._slack):
+                return asked + took // 2, answer
+        asked, answer, took = self._exchange()
+        return asked + took // 2, answer
+
+    def _exchange(self) -> tuple[int, Answer, int]:
+        """When it was asked [ns], the answer, and how long that took [ns]."""
+        asked = self._clock.now()
+        answer = self._ask()
+        took = self._clock.now() - asked
+        self._quickest = min(self._quickest, took)
+        return asked, answer, took

@@ -1,6 +1,6 @@
 """Automatic exposure of a print: a camera watches the resin, and the light goes out when it scatters enough.
 
-On a real clock a thread takes the pictures, so that the printing thread waits for none; on a program's clock they are
+On a real clock a thread takes the images, so that the printing thread waits for none; on a program's clock they are
 taken when they are due. What is watched, and when to stop, is `vamgpu.printing.scatter`'s.
 """
 
@@ -15,30 +15,26 @@ import numpy as np
 
 from vamgpu.errors import BadInput, DeviceLost, StorageError
 from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.drivers.camera import Camera
+from vamgpu.hosts.drivers.camera import CameraDriver
 from vamgpu.hosts.record import RunFolder
 from vamgpu.hosts.schedules.timing import SECOND, whole
-from vamgpu.printing.scatter import Reading, ScatterStop
+from vamgpu.hosts.state import Board
+from vamgpu.printing.scatter import ScatterReading, ScatterStop
 from vamgpu.storage.atomic import explained
 
-log = logging.getLogger(__name__)
-PERIOD = SECOND // 10
-"""Least time between two readings [ns]."""
-PATIENCE = 2 * SECOND
-"""How old the camera's last picture may be [ns]."""
-SATURATED = 1e-3
-"""Share of pixels at the camera's top from which a picture is overexposed."""
-IDLE = 1e-3
-"""Rest of the thread after a picture that is not read [s], should a camera not wait by itself."""
-LEAVE = 1.0
-"""How long the thread may take to end [s]."""
+log: logging.Logger = logging.getLogger(__name__)
+PERIOD = SECOND // 10  # least time between two readings [ns]
+PATIENCE = 2 * SECOND  # how old the camera's last image may be [ns]
+SATURATED = 1e-3  # share of pixels at the camera's top from which an image is overexposed
+IDLE = 1e-3  # pause of the thread after an image that is not read [s], should a camera not wait by itself
+LEAVE = 1.0  # how long the thread may take to end [s]
 
 
 @dataclass(frozen=True)
-class Stop:
+class StopRule:
     """When a print stops. threshold: [gray levels/voxel].  voxels: of the part.  bits: of the camera's levels.
 
-    exposure: of its pictures [s].  discard: pictures that it may have taken before it was asked.
+    exposure: of its images [s].  discard: images that it may have taken before it was asked.
     """
 
     threshold: float
@@ -48,19 +44,21 @@ class Stop:
     discard: int = 0
 
 
-class Watch:
+class ScatterWatch:
     """Watches one print, from before its light to its end; a context.
 
-    wanted: when to stop.  folder: keeps ``scatter.csv``: density, and seconds since the first picture's light, the
-    background first.  lit: for how long the print has shown pictures [s], below 0 before.  period: between two
-    readings.  patience: how old the camera's last picture may be in real time.
+    wanted: when to stop.  folder: keeps ``scatter.csv``: density, and seconds since the first image's light, the
+    background first.  lit: for how long the print has shown images [s], below 0 before.  period: between two
+    readings.  patience: how old the camera's last image may be in real time.  board: shows image and readings.
     """
 
     def __init__(
-        self, camera: Camera, clock: Clock, wanted: Stop, folder: RunFolder, lit: Callable[[], float], *,
-        period: int = PERIOD, patience: int = PATIENCE,
+        self, camera: CameraDriver, clock: Clock, wanted: StopRule, folder: RunFolder, lit: Callable[[], float], *,
+        period: int = PERIOD, patience: int = PATIENCE, board: Board | None = None,
     ) -> None:  # fmt: skip
-        self.rule = ScatterStop(wanted.voxels, wanted.threshold)
+        self.rule: ScatterStop = ScatterStop(wanted.voxels, wanted.threshold)
+        self._board = board or Board()
+        self._board.show(scatter=self.rule.readings, threshold=wanted.threshold)
         self._camera, self._clock, self._wanted, self._folder, self._lit = camera, clock, wanted, folder, lit
         self._period = whole("period [ns]", period)
         self._patience = whole("patience [ns]", patience) + round(wanted.exposure * SECOND)
@@ -91,7 +89,7 @@ class Watch:
             self._seen.wait((1 + self._wanted.discard) * self._patience / SECOND)
         self._check()
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> ScatterWatch:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -113,14 +111,22 @@ class Watch:
     def _check(self) -> None:
         self._alive()
         if self._background is None:
-            raise DeviceLost("the camera gave no picture before the light; check its cable and its exposure")
+            raise DeviceLost("the camera gave no image before the light; check its cable and its exposure")
         image = self._background[1]
         if (over := self._over(image)) > SATURATED:
             raise BadInput(
-                f"{100 * over:.1f} % of the camera's pixels are saturated before the light; wanted "
+                f"{100 * over:.1f} % of the camera's pixels are saturated before the light; expected "
                 f"{100 * SATURATED:g} % at most: lower camera.exposure, or dim what lights the resin for the camera"
             )
         self._folder.event("background", self._background[0], levels=float(image.sum(dtype=np.float64)))
+
+    def recover(self) -> None:
+        """Watch again, before a print goes on, with a camera that failed."""
+        self._last = self._due = self._clock.now()
+        if self._failed is not None and self._thread is not None and not self._thread.is_alive():
+            self._failed = None
+            self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+            self._thread.start()
 
     # ---- asked by the print ----------------------------------------------------------------------------------
     def enough(self) -> str | None:
@@ -149,9 +155,9 @@ class Watch:
             raise self._failed
         age = self._clock.now() - self._last
         if self._thread is not None and age > self._patience:
-            raise DeviceLost(f"the camera gave no picture for {age / SECOND:.2g} s; check its cable and its exposure")
+            raise DeviceLost(f"the camera gave no image for {age / SECOND:.2g} s; check its cable and its exposure")
 
-    # ---- pictures --------------------------------------------------------------------------------------------
+    # ---- images --------------------------------------------------------------------------------------------
     def _run(self) -> None:
         """Take all that the camera gives, so that none is old, and read some."""
         try:
@@ -179,17 +185,18 @@ class Watch:
             if self._saturated is None and (over := self._over(image)) > SATURATED:
                 self._saturated = seconds
                 self._folder.event("overexposed", now, seconds=seconds, share=over)
+            self._board.show(camera=image)
             self._keep(self.rule.see(seconds, image))
 
     def _open(self, origin: int) -> None:
-        """The first picture had light from a time on: seconds count from there."""
+        """The first image had light from a time on: seconds count from there."""
         assert self._background is not None
         when, image = self._background
         self._keep(self.rule.see((min(when, origin) - origin) / SECOND, image))
         self._due += self._period * max(0, -((self._due - self._clock.now()) // self._period))
         self._origin = origin
 
-    def _keep(self, reading: Reading) -> None:
+    def _keep(self, reading: ScatterReading) -> None:
         try:
             self._file.write(f"{reading.seconds:.6f},{reading.density:.9g}\n")
         except OSError as error:

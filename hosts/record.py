@@ -1,7 +1,7 @@
-"""The folder of a run: what was asked, what happened, and every picture that was shown, kept as it happens.
+"""The folder of a run: what was asked, what happened, and every frame that was shown, kept as it happens.
 
 ``run.json`` says what was asked, ``rig.toml`` is the rig's file as it was read, ``state.json`` the last state,
-``events.jsonl`` what happened, ``shown.bin`` the pictures. Each picture is one write of one record with a check sum,
+``events.jsonl`` what happened, ``shown.bin`` the frames. Each frame is one write of one record with a check sum,
 handed to the system before the next is shown: a host that is killed loses none of them.
 """
 
@@ -14,7 +14,7 @@ import struct
 import threading
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -22,24 +22,27 @@ from typing import Any, Self
 import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.hosts.state import Change, State
+from vamgpu.hosts.account import account
+from vamgpu.hosts.state import PrintState, StateChange
 from vamgpu.storage.atomic import explained
+from vamgpu.storage.reading import MOST_RECORD, open_file, parse_json, read_bytes, read_text
 
-FULL = (errno.ENOSPC, errno.EDQUOT)
-"""What a system says of a disk, or the share of it that one has, that is full."""
-RESERVE = ".reserve"
-"""Room that is kept for the last state, should the disk be full by then."""
-MAGIC = b"VAMSHOWN\x01\x00\x00\x00"
-_RECORD = struct.Struct("<6q2HI")
-_FIELDS = ("slot", "frame", "position", "start", "on_time", "late", "engine", "dark")
-SHOWN = np.dtype([(name, "<i8") for name in _FIELDS[:6]] + [("engine", "<u2"), ("dark", "<u2"), ("check", "<u4")])
+FULL = (errno.ENOSPC, errno.EDQUOT)  # what a system says of a disk, or the share of it that one has, that is full
+RESERVE = ".reserve"  # room that is kept for the last state, should the disk be full by then
+MAGIC = b"VAMSHOWN\x02\x00\x00\x00"
+BEFORE = b"VAMSHOWN\x01\x00\x00\x00"  # of records without a version, which are read too
+_RECORD = struct.Struct("<6q2H2I")
+_FIELDS = ("slot", "frame", "position", "start", "on_time", "late")
+_BEFORE = [(name, "<i8") for name in _FIELDS] + [("engine", "<u2"), ("dark", "<u2")]
+FRAME_RECORD = np.dtype([*_BEFORE, ("version", "<u4"), ("check", "<u4")])
 """A record: slot and frame numbers, position as a pose that runs on over turns, start, on_time, lateness [ns] (below 0:
-in time by so much), which projector, and 1 where black was shown instead."""
+in time by so much), which projector, 1 where black was shown instead, and the version of the frame."""
+_FORMATS = {MAGIC: FRAME_RECORD, BEFORE: np.dtype([*_BEFORE, ("check", "<u4")])}
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A picture that was shown, or the black that stood for it."""
+class FrameRecord:
+    """A frame that was shown, or the black that stood for it."""
 
     slot: int
     frame: int
@@ -49,6 +52,13 @@ class Shown:
     late: int = 0
     engine: int = 0
     dark: bool = False
+    version: int = 0
+
+    def packed(self) -> bytes:
+        """As a record, with its check sum."""
+        numbers = (self.slot, self.frame, self.position, self.start, self.on_time, self.late)
+        body = struct.pack("<6q2HI", *numbers, self.engine, int(self.dark), self.version)
+        return body + struct.pack("<I", zlib.crc32(body))
 
 
 class RunFolder:
@@ -56,6 +66,8 @@ class RunFolder:
 
     def __init__(self, path: Path, resume: bool = False) -> None:
         self.path = path
+        if resume:
+            self._renew()
         self._lock = threading.RLock()
         self._write: Callable[[int, bytes], int] = os.write
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
@@ -79,7 +91,7 @@ class RunFolder:
             place, text, told = Path(path), rig.encode(), json.dumps(dict(asked), indent=2) + "\n"
         except (TypeError, ValueError, AttributeError, RecursionError) as error:
             raise BadInput(
-                f"the folder of a run cannot keep what was asked for: {error}; wanted a path, values as JSON takes "
+                f"the folder of a run cannot keep what was asked for: {error}; expected a path, values as JSON takes "
                 "them, and the text of the rig's file"
             ) from error
         try:
@@ -88,11 +100,11 @@ class RunFolder:
             (place / "rig.toml").write_bytes(text)
             (place / "run.json").write_text(told, encoding="utf-8")
         except FileExistsError as error:
-            raise StorageError(f"{str(path)!r} exists; a run wants a folder of its own: choose another") from error
+            raise StorageError(f"{str(path)!r} exists; expected a new folder for the run: choose another") from error
         except OSError as error:
             raise explained("write", place, error) from error
         folder = cls(place)
-        folder.state(Change(State.STANDBY, State.STANDBY, ""))
+        folder.state(StateChange(PrintState.STANDBY, PrintState.STANDBY, ""))
         return folder
 
     @classmethod
@@ -106,13 +118,11 @@ class RunFolder:
         line = {"at": int(at), "wall": round(time.time(), 3), "event": kind} | facts
         self._put(self._events, (json.dumps(line, default=str) + "\n").encode(), "events.jsonl")
 
-    def shown(self, shown: Shown) -> None:
-        """Keep a picture that was shown."""
-        numbers = (shown.slot, shown.frame, shown.position, shown.start, shown.on_time, shown.late)
-        body = struct.pack("<6q2H", *numbers, shown.engine, int(shown.dark))
-        self._put(self._shown, body + struct.pack("<I", zlib.crc32(body)), "shown.bin")
+    def shown(self, shown: FrameRecord) -> None:
+        """Keep a frame that was shown."""
+        self._put(self._shown, shown.packed(), "shown.bin")
 
-    def state(self, change: Change) -> None:
+    def state(self, change: StateChange) -> None:
         """Keep the state, whole or not at all."""
         text = json.dumps({"state": change.after.value, "message": change.message, "wall": round(time.time(), 3)})
         draft = self.path / ".state.json"
@@ -135,7 +145,8 @@ class RunFolder:
                 os.close(file)
             self._events = self._shown = -1
         try:
-            text = json.dumps(timing(read_run(self.path).shown), indent=2)
+            run = read_run(self.path)
+            text = json.dumps(timing(run.shown) | _views(run), indent=2)
             (self.path / RESERVE).unlink(missing_ok=True)
             (self.path / "timing.json").write_text(text + "\n", encoding="utf-8")
         except OSError as error:
@@ -161,73 +172,117 @@ class RunFolder:
                 os.ftruncate(file, os.fstat(file).st_size - written)
                 raise StorageError(f"{str(self.path / name)!r} took {written} of {len(data)} bytes: the disk is full")
 
+    def _renew(self) -> None:
+        """Records of the earlier format are written anew, as those to come have a version."""
+        place = self.path / "shown.bin"
+        try:
+            if read_bytes(place, MOST_RECORD).startswith(MAGIC):
+                return
+            draft, names = self.path / ".shown.bin", (*_FIELDS, "engine", "dark")
+            rows = read_run(self.path).shown[list(names)].tolist()
+            draft.write_bytes(
+                MAGIC + b"".join(FrameRecord(**dict(zip(names, row, strict=True))).packed() for row in rows)
+            )
+            os.replace(draft, place)
+        except OSError as error:
+            raise explained("write", place, error) from error
+
     def _cut(self) -> None:
         """Cut off what a kill tore."""
         whole = len(MAGIC) + len(read_run(self.path).shown) * _RECORD.size
         os.truncate(self.path / "shown.bin", whole)
-        lines = (self.path / "events.jsonl").read_bytes()
+        lines = read_bytes(self.path / "events.jsonl", MOST_RECORD)
         os.truncate(self.path / "events.jsonl", lines.rfind(b"\n") + 1)
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """A run as its folder tells it. asked: what was asked for.  shown: records (`SHOWN`), one a picture, in order.
+class RunRecord:
+    """A run as its folder tells it. asked: what was asked for.  shown: records (`FRAME_RECORD`), one a frame, in order.
     events: dicts.  torn: bytes after the last whole record, of one that a kill or a full disk cut short.
     """
 
     path: Path
     asked: dict[str, Any]
-    state: State
+    state: PrintState
     message: str
     shown: np.ndarray
     events: tuple[dict[str, Any], ...]
     torn: int
 
 
-def read_run(path: str | Path) -> Run:
+def read_run(path: str | Path) -> RunRecord:
     """Read the folder of a run, also of one that was killed. Raises `StorageError` for what is none."""
     place = Path(path)
     try:
-        asked = json.loads((place / "run.json").read_text(encoding="utf-8"))
-        told = json.loads((place / "state.json").read_text(encoding="utf-8"))
-        data = (place / "shown.bin").read_bytes()
-        lines = (place / "events.jsonl").read_bytes().split(b"\n")[:-1]
-        state = State(told["state"])
+        asked = dict(parse_json(read_text(place / "run.json")))
+        told = parse_json(read_text(place / "state.json"))
+        data = read_bytes(place / "shown.bin", MOST_RECORD)
+        with open_file(place / "events.jsonl") as lines:
+            events = _told(lines)
+        state, message = PrintState(told["state"]), str(told["message"])
+    except FileNotFoundError as error:
+        if not place.is_dir():
+            raise explained("read", place, error) from error
+        lacks = Path(str(error.filename)).name
+        raise StorageError(f"{str(path)!r} is no folder of a run: it has no {lacks}; check the path") from error
     except OSError as error:
         raise explained("read", place, error) from error
     except (ValueError, KeyError, TypeError) as error:
         raise StorageError(f"{str(path)!r} is no folder of a run: {error}; check the path") from error
-    if not data.startswith(MAGIC):
-        raise StorageError(f"{str(place / 'shown.bin')!r} is no record of pictures; check the path")
-    body = data[len(MAGIC) :]
-    count = next((n for n in range(len(body) // _RECORD.size) if not _whole(body, n)), len(body) // _RECORD.size)
-    shown = np.frombuffer(body, SHOWN, count)
-    torn = len(body) - count * _RECORD.size
-    events = tuple(event for line in lines if (event := _event(line)) is not None)
-    return Run(place, asked, state, told["message"], shown, events, torn)
+    kind = _FORMATS.get(data[: len(MAGIC)])
+    if kind is None:
+        raise StorageError(f"{str(place / 'shown.bin')!r} is no record of frames; check the path")
+    body, size = memoryview(data)[len(MAGIC) :], kind.itemsize
+    count = next((n for n in range(len(body) // size) if not _whole(body, n, size)), len(body) // size)
+    shown = np.frombuffer(body, kind, count)
+    if kind != FRAME_RECORD:
+        older, shown = shown, np.zeros(count, FRAME_RECORD)
+        for name in older.dtype.names or ():
+            shown[name] = older[name]
+    torn = len(body) - count * size
+    return RunRecord(place, asked, state, message, shown, events, torn)
+
+
+def _told(lines: Iterable[bytes]) -> tuple[dict[str, Any], ...]:
+    """The events of lines; of polls in a row, which come many times a second, the last."""
+    found: list[dict[str, Any]] = []
+    for line in lines:
+        if not line.endswith(b"\n") or (event := _event(line)) is None:
+            continue
+        if found and found[-1].get("event") == event.get("event") == "poll":
+            found.pop()
+        found.append(event)
+    return tuple(found)
 
 
 def _event(line: bytes) -> dict[str, Any] | None:
     """An event; None for a line that a full disk tore."""
     try:
-        return json.loads(line)
+        event = parse_json(line)
     except ValueError:
         return None
+    return event if isinstance(event, dict) else None
 
 
-def _whole(body: bytes, number: int) -> bool:
-    record = body[number * _RECORD.size : (number + 1) * _RECORD.size]
+def _whole(body: memoryview, number: int, size: int) -> bool:
+    record = body[number * size : (number + 1) * size]
     return zlib.crc32(record[:-4]) == int.from_bytes(record[-4:], "little")
 
 
+def _views(run: RunRecord) -> dict[str, Any]:
+    """How a run ended, and the light of its views where the folder keeps what was wanted."""
+    found = account(run)
+    return {"state": run.state.value} | ({} if found is None else {"light": found.facts()})
+
+
 def timing(shown: np.ndarray) -> dict[str, Any]:
-    """Lateness of the pictures: p50, p99 and greatest [ns], and a histogram in doubling bins from 1 µs."""
+    """Lateness of the frames: p50, p99 and greatest [ns], and a histogram in doubling bins from 1 µs."""
     late = shown["late"].astype(np.float64)
     edges = [0, *(1000 * 2**power for power in range(16))]
     p50, p99, most = np.percentile(late, [50, 99, 100]) if len(late) else (0.0, 0.0, 0.0)
     counts = np.histogram(np.clip(late, 0, edges[-1]), edges)[0]
     return {
-        "pictures": len(shown),
+        "frames": len(shown),
         "dark": int(np.count_nonzero(shown["dark"])),
         "late_ns": {"p50": float(p50), "p99": float(p99), "max": float(most)},
         "histogram": {"edges_ns": edges, "counts": counts.tolist()},

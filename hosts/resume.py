@@ -1,21 +1,33 @@
-"""Going on with the print of a host that died: from its folder, and from what the controller says it still showed."""
+"""Resuming the print of a host that died: the same jobs on the same rig, from its folder and its controller."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from vamgpu.errors import BadInput
+from vamgpu.hosts.account import views_asked
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.players.approach import Origin
+from vamgpu.hosts.players.machines import Machines, MirrorMachines
 from vamgpu.hosts.protocols.controller import Status
-from vamgpu.hosts.record import Run, RunFolder, Shown, read_run
-from vamgpu.hosts.run import Limits, may_resume
+from vamgpu.hosts.record import FrameRecord, RunFolder, RunRecord, read_run
+from vamgpu.hosts.rigs.config import RigConfig, RigFile, parse_rig
+from vamgpu.hosts.rigs.guarantees import driver_of
+from vamgpu.hosts.rigs.planning import PrintPlan
+from vamgpu.hosts.run import SafetyLimits, may_resume
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import State
+from vamgpu.hosts.state import PrintState
+from vamgpu.storage.atomic import explained
+from vamgpu.storage.reading import MOST_TOML, read_bytes, read_text
+
+SEGMENT, POLL = ("segment", "leg"), ("poll", "look")
+"""Events by their names, now and in the folders of earlier versions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +37,7 @@ class Interrupted:
     lost: poses that were black, of each projector.  since: when it had light last, by the clock of its days [s].
     """
 
-    run: Run
+    run: RunRecord
     first: int
     unseen: int
     origin: Origin
@@ -33,15 +45,17 @@ class Interrupted:
     since: float
 
     @property
-    def rest(self) -> int:
+    def pause(self) -> int:
         """How long it has been dark [ns]."""
         return _since(self.since)
 
-    def take_up(self, folder: RunFolder, schedule: Schedule, now: int) -> None:
-        """Write down, at a time of the rig's clock [ns], what was triggered after the host's last look.
+    def take_up(
+        self, folder: RunFolder, schedule: Schedule, now: int, version: Callable[[int], int] = lambda slot: 0
+    ) -> None:
+        """Write down, at a time of the rig's clock [ns], what was triggered after the host's last poll.
 
         What was on show then may have been cut short, and so the last; mirrors that go dark with their program have
-        shown none of what came after.
+        shown none of what came after. version: of the frames that a slot showed.
         """
         if self.first > self.unseen:
             folder.event("unseen", now, first=self.unseen, stop=self.first)
@@ -51,68 +65,70 @@ class Interrupted:
             for engine in range(schedule.engines):
                 if (slot, engine) in have:
                     continue
-                folder.shown(Shown(slot, frame, pose, light, on, engine=engine))
+                folder.shown(FrameRecord(slot, frame, pose, light, on, engine=engine, version=version(slot)))
 
 
 @dataclass(frozen=True, eq=False)
-class Left:
-    """What the folder of a host that died tells by itself. leg: its last event of that kind.
+class AbandonedRun:
+    """What the folder of a host that died tells by itself. segment: its last event of that kind.
 
     sign: when it wrote of light last [s].  dark: whether it had put the light out itself.
     """
 
-    run: Run
-    leg: dict[str, Any]
+    run: RunRecord
+    segment: dict[str, Any]
     sign: float
     dark: bool
 
 
-def left_in(run: Run, limits: Limits = Limits()) -> Left:
-    """What the folder of a host that died tells. Raises `BadInput` where its print cannot be gone on with."""
+def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> AbandonedRun:
+    """What the folder of a host that died tells. Raises `BadInput` where its print cannot be resumed."""
     path = run.path
-    if run.state not in (State.PRINTING, State.PAUSED):
-        raise BadInput(f"{str(path)!r} is {run.state.value}; only prints that a host left in the midst go on")
-    leg = next((event for event in reversed(run.events) if event["event"] == "leg"), None)
-    if leg is None:
+    if run.state is not PrintState.PRINTING and not run.state.waits:
+        raise BadInput(f"{str(path)!r} is {run.state.value}; only prints that a host left unfinished can be resumed")
+    segment = next((event for event in reversed(run.events) if event["event"] in SEGMENT), None)
+    if segment is None:
         raise BadInput(f"{str(path)!r} has shown nothing; begin it anew in another folder")
-    if "preroll" not in leg:
+    if "preroll" not in segment:
         raise BadInput(
             f"{str(path)!r} was printed on a screen: nobody knows what that showed until the light went off; begin "
             "anew with fresh resin"
         )
-    _rested(path, float(run.events[-1]["wall"]), limits)
-    signs = [event for event in run.events if event["event"] in ("leg", "light", "look")]
-    dark = next(event.get("to") == "off" for event in reversed(signs) if event["event"] != "look")
-    return Left(run, leg, float(signs[-1]["wall"]), dark)
+    _check_pause(path, float(run.events[-1]["wall"]), limits)
+    signs = [event for event in run.events if event["event"] in (*SEGMENT, "light", *POLL)]
+    dark = next(event.get("to") == "off" for event in reversed(signs) if event["event"] not in POLL)
+    return AbandonedRun(run, segment, float(signs[-1]["wall"]), dark)
 
 
-def _rested(path: str | Path, since: float, limits: Limits) -> None:
-    """Raise `BadInput` for a rest since a time of these days [s] that was too long, or that nobody knows."""
-    if (rest := _since(since)) < 0:
+def _check_pause(path: str | Path, since: float, limits: SafetyLimits) -> None:
+    """Raise `BadInput` for a pause since a time of these days [s] that was too long, or that nobody knows."""
+    if (pause := _since(since)) < 0:
         raise BadInput(
-            f"the last sign of {str(path)!r} is {-rest / SECOND:.1f} s ahead of this host's clock, so nobody knows how "
-            "long it rested; begin anew with fresh resin"
+            f"the last sign of {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock, so nobody knows "
+            "how long it paused; begin anew with fresh resin"
         )
-    may_resume(rest, limits)
+    may_resume(pause, limits)
 
 
-def interrupted(path: str | Path, controller: Controller, schedule: Schedule, limits: Limits = Limits()) -> Interrupted:
-    """What a print's folder and its controller tell together. Raises `BadInput` where it cannot be gone on with.
+def interrupted(
+    path: str | Path, controller: Controller, schedule: Schedule, limits: SafetyLimits = SafetyLimits()
+) -> Interrupted:
+    """What a print's folder and its controller tell together. Raises `BadInput` where it cannot be resumed.
 
     The controller must have kept its power: it alone knows where the motor is, and what it showed until the lease of
     the host that died ran out.
     """
     left = left_in(read_run(path), limits)
-    run, leg, now = left.run, left.leg, controller.status()
-    if now.zero != leg.get("zero"):
+    run, segment, now = left.run, left.segment, controller.status()
+    if now.zero != segment.get("zero"):
         raise BadInput(
             f"the controller does not know the print of {str(path)!r}: it lost its power, was reset when its port was "
             "opened, or another print began, so nobody knows where the motor is; begin anew with fresh resin"
         )
     slots = run.shown["slot"]
     recorded = int(slots.max()) + 1 if len(slots) else 0
-    shown = leg["first"] + _counted(now, leg)
-    if now.play not in (leg["play"], leg["before"]) or shown < recorded:
+    shown = segment["first"] + _counted(now, segment)
+    if now.play not in (segment["play"], segment["before"]) or shown < recorded:
         raise BadInput(
             f"another program let the controller play after {str(path)!r} was left, so nobody knows what the resin "
             "saw; begin anew with fresh resin"
@@ -122,18 +138,131 @@ def interrupted(path: str | Path, controller: Controller, schedule: Schedule, li
         missed = f", {len(dark)} of them black: only the host that planned them shows them again" if len(dark) else ""
         raise BadInput(f"{str(path)!r} has shown all its {len(schedule)} slots{missed}; nothing is left to print")
     lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
-    origin = Origin(leg["origin"], leg["zero"])
-    lit = recorded > leg["first"]  # what was shown after that counts as dark: a rest is rather told too long
-    since = left.sign if lit else leg["wall"] - leg["dark"] / SECOND
-    _rested(path, since, limits)
+    origin = Origin(segment["origin"], segment["zero"])
+    lit = recorded > segment["first"]  # what was shown after that counts as dark: a pause is rather told too long
+    since = left.sign if lit else segment["wall"] - segment["dark"] / SECOND
+    _check_pause(path, since, limits)
     return Interrupted(run, shown, recorded - int(lit and not left.dark), origin, tuple(map(tuple, lost)), since)
 
 
-def _counted(now: Status, leg: dict[str, Any]) -> int:
-    """Pictures of a leg that the controller showed; a host that died in between had not let it play yet."""
-    return max(now.shown - leg["preroll"], 0) if now.play == leg["play"] else 0
+def _counted(now: Status, segment: dict[str, Any]) -> int:
+    """Frames of a run segment that the controller showed; a host that died in between had not let it play yet."""
+    return max(now.shown - segment["preroll"], 0) if now.play == segment["play"] else 0
 
 
 def _since(wall: float) -> int:
     """Since a time of these days [ns]."""
     return round((time.time() - wall) * SECOND)
+
+
+def limits(rig: RigConfig) -> SafetyLimits:
+    """The limits of the light in a rig file.
+
+    Args:
+        rig: The rig.
+
+    Returns:
+        Lease [ns], tolerance of motion [poses], budget of light over the plan's, and longest pause [ns].
+    """
+    said = rig.setup.safety
+    return SafetyLimits(round(said.lease * 1e9), said.tolerance, said.budget, round(said.resume * 1e9))
+
+
+def asked_for(planned: PrintPlan) -> dict[str, Any]:
+    """What a run's folder keeps of its plan."""
+    table, jobs = planned.schedule, [each.path for each in planned.jobs]
+    return {
+        "jobs": jobs, "digests": [digest(Path(job)) for job in jobs], "kind": planned.kind, "rig": planned.rig.source,
+        "slots": len(table), "unit": table.unit, "speed": float(table.speed),
+        "stop": None if planned.stop is None else planned.stop.threshold, "settings": planned.rig.settings,
+        "guarantees": [one.told() for one in planned.guarantees],
+        "calibrations": dict(planned.calibration.used),
+        "views": views_asked(table),
+    }  # fmt: skip
+
+
+def digest(job: Path) -> str:
+    """The check sum of what a job's folder says of its frames; of the names and sizes of slices."""
+    manifest = job / "manifest.json"
+    if manifest.is_file():
+        return sha256(read_bytes(manifest)).hexdigest()
+    files = sorted((file.name, file.stat().st_size) for file in job.iterdir()) if job.is_dir() else []
+    return sha256(repr(files or job.name).encode()).hexdigest()
+
+
+def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
+    """Check, from the folders alone, that a print can be resumed. Ask before any machine is opened.
+
+    Args:
+        planned: The plan of the same jobs at the same speed.
+        folder: The run folder that a host left.
+
+    Raises:
+        BadInput: The folder holds another print, one that ended, one that paused for too long, or one on a video cable.
+        StorageError: The folder cannot be read.
+    """
+    if driver_of(planned.rig.setup.clock) == "stage":
+        raise BadInput(
+            "the stage triggered the mirrors until their frames were over, and nobody knows which the resin saw: this "
+            "print cannot be resumed; begin it anew with fresh resin"
+        )
+    if planned.display is not None:
+        raise BadInput(
+            "a video projector went on with its last frame while the vial turned, until the lease was over: this "
+            "print cannot be resumed; begin it anew with fresh resin"
+        )
+    before = read_run(folder)
+    asked, wanted = before.asked, asked_for(planned)
+    names = ("digests", "kind", "slots", "speed", "stop", "calibrations")
+    if different := [name for name in names if name in asked and asked[name] != wanted[name]]:
+        told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
+        raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
+    _same_rig(planned.rig, before)
+    left_in(before, limits(planned.rig))
+
+
+def left_by_a_host(planned: PrintPlan, machines: Machines, folder: str | Path) -> Interrupted:
+    """What a host left in a folder, of the same print. Raises `BadInput`, `StorageError`."""
+    may_go_on(planned, folder)
+    assert isinstance(machines, MirrorMachines)
+    return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))
+
+
+def _same_rig(rig: RigConfig, run: RunRecord) -> None:
+    """Raise `BadInput` for a rig whose light or motion is another than the one that began a print."""
+    file, given = run.path / "rig.toml", run.asked.get("settings", ())
+    try:
+        first = parse_rig(read_text(file, MOST_TOML), given, source=str(file))
+    except OSError as error:
+        raise explained("read", file, error) from error
+    began, now = (_light(read.setup) for read in (first, rig))
+    if different := [name for name in now if now[name] != began[name]]:
+        settings = "".join(f" --set {setting!r}" for setting in given)
+        raise BadInput(
+            f"the rig has other values in [{'], ['.join(different)}] than the one that began {str(run.path)!r}: the "
+            f"rest of the print would get another light; print with --rig {str(file)!r}{settings}"
+        )
+
+
+def _light(rig: RigFile) -> dict[str, Any]:
+    """What of a rig's file must stay as it is before a print goes on."""
+    told = rig.model_dump(exclude={"rig", "safety", "feedback", "camera_stage"})
+    for section in (told["controller"], told["motion"], *told["display"], told["lens"], told["light"]):
+        for name in ("port", "library"):
+            (section or {}).pop(name, None)
+    return told
+
+
+def run_folder(
+    planned: PrintPlan, folder: str | Path, left: Interrupted | None, now: int,
+    version: Callable[[int], int] | None = None,
+) -> RunFolder:  # fmt: skip
+    """A new folder of a run, or that of one that is resumed, up to what was shown. Raises `StorageError`.
+
+    now: by the rig's clock [ns].  version: of the frames that a slot showed; None for the job's.
+    """
+    if left is None:
+        return RunFolder.begin(folder, asked_for(planned), planned.rig.text)
+    record = RunFolder.again(folder)
+    left.take_up(record, planned.schedule, now, version or (lambda slot: 0))
+    return record

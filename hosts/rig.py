@@ -2,50 +2,83 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from vamgpu.errors import BadInput, WrongDevice
+import numpy as np
+
+from vamgpu.deprecated import renamed
+from vamgpu.errors import BadInput, JobError, StorageError, WrongDevice
 from vamgpu.geometry import positive
-from vamgpu.hosts.attended import attended
-from vamgpu.hosts.board import Board
-from vamgpu.hosts.exposure import Watch
+from vamgpu.hosts.exposure import ScatterWatch, StopRule
+from vamgpu.hosts.frames.versions import FramePlans
+from vamgpu.hosts.live.images import LiveCamera
+from vamgpu.hosts.live.link import LiveLink, LiveOrder, task_of
+from vamgpu.hosts.operator import attended, print_with_operator
+from vamgpu.hosts.plans import boundary, planned_versions, restored, swaps
 from vamgpu.hosts.players.approach import Origin
-from vamgpu.hosts.players.cable import CablePictures, VideoMachines
-from vamgpu.hosts.players.mirrors import Machines
+from vamgpu.hosts.players.machines import (
+    CableFrames,
+    Machines,
+    SourceFrames,
+    StageMachines,
+    VideoMachines,
+    senses,
+)
 from vamgpu.hosts.players.player import Player
 from vamgpu.hosts.players.spinning import SpinningPlayer
+from vamgpu.hosts.players.stage_clocked import StageClockedPlayer
 from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import read_run
+from vamgpu.hosts.resume import left_by_a_host, limits, may_go_on, run_folder
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.hosts.rigs.opening import close, opened
-from vamgpu.hosts.rigs.planning import Plan, plan
+from vamgpu.hosts.rigs.planning import PrintPlan, plan
 from vamgpu.hosts.rigs.preflight import LINE, Judged, answered, fits, judged
 from vamgpu.hosts.rigs.rehearsing import Rehearsal, rehearsal
-from vamgpu.hosts.rigs.runs import left_by_a_host, limits, may_go_on, run_folder
-from vamgpu.hosts.rigs.stopping import stopping
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.safety.interlock import InterlockOpen
-from vamgpu.hosts.state import State
+from vamgpu.hosts.state import Board, PrintState
+from vamgpu.printing.scatter import STOP
+from vamgpu.storage.folder import Folder
 
 __all__ = [
-    "Plan", "Rehearsal", "carry_out", "check", "close", "limits", "may_go_on", "opened", "plan", "player", "read_rig",
-    "rehearsal", "stopping",
+    "PrintPlan", "Rehearsal", "carry_out", "check", "close", "limits", "may_go_on", "opened", "plan", "player",
+    "read_rig", "rehearsal", "stopping",
 ]  # fmt: skip
+log: logging.Logger = logging.getLogger(__name__)
+__getattr__: Callable[[str], Any] = renamed(__name__, {"Plan": "PrintPlan"})
 
 
-def check(planned: Plan, machines: Machines | VideoMachines, seconds: float = 2.0) -> Judged | None:
-    """Judge a plan on opened machines, in the dark; None on a video cable, which has a time of its own.
+def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live: bool = False) -> Judged | None:
+    """Judge a plan on opened machines, in the dark.
 
-    seconds: how long the wires are measured, on real machines alone. Raises `BadInput`, `WrongDevice` for other
-    machines than planned, and `TimingInfeasible` with what binds.
+    Args:
+        planned: The plan, of `plan`.
+        machines: Its machines, of `opened` or `rehearsal`.
+        seconds: How long the transfer rates of real machines are measured [s].
+        live: Whether frames may be replaced while they are printed, so that the wire must carry new ones in time.
+
+    Returns:
+        What was found, with the depth and number of sequences for the player; None for a rig on a video cable, whose
+        frames need no upload.
+
+    Raises:
+        BadInput: The schedule cannot be shown by these machines.
+        WrongDevice: The machines are not those that the plan is for.
+        TimingInfeasible: A machine is too slow; the message says which, and the greatest speed that it allows.
     """
     seconds = positive("seconds", seconds)
     if isinstance(machines, VideoMachines) or planned.display is not None:
         if not isinstance(machines, VideoMachines) or planned.display is None:
-            raise WrongDevice("mirrors behind a trigger and those on a video cable want plans of their own")
+            raise WrongDevice(
+                "the plan and the machines differ: one is for a video cable; expected both for the same rig"
+            )
         machines.check(planned.schedule, planned.display)
         return None
     if len(machines.mirrors) != len(planned.mirrors):
@@ -57,57 +90,188 @@ def check(planned: Plan, machines: Machines | VideoMachines, seconds: float = 2.
         fits((dmd.height, dmd.width), timing)
     if len(planned.focus) > 1 and machines.lens is None:
         raise WrongDevice("the plan changes its focus, and no lens was opened; open the rig that it was planned for")
-    answered(planned.schedule, machines.controller, machines.clock, min(seconds, LINE))
-    return judged(planned.schedule, machines.mirrors, machines.clock, bits=planned.bits, seconds=seconds)
+    if not isinstance(machines, StageMachines):
+        answered(planned.schedule, machines.controller, machines.clock, min(seconds, LINE))
+    return judged(planned.schedule, machines.mirrors, machines.clock, bits=planned.bits, seconds=seconds,
+                  live=boundary(planned) if live else None)  # fmt: skip
 
 
 def player(
-    planned: Plan, machines: Machines | VideoMachines, found: Judged | None = None, origin: Origin | None = None
+    planned: PrintPlan,
+    machines: Machines,
+    found: Judged | None = None,
+    origin: Origin | None = None,
+    plans: FramePlans | None = None,
 ) -> Player:
-    """What plays a plan on its machines. found: by `check`.  origin: see `TriggeredPlayer`."""
-    found = found or check(planned, machines)
+    """The player that shows a plan on its machines.
+
+    Args:
+        planned: The plan.
+        machines: Its opened machines.
+        found: What `check` returned; None runs it.
+        origin: Where pose 0 is on the motor, for a print that is resumed; None sets it anew.
+        plans: Versions of the frames, of `vamgpu.hosts.plans.planned_versions`; None where frames stay.
+
+    Returns:
+        A `TriggeredPlayer` for mirrors that a controller triggers, a `StageClockedPlayer` where a stage does, a
+        `SpinningPlayer` for a video cable.
+
+    Raises:
+        BadInput, WrongDevice, TimingInfeasible: See `check`.
+    """
+    found = found or check(planned, machines, live=plans is not None)
     if planned.display is not None and isinstance(machines, VideoMachines):
-        frames = planned.works[0].frames
-        assert frames is not None
-        pictures = CablePictures(frames, (planned.mirrors[0].rows, planned.mirrors[0].columns))
-        return SpinningPlayer(planned.schedule, planned.display, machines, pictures)
-    assert found is not None and isinstance(machines, Machines)
+        frames = planned.jobs[0].frames
+        size = (planned.mirrors[0].rows, planned.mirrors[0].columns)
+        if plans is not None:
+            shown = SourceFrames(plans.sources[0], size)
+        else:
+            shown = SourceFrames(planned.sources()[0], size) if frames is None else CableFrames(frames, size)
+        return SpinningPlayer(planned.schedule, planned.display, machines, shown, plans=plans)
+    assert found is not None and not isinstance(machines, VideoMachines)
+    if isinstance(machines, StageMachines):
+        sizes = {"depth": found.depth, "sequences": found.sequences, "plans": plans}
+        return StageClockedPlayer(planned.schedule, machines, planned.sources(), **sizes)
     return TriggeredPlayer(
-        planned.schedule, machines, planned.pictures(), depth=found.depth, sequences=found.sequences, origin=origin
+        planned.schedule,
+        machines,
+        planned.sources(),
+        depth=found.depth,
+        sequences=found.sequences,
+        turn=found.turn,
+        origin=origin,
+        plans=plans,
     )
 
 
 def carry_out(
-    planned: Plan, machines: Machines | VideoMachines, folder: str | Path, board: Board | None = None,
-    found: Judged | None = None, resume: bool = False,
-) -> tuple[State, Print]:  # fmt: skip
-    """Print a plan into the folder of a run. Raises what went wrong, after it is dark and written down.
+    planned: PrintPlan, machines: Machines, folder: str | Path, board: Board | None = None,
+    found: Judged | None = None, resume: bool = False, *, unattended: int = 0,
+    go_on: Callable[[Print], bool] | None = None, process: Mapping[str, str] | None = None,
+    live: LiveOrder | None = None,
+) -> tuple[PrintState, Print]:  # fmt: skip
+    """Print a plan and record it in a run folder.
 
-    board: of a person who attends, with buttons to pause and go on.  found: by `check`, which is run where it is
-    missing.  resume: go on with the print that a host left in the folder.  A plan with a stop is watched.
+    Args:
+        planned: The plan. If it has a stop, a camera watches the resin and ends the print.
+        machines: Its opened machines.
+        folder: The run folder. It must not exist, unless ``resume`` is set.
+        board: Shows the print to an operator and offers buttons to pause, resume and cancel; None offers none.
+        found: What `check` returned; None runs it.
+        resume: Resume the print that a host left in the folder.
+        unattended: How often a print that is held goes on by itself.
+        go_on: Is asked whether a print that is held goes on; None asks at the board, and lets none go on without one.
+        process: What the system granted to this process, for the record.
+        live: What plans the frames of coming turns or segments, in a process of its own, and how much light it may add.
+
+    Returns:
+        The state at the end, and the print with its record.
+
+    Raises:
+        InterlockOpen: The enclosure is open, or the light had to go off.
+        BadInput: The print cannot be resumed, or frames of slices are to be replaced.
+        WrongDevice: The plan has a stop, and no camera was opened.
+        StorageError: The folder exists, or cannot be written.
+        VamError: Whatever else ended or holds the print. The light is off and the reason is recorded before this is
+            raised; the state in the folder says whether the print can go on.
     """
     _may_watch(planned, machines, resume)
     _shut(machines)
     left = left_by_a_host(planned, machines, folder) if resume else None
-    playing = player(planned, machines, found, None if left is None else left.origin)
+    plans = (
+        planned_versions(planned, 0.0 if live is None else live.allowance)
+        if live is not None or (left is not None and swaps(left.run))
+        else None
+    )
+    if plans is not None and live is not None:
+        plans.stop = live.stop
+    if plans is not None and left is not None:
+        restored(plans, planned, left.run, left.first, left.lost)
+    playing = player(planned, machines, found, None if left is None else left.origin, plans)
     if left is not None and isinstance(playing, TriggeredPlayer):
         playing.recall(left.lost)
-    with run_folder(planned, folder, left, machines.clock.now()) as record:
+    for one in planned.guarantees.lacking:
+        log.warning("%s %s", one.about, one)
+    with ExitStack() as held:
+        version = None if plans is None else plans.at
+        record = held.enter_context(run_folder(planned, folder, left, machines.clock.now(), version))
+        if process is not None:
+            record.event("process", machines.clock.now(), **process)
         shown, watch = board or Board(), None
         if planned.stop is not None and machines.camera is not None:
             speed = float(planned.schedule.speed)
-            watch = Watch(machines.camera, machines.clock, planned.stop, record, lambda: shown.now.position / speed)
-        ends: Any = {} if watch is None else {"enough": watch.enough, "short": watch.short}
-        job = Print(playing, record, limits=limits(planned.rig), board=shown, **ends)
+            watch = ScatterWatch(
+                machines.camera,
+                machines.clock,
+                planned.stop,
+                record,
+                lambda: shown.now.position / speed,
+                board=shown,
+            )
+        ends: Any = {}
+        if watch is not None:
+            ends = {"enough": watch.enough, "short": watch.short, "recover": watch.recover}
+        if live is not None and plans is not None:
+            camera = None
+            if machines.camera is not None and watch is None:
+                speed = float(planned.schedule.speed)
+                camera = held.enter_context(LiveCamera(machines.camera, machines.clock, lambda: shown.now.light, speed))
+            task = task_of(planned, record.path)
+            ends["live"] = held.enter_context(LiveLink(live, task, planned, plans, machines.clock, shown, camera))
+        job = Print(playing, record, limits=limits(planned.rig), board=shown, senses=partial(senses, machines), **ends)
         if left is not None:
-            job.recall(read_run(folder).shown, left.rest)
+            job.recall(read_run(folder).shown, left.pause)
         with nullcontext() if watch is None else _before_the_light(watch, job):
             first = None if left is None else left.first
-            return (job.run(first) if board is None else attended(job, board, first)), job
+            asked = None if go_on is None else partial(go_on, job)
+            if board is not None:
+                return print_with_operator(job, board, first, unattended, asked), job
+            return attended(job, first, asked, unattended), job
+
+
+def stopping(planned: PrintPlan, threshold: float = STOP) -> PrintPlan:
+    """Add a stop to the plan of a vial: the print ends when the resin scatters enough, at the latest after its turns.
+
+    Args:
+        planned: The plan; its turns are the most that are printed.
+        threshold: Scatter density at which to stop [gray levels/voxel], in levels of the rig's camera and voxels of
+            the first job's part.
+
+    Returns:
+        The plan with its stop.
+
+    Raises:
+        BadInput: The plan is not a vial's, or the threshold is not above 0.
+        JobError: The rig has no camera.
+        StorageError: The job's folder does not hold its part.
+    """
+    positive("threshold of scatter [gray levels/voxel]", threshold)
+    if planned.kind != "vial":
+        raise BadInput("only vials stop by their scatter, as all of the part gels at once; print without a stop")
+    rig = planned.rig.setup
+    if rig.camera is None:
+        raise JobError(
+            f'the rig {rig.rig.name!r} has no [[feedback]] with driver = "camera", which watches how much the resin '
+            "scatters; add it to the rig's file, or print without a stop"
+        )
+    camera = rig.camera
+    stop = StopRule(float(threshold), _voxels(planned.jobs[0].path), camera.bits, camera.exposure, camera.discard)
+    return replace(planned, stop=stop)
+
+
+def _voxels(path: str) -> float:
+    """Of a job's part: the sum of its fractions."""
+    folder = Folder.open(path)
+    if "target" not in folder.manifest.arrays:
+        raise StorageError(
+            f"{path!r} does not hold its part, whose voxels scatter is counted by; write it with `vam solve`, or print "
+            "without a stop"
+        )
+    return float(folder.array("target").sum(dtype=np.float64))
 
 
 @contextmanager
-def _before_the_light(watch: Watch, job: Print) -> Iterator[None]:
+def _before_the_light(watch: ScatterWatch, job: Print) -> Iterator[None]:
     """A watch whose background was taken in the dark; a print that has none has failed."""
     with watch:
         try:
@@ -119,13 +283,13 @@ def _before_the_light(watch: Watch, job: Print) -> Iterator[None]:
         yield
 
 
-def _shut(machines: Machines | VideoMachines) -> None:
+def _shut(machines: Machines) -> None:
     """Raise `InterlockOpen` while the enclosure is; a print that began would have failed, and could not go on."""
-    if not machines.controller.status().interlock_closed:
+    if machines.controller is not None and not machines.controller.status().interlock_closed:
         raise InterlockOpen("the interlock is open: close the enclosure, then print again")
 
 
-def _may_watch(planned: Plan, machines: Machines | VideoMachines, resume: bool) -> None:
+def _may_watch(planned: PrintPlan, machines: Machines, resume: bool) -> None:
     """Raise `WrongDevice` where the camera of a plan with a stop was not opened, `BadInput` where it comes too late."""
     if planned.stop is None:
         return
@@ -133,6 +297,6 @@ def _may_watch(planned: Plan, machines: Machines | VideoMachines, resume: bool) 
         raise WrongDevice("the plan stops by what a camera sees, and none was opened; use opened(rig, camera=True)")
     if resume:
         raise BadInput(
-            "resin that was lit scatters already, so a print that stops by its scatter cannot be gone on with: begin "
+            "resin that was lit scatters already, so a print that stops by its scatter cannot be resumed: begin "
             "it anew with fresh resin"
         )

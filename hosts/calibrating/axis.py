@@ -10,49 +10,48 @@ import numpy as np
 from vamgpu.calibration.axis import RollerAxis, find_axis
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrating import patterns
-from vamgpu.hosts.calibrating.light import HeldLight
-from vamgpu.hosts.calibrating.report import Found
-from vamgpu.hosts.calibrating.stand import Stand
+from vamgpu.hosts.calibrating.machines import CalibrationLight, CalibrationMachines
+from vamgpu.hosts.calibrating.report import CalibrationResult
 
-TABLES = ("photodiode",)
-"""What it needs of a rig's file."""
-DARK = 8
-"""Readings without light."""
+TABLES = ("photodiode",)  # what it needs of a rig's file
+DARK = 8  # readings without light
 
 
 def axis(
-    stand: Stand, *, first: int = 0, stop: int | None = None, every: int = 1, repeats: int = 4,
+    machines: CalibrationMachines, *, first: int = 0, stop: int | None = None, every: int = 1, repeats: int = 4,
     radius: float | None = None, flip_r: bool = False, projector: int = 0,
-    told: Callable[[float], None] = lambda share: None,
-) -> Found:  # fmt: skip
+    progress: Callable[[float], None] = lambda share: None,
+) -> CalibrationResult:  # fmt: skip
     """Scan a lit column over the roller and find its axis from both edges of the shadow.
 
     first, stop, every: columns that are lit.  repeats: readings of each.  radius: of the roller in columns, where only
-    one edge is in reach.  flip_r: as pictures are packed.
+    one edge is in reach.  flip_r: as patterns are packed.
 
     Raises `JobError` for a rig without photodiode, `BadInput` for a scan without edges, `InterlockOpen`.
     """
-    screen = stand.screen(projector)
+    screen = machines.screen(projector)
     last = screen.shape[1] if stop is None else stop
     if every < 1 or repeats < 1 or not 0 <= first < last <= screen.shape[1]:
         raise BadInput(
-            f"a scan of columns {first} to {last}, every {every}, {repeats} readings each; wanted columns within "
+            f"a scan of columns {first} to {last}, every {every}, {repeats} readings each; expected columns within "
             f"0 to {screen.shape[1]}, and 1 or more of both others"
         )
     columns = np.arange(first, last, every)
     read = np.empty((columns.size, repeats))
-    with HeldLight(stand, projector) as light:
-        dark = stand.read(light, DARK)
+    with CalibrationLight(machines, projector) as light:
+        dark = machines.read(light, DARK)
         light.on()
         for number, column in enumerate(columns):
             screen.show(patterns.line(screen.shape, int(column)))
-            read[number] = stand.read(light, repeats)
-            told((number + 1) / columns.size)
+            read[number] = machines.read(light, repeats)
+            progress((number + 1) / columns.size)
     found = find_axis(read.mean(axis=1), columns, radius=radius)
     return _found(found, found.shift(screen.shape[1], flip_r=flip_r), columns, read, dark)
 
 
-def _found(found: RollerAxis, shift: float, columns: np.ndarray, read: np.ndarray, dark: np.ndarray) -> Found:
+def _found(
+    found: RollerAxis, shift: float, columns: np.ndarray, read: np.ndarray, dark: np.ndarray
+) -> CalibrationResult:
     numbers = {
         "column": found.column, "error_columns": found.error, "radius_columns": found.radius, "shift_columns": shift,
         "edges": [edge.column for edge in found.edges], "edge_errors": [edge.error for edge in found.edges],
@@ -65,7 +64,7 @@ def _found(found: RollerAxis, shift: float, columns: np.ndarray, read: np.ndarra
         ("for the job", f"[frames] shift = [{shift:.3f}, 0.0]"),
     )
     readings = {"columns": columns, "readings": read, "dark": dark}
-    return Found("axis", numbers, readings, lines, lambda axes: _draw(axes, found, columns, read))
+    return CalibrationResult("axis", numbers, readings, lines, lambda axes: _draw(axes, found, columns, read))
 
 
 def _draw(axes: Any, found: RollerAxis, columns: np.ndarray, read: np.ndarray) -> None:

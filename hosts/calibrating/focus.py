@@ -10,19 +10,17 @@ import numpy as np
 from vamgpu.calibration.focus import LEAST_POWERS, FocusLine, Peak, fit_peak, focus_line, tenengrad
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrating import patterns
-from vamgpu.hosts.calibrating.light import HeldLight
-from vamgpu.hosts.calibrating.report import Found
-from vamgpu.hosts.calibrating.stand import Stand
+from vamgpu.hosts.calibrating.machines import CalibrationLight, CalibrationMachines
+from vamgpu.hosts.calibrating.report import CalibrationResult
 
-TABLES = ("lens", "camera", "camera_stage")
-"""What it needs of a rig's file."""
-Told = Callable[[float], None]
+TABLES = ("lens", "camera", "camera_stage")  # what it needs of a rig's file
+Progress = Callable[[float], None]
 
 
 def steps(reach: float, step: float) -> tuple[float, ...]:
     """Positions [mm] from −reach to reach, a step apart."""
     if not (step > 0 and reach >= step):
-        raise BadInput(f"steps of {step:g} mm from {-reach:g} to {reach:g} mm; wanted a step > 0, and two or more")
+        raise BadInput(f"steps of {step:g} mm from {-reach:g} to {reach:g} mm; expected a step > 0, and two or more")
     count = int(reach / step + 1e-9)
     return tuple(round(step * number, 9) for number in range(-count, count + 1))
 
@@ -30,53 +28,55 @@ def steps(reach: float, step: float) -> tuple[float, ...]:
 def sweep(low: float, high: float, count: int) -> tuple[float, ...]:
     """Lens powers [dpt] from low to high, evenly."""
     if not (low < high and count >= LEAST_POWERS):
-        raise BadInput(f"{count} powers from {low:g} to {high:g} dpt; wanted {LEAST_POWERS} or more, rising")
+        raise BadInput(f"{count} powers from {low:g} to {high:g} dpt; expected {LEAST_POWERS} or more, rising")
     return tuple(np.linspace(low, high, count).tolist())
 
 
 def focus(
-    stand: Stand, positions: Sequence[float], powers: Sequence[float], *, half_period: int = 10, projector: int = 0,
-    told: Told = lambda share: None,
-) -> Found:  # fmt: skip
+    machines: CalibrationMachines, positions: Sequence[float], powers: Sequence[float], *, half_period: int = 10,
+    projector: int = 0, progress: Progress = lambda share: None,
+) -> CalibrationResult:  # fmt: skip
     """Measure the line of focus over lens power with a Ronchi grating.
 
     positions: of the camera [mm], from its stage's middle.  powers: of the lens [dpt], rising.  half_period: of the
-    grating [mirrors].  told: hears what share is done.
+    grating [mirrors].  progress: hears what share is done.
 
     Raises `JobError` for a rig without lens, camera or its stage, `BadInput` where nothing is sharp or too much light
     comes, `InterlockOpen`.
     """
-    screen, peaks, rows = stand.screen(projector), [], []
-    picture = patterns.grating(screen.shape, half_period)
-    with HeldLight(stand, projector) as light:
+    screen, peaks, rows = machines.screen(projector), [], []
+    pattern = patterns.grating(screen.shape, half_period)
+    with CalibrationLight(machines, projector) as light:
         for number, position in enumerate(positions):
             light.off()
-            place = stand.move(position)
+            place = machines.move(position)
             light.on()
-            screen.show(picture)
-            rows.append((place, *_swept(stand, powers, light)))
+            screen.show(pattern)
+            rows.append((place, *_swept(machines, powers, light)))
             try:
                 peaks.append(fit_peak(*rows[-1][1:3]))
             except BadInput as error:
                 raise BadInput(f"position {place:g} mm: {error}") from error
-            told((number + 1) / len(positions))
-    names = ("positions", "powers", "sharpness", "pictures")
+            progress((number + 1) / len(positions))
+    names = ("positions", "powers", "sharpness", "images")
     return _found(peaks, {name: np.array(part) for name, part in zip(names, zip(*rows, strict=True), strict=True)})
 
 
-def _swept(stand: Stand, powers: Sequence[float], light: HeldLight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Powers that the lens took [dpt], how sharp the pictures were, and the sharpest."""
+def _swept(
+    machines: CalibrationMachines, powers: Sequence[float], light: CalibrationLight
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Powers that the lens took [dpt], how sharp the images were, and the sharpest."""
     true, sharp, best = [], [], np.zeros((0, 0))
     for power in powers:
-        true.append(stand.focus(power, light))
-        picture = stand.picture(light)
-        sharp.append(float(tenengrad(picture)))
+        true.append(machines.focus(power, light))
+        image = machines.image(light)
+        sharp.append(float(tenengrad(image)))
         if sharp[-1] == max(sharp):
-            best = picture
+            best = image
     return np.array(true), np.array(sharp), best
 
 
-def _found(peaks: list[Peak], readings: dict[str, np.ndarray]) -> Found:
+def _found(peaks: list[Peak], readings: dict[str, np.ndarray]) -> CalibrationResult:
     line = focus_line(readings["positions"], peaks)
     center = float(line.power(0.0))
     numbers = {
@@ -90,7 +90,7 @@ def _found(peaks: list[Peak], readings: dict[str, np.ndarray]) -> Found:
         ("depth at half sharpness", f"{2 * abs(line.slope) * float(np.mean(numbers['widths_dpt'])):.3g} mm"),
         ("for the rig's file", f"[lens] axis = {center:.4f}, slope = {line.slope:.3f}"),
     )
-    return Found("focus", numbers, readings, lines, lambda axes: _draw(axes, line))
+    return CalibrationResult("focus", numbers, readings, lines, lambda axes: _draw(axes, line))
 
 
 def _draw(axes: Any, line: FocusLine) -> None:

@@ -1,4 +1,4 @@
-"""How fine the picture is along the light: a slanted edge, seen at several places."""
+"""How fine the image is along the light: a slanted edge, seen at several places."""
 
 from __future__ import annotations
 
@@ -10,67 +10,70 @@ import numpy as np
 from vamgpu.calibration.mtf import EdgeResponse, slanted_edge
 from vamgpu.errors import BadInput, JobError
 from vamgpu.hosts.calibrating import patterns
-from vamgpu.hosts.calibrating.light import HeldLight
-from vamgpu.hosts.calibrating.report import Found
-from vamgpu.hosts.calibrating.stand import Stand, need
+from vamgpu.hosts.calibrating.machines import CalibrationLight, CalibrationMachines, need
+from vamgpu.hosts.calibrating.report import CalibrationResult
 
-TABLES = ("camera", "camera_stage")
-"""What it needs of a rig's file; the lens too, where it is told a power."""
-POSITIONS = (-15.0, -6.0, 0.0, 6.0, 15.0)
-"""Places along the light [mm], from the middle of the camera's stage."""
+TABLES = ("camera", "camera_stage")  # what it needs of a rig's file; the lens too, where it is told a power
+POSITIONS = (-15.0, -6.0, 0.0, 6.0, 15.0)  # places along the light [mm], from the middle of the camera's stage
 
 
 def mtf(
-    stand: Stand, positions: Sequence[float] = POSITIONS, *, powers: Sequence[float] | None = None, angle: float = 5.0,
-    repeats: int = 4, projector: int = 0, told: Callable[[float], None] = lambda share: None,
-) -> Found:  # fmt: skip
+    machines: CalibrationMachines, positions: Sequence[float] = POSITIONS, *, powers: Sequence[float] | None = None,
+    angle: float = 5.0, repeats: int = 4, projector: int = 0, progress: Callable[[float], None] = lambda share: None,
+) -> CalibrationResult:  # fmt: skip
     """Measure the modulation transfer function at several places with an edge slanted by ``angle`` [deg].
 
     positions: of the camera [mm], from its stage's middle.  powers: of the lens [dpt] at each; None leaves the lens as
-    it is.  repeats: pictures that are averaged.
+    it is.  repeats: images that are averaged.
 
     Raises `JobError` for a rig without camera, the size of its pixels or its stage, `BadInput` for too little contrast
     or too much light, `InterlockOpen`.
     """
-    pixel = need(stand.rig.camera, "camera").pixel
+    pixel = need(machines.rig.camera, "camera").pixel
     if pixel is None:
-        raise JobError('the rig\'s table [camera] has no pixel; wanted pixel = "3.45 um", as in the plane that it sees')
+        raise JobError(
+            'the rig\'s table [camera] has no pixel; expected pixel = "3.45 um", as in the plane that it sees'
+        )
     if repeats < 1 or (powers is not None and len(powers) != len(positions)):
-        raise BadInput(f"{repeats} pictures and {powers!r} for {len(positions)} positions; wanted one power for each")
-    screen = stand.screen(projector)
-    edge, places, true, pictures = patterns.slanted(screen.shape, angle), [], [], []
-    with HeldLight(stand, projector) as light:
+        raise BadInput(f"{repeats} images and {powers!r} for {len(positions)} positions; expected one power for each")
+    screen = machines.screen(projector)
+    edge, places, true, images = patterns.slanted(screen.shape, angle), [], [], []
+    with CalibrationLight(machines, projector) as light:
         for number, position in enumerate(positions):
             light.off()
-            places.append(stand.move(position))
+            places.append(machines.move(position))
             light.on()
             screen.show(edge)
             if powers is not None:
-                true.append(stand.focus(powers[number], light))
-            pictures.append(np.mean([stand.picture(light) for _ in range(repeats)], axis=0))
-            told((number + 1) / len(positions))
-    return _found(places, true, pictures, pixel)
+                true.append(machines.focus(powers[number], light))
+            images.append(np.mean([machines.image(light) for _ in range(repeats)], axis=0))
+            progress((number + 1) / len(positions))
+    return _found(places, true, images, pixel)
 
 
-def _found(places: list[float], powers: list[float], pictures: list[np.ndarray], pixel: float) -> Found:
+def _found(places: list[float], powers: list[float], images: list[np.ndarray], pixel: float) -> CalibrationResult:
     edges: list[EdgeResponse] = []
-    for place, picture in zip(places, pictures, strict=True):
+    for place, image in zip(places, images, strict=True):
         try:
-            edges.append(slanted_edge(picture, pixel))
+            edges.append(slanted_edge(image, pixel))
         except BadInput as error:
             raise BadInput(f"position {place:g} mm: {error}") from error
     numbers = {
         "positions_mm": places, "powers_dpt": powers, "mtf50_per_mm": [edge.half for edge in edges],
-        "blur_mm": [edge.width for edge in edges], "contrast": [edge.contrast for edge in edges],
+        "blur_mm": [edge.width for edge in edges], "blur_error_mm": [edge.width_error for edge in edges],
+        "contrast": [edge.contrast for edge in edges],
         "angle_deg": [edge.angle for edge in edges], "pixel_mm": pixel,
     }  # fmt: skip
     lines = tuple(
-        (f"MTF50 at {place:+g} mm", f"{edge.half:.3g} cycles/mm, blur {1e3 * edge.width:.3g} µm")
+        (
+            f"MTF50 at {place:+g} mm",
+            f"{edge.half:.3g} cycles/mm, blur {1e3 * edge.width:.4g} ± {1e3 * edge.width_error:.2g} µm",
+        )
         for place, edge in zip(places, edges, strict=True)
     )
-    readings = {"positions": np.array(places), "pictures": np.stack(pictures), "frequency": edges[0].frequency}
+    readings = {"positions": np.array(places), "images": np.stack(images), "frequency": edges[0].frequency}
     readings["modulation"] = np.stack([edge.modulation for edge in edges])
-    return Found("mtf", numbers, readings, lines, lambda axes: _draw(axes, places, edges))
+    return CalibrationResult("mtf", numbers, readings, lines, lambda axes: _draw(axes, places, edges))
 
 
 def _draw(axes: Any, places: list[float], edges: list[EdgeResponse]) -> None:

@@ -1,11 +1,15 @@
-"""What mirrors show while they are measured: pictures [row, column], bool for mirrors on and off, uint8 for levels."""
+"""What mirrors show while they are measured, and mirrors that show it for as long as is wanted."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil
 
 import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts
+from vamgpu.hosts.drivers.dmd import Dmd, PlaneSequence, SlotTiming
 
 Shape = tuple[int, int]
 
@@ -14,27 +18,79 @@ def grating(shape: Shape, half_period: int = 10) -> np.ndarray:
     """A Ronchi grating: columns on and off, ``half_period`` of each in turn."""
     wide = counts("half period [columns]", (half_period,), 1)[0]
     if not 2 * wide <= shape[1]:
-        raise BadInput(f"half a period of {wide} columns; wanted at most half the {shape[1]} that the mirrors have")
+        raise BadInput(f"half a period of {wide} columns; expected at most half the {shape[1]} that the mirrors have")
     return np.broadcast_to(np.arange(shape[1]) // wide % 2 == 0, shape)
 
 
 def line(shape: Shape, column: int) -> np.ndarray:
     """One column on."""
     if not 0 <= column < shape[1]:
-        raise BadInput(f"column {column} of {shape[1]}; wanted 0 to {shape[1] - 1}")
+        raise BadInput(f"column {column} of {shape[1]}; expected 0 to {shape[1] - 1}")
     return np.broadcast_to(np.arange(shape[1]) == column, shape)
 
 
 def slanted(shape: Shape, angle: float = 5.0) -> np.ndarray:
     """An edge through the middle, ``angle`` [deg] from the columns; light is at its right."""
     if not 1.0 <= abs(angle) <= 40.0:
-        raise BadInput(f"an edge slanted by {angle:g}°; wanted 1° to 40° from the columns")
+        raise BadInput(f"an edge slanted by {angle:g}°; expected 1° to 40° from the columns")
     row, column = (np.arange(length) - 0.5 * (length - 1) for length in shape)
     return column[None, :] > np.tan(np.radians(angle)) * row[:, None]
+
+
+def block(shape: Shape, rows: Sequence[int] | np.ndarray, columns: Sequence[int] | np.ndarray) -> np.ndarray:
+    """A block of mirrors on: from a row up to another, and so with columns."""
+    lit = np.zeros(shape, bool)
+    lit[rows[0] : rows[1], columns[0] : columns[1]] = True
+    return lit
 
 
 def flat(shape: Shape, level: int) -> np.ndarray:
     """The same gray level everywhere."""
     if not 0 <= level <= 255:
-        raise BadInput(f"gray level {level}; wanted 0 to 255")
+        raise BadInput(f"gray level {level}; expected 0 to 255")
     return np.full(shape, level, np.uint8)
+
+
+class PatternScreen:
+    """One pattern at a time on an array of mirrors, again and again. pattern: time of one of gray levels [s].
+
+    It is a switch too: `off` lets the mirrors go dark.
+    """
+
+    def __init__(self, dmd: Dmd, pattern: float) -> None:
+        self.dmd = dmd
+        self.shape: tuple[int, int] = (dmd.height, dmd.width)
+        self._period = ceil(pattern * 1e6 - 1e-6)
+        self._sequence: PlaneSequence | None = None
+
+    @property
+    def period(self) -> float:
+        """Time of a pattern of gray levels [s]."""
+        return 1e-6 * self._period
+
+    def show(self, pattern: np.ndarray) -> None:
+        """Show a pattern [row, column] from now on: bool for mirrors on and off, uint8 for gray levels."""
+        if pattern.shape != self.shape or pattern.dtype not in (np.bool_, np.uint8):
+            raise BadInput(
+                f"the pattern is {pattern.dtype}{list(pattern.shape)}; expected bool or uint8 of {list(self.shape)}"
+            )
+        self.off()
+        bits = 1 if pattern.dtype == np.bool_ else 8
+        self.dmd.master()
+        self._sequence = self.dmd.sequence(1, bits, SlotTiming() if bits == 1 else SlotTiming(self._period))
+        self._sequence.put(self._planes(pattern, bits))
+        self._sequence.start(forever=True)
+
+    def _planes(self, pattern: np.ndarray, bits: int) -> np.ndarray:
+        planes = np.zeros((1, bits, *self.dmd.plane_shape), np.uint8)
+        for plane in range(bits):
+            lit = np.packbits(pattern if bits == 1 else pattern >> (7 - plane) & 1, axis=-1)
+            planes[0, plane, :, : lit.shape[1]] = lit
+        return planes
+
+    def off(self) -> None:
+        """Show nothing."""
+        self.dmd.halt()
+        sequence, self._sequence = self._sequence, None
+        if sequence is not None:
+            sequence.free()

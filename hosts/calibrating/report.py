@@ -6,6 +6,7 @@ import json
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +14,19 @@ import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage.atomic import replacing
+from vamgpu.storage.reading import parse_toml, read_text
 
 Line = tuple[str, str]
-MEASURED = "measured"
-"""Table of a result that holds its numbers."""
+MEASURED = "measured"  # table of a result that holds its numbers
 
 
 @dataclass(frozen=True)
-class Found:
+class CalibrationResult:
     """A calibration's outcome.
 
-    kind: focus, axis, gray or mtf.  numbers: plain values by name.  readings: all that was read, by name.  lines: name
-    and value, for people.  draw: draws a figure on axes of matplotlib.  tables: further tables of plain values.
+    kind: focus, axis, gray, flat, mtf or runout.  numbers: plain values by name.  readings: all that was read, by
+    name.  lines: name and value, for people.  draw: draws a figure on axes of matplotlib.  tables: further tables of
+    plain values.
     """
 
     kind: str
@@ -35,13 +37,15 @@ class Found:
     tables: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
-def save(found: Found, folder: str | Path, rig: str, *, overwrite: bool = False) -> Path:
+def save(
+    found: CalibrationResult, folder: str | Path, rig: str, *, overwrite: bool = False, taken: datetime | None = None
+) -> Path:
     """Write ``result.toml``, ``readings.npz``, ``figure.png`` and the rig's file into a new folder.
 
     Raises `StorageError`; nothing half-written is left.
     """
     tables = {MEASURED: found.numbers, **found.tables}
-    text = f'calibration = "{found.kind}"\n'
+    text = f'calibration = "{found.kind}"\ntaken = {(taken or datetime.now()).isoformat(timespec="seconds")}\n'
     for name, table in tables.items():
         text += f"\n[{name}]\n" + "".join(f"{key} = {_plain(value)}\n" for key, value in table.items())
     with replacing(folder, overwrite=overwrite) as draft:
@@ -58,14 +62,14 @@ def read(folder: str | Path, kind: str | None = None) -> dict[str, Any]:
     """The tables of a result. Raises `StorageError` for none, `BadInput` for a calibration of another kind."""
     file = Path(folder) / "result.toml" if Path(folder).is_dir() else Path(folder)
     try:
-        data = tomllib.loads(file.read_text(encoding="utf-8"))
+        data = parse_toml(read_text(file))
     except (OSError, UnicodeDecodeError) as error:
         raise StorageError(f"cannot read the calibration {str(folder)!r}: {error}; check the path") from error
     except tomllib.TOMLDecodeError as error:
         raise BadInput(f"{str(file)!r} is no valid TOML: {error}") from error
     if "calibration" not in data or (kind is not None and data["calibration"] != kind):
         raise BadInput(
-            f"{str(file)!r} holds {data.get('calibration', 'no calibration')}; wanted one of {kind or 'any'}"
+            f"{str(file)!r} holds {data.get('calibration', 'no calibration')}; expected one of {kind or 'any'}"
         )
     return data
 
@@ -92,10 +96,10 @@ def _plain(value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, int | float):
         return repr(value)
-    raise BadInput(f"{value!r} is no plain value; wanted numbers, text, or lists of them")
+    raise BadInput(f"{value!r} is no plain value; expected numbers, text, or lists of them")
 
 
-def _figure(found: Found, path: Path) -> None:
+def _figure(found: CalibrationResult, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -33,7 +33,7 @@ NOT_ONLINE, NOT_IDLE, NOT_AVAILABLE, NOT_READY, INVALID, BAD_ADDRESS, MEMORY_FUL
 IN_USE, HALTED, INIT_FAILED, COMMUNICATION, REMOVED, NOT_CONFIGURED = range(1008, 1014)
 REASONS = {
     NOT_ONLINE: "no such device, or it is not ready: check power, plug and driver",
-    NOT_IDLE: "the device is showing pictures: halt it first",
+    NOT_IDLE: "the device is showing frames: halt it first",
     NOT_AVAILABLE: "the number of the device is not valid",
     NOT_READY: "another program has the device: close it",
     INVALID: "a value is outside what the device can do",

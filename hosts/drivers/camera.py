@@ -10,32 +10,38 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound
+from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, DeviceRefused
+from vamgpu.hosts.run_all import Closing
+from vamgpu.storage.images import read_image
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 @runtime_checkable
-class Camera(Protocol):
-    """Takes pictures ``[row, column]`` of whole numbers, row 0 at the top."""
+class CameraDriver(Protocol):
+    """Takes images ``[row, column]`` of whole numbers, row 0 at the top."""
 
-    def expose(self, exposure_us: float) -> None:
-        """Set the time of exposure [us]."""
-        ...
-
-    def grab(self) -> np.ndarray:
-        """Take a picture."""
-        ...
-
-    def close(self) -> None:
-        """Let go of the camera."""
-        ...
+    def expose(self, exposure_us: float) -> None: ...  # set the time of exposure [us]
+    def grab(self) -> np.ndarray: ...  # take an image
+    def close(self) -> None: ...  # let go of the camera
 
 
-class GenicamCamera:
+class GenicamCamera(Closing):
     """A camera behind a maker's GenTL producer (a ``.cti`` file), driven by the harvesters package."""
 
-    def __init__(self, harvester: Any, serial: str | None = None, timeout_s: float = 2.0) -> None:
+    exposure_us: float | None = None  # as the camera reads it back
+    gain: float | None = None
+
+    def __init__(
+        self,
+        harvester: Any,
+        serial: str | None = None,
+        timeout_s: float = 2.0,
+        exposure_us: float | None = None,
+        gain: float | None = None,
+        pixels: str | None = None,
+        trigger: str | None = None,
+    ) -> None:
         self._harvester, self._timeout = harvester, timeout_s
         self._acquirer: Any = None
         try:
@@ -47,14 +53,41 @@ class GenicamCamera:
                     "check cable, power and the maker's producer file"
                 )
             self._acquirer = harvester.create({"serial_number": serial or found[0]})
+            self._settle(exposure_us, gain, pixels, trigger)
             self._acquirer.start()
         except BaseException:
             self.close()
             raise
 
     @classmethod
-    def open(cls, producer: str | Path, serial: str | None = None, timeout_s: float = 2.0) -> Self:
-        """Open the camera with a serial number (None: the first) through the producer file of its maker."""
+    def open(
+        cls,
+        producer: str | Path,
+        serial: str | None = None,
+        timeout_s: float = 2.0,
+        exposure_us: float | None = None,
+        gain: float | None = None,
+        pixels: str | None = None,
+        trigger: str | None = None,
+    ) -> Self:
+        """Open a camera through the producer file of its maker; each setting is read back.
+
+        Args:
+            producer: The maker's ``.cti`` file.
+            serial: The camera's serial number; None takes the first.
+            timeout_s: How long an image may take [s].
+            exposure_us: The time of exposure [us]; None leaves the camera's.
+            gain: The gain, in the camera's unit (mostly dB); None leaves it.
+            pixels: The format of pixels, such as ``Mono8`` or ``Mono12``; None leaves it.
+            trigger: The input whose edge takes an image, such as ``Line0``; empty for free-running, None leaves it.
+
+        Returns:
+            The camera.
+
+        Raises:
+            DeviceNotFound: The package, the producer or the camera is missing.
+            DeviceRefused: The camera does not take a setting, or keeps another.
+        """
         try:
             from harvesters.core import Harvester  # type: ignore[import-not-found]
         except ImportError as error:
@@ -63,23 +96,64 @@ class GenicamCamera:
             raise DeviceNotFound(f"there is no producer file {producer}; install the camera maker's package")
         harvester = Harvester()
         harvester.add_file(str(producer))
-        return cls(harvester, serial, timeout_s)
+        return cls(harvester, serial, timeout_s, exposure_us, gain, pixels, trigger)
+
+    def _set(self, name: str, value: float | str) -> float | str:
+        """Set a feature and return what it reads back as."""
+        try:
+            node = getattr(self._acquirer.remote_device.node_map, name)
+            node.value = value
+            return node.value
+        except Exception as error:
+            raise DeviceRefused(
+                f"the camera does not take {value!r} for its {name} ({error}); see what its maker's viewer offers", name
+            ) from error
+
+    def _choose(self, name: str, value: str) -> None:
+        found = self._set(name, value)
+        if found != value:
+            raise DeviceRefused(f"the camera's {name} is {found!r} after {value!r} was set; give one that it has", name)
+
+    def _number(self, name: str, value: float) -> float:
+        """Set a number; cameras round it to their own steps, DeviceRefused beyond 2 %."""
+        found = float(self._set(name, float(value)))
+        if abs(found - value) > 0.02 * max(abs(value), 1.0):
+            raise DeviceRefused(f"the camera's {name} is {found:g} after {value:g} was set; give what it can do", name)
+        return found
 
     def expose(self, exposure_us: float) -> None:
-        """Set the time of exposure [us]."""
-        try:
-            self._acquirer.remote_device.node_map.ExposureTime.value = float(exposure_us)
-        except Exception as error:
-            raise DeviceError(f"the camera does not take an exposure of {exposure_us} us ({error})") from error
+        """Set the time of exposure [us]; DeviceRefused where the camera keeps another, more than 2 % off."""
+        self.exposure_us = self._number("ExposureTime", exposure_us)
+
+    def _settle(self, exposure_us: float | None, gain: float | None, pixels: str | None, trigger: str | None) -> None:
+        """Set what was asked for, in the order that cameras accept it: automatics are off before values are set."""
+        if pixels is not None:
+            self._choose("PixelFormat", pixels)
+        if exposure_us is not None:
+            self._turn_off("ExposureAuto")
+            self.expose(exposure_us)
+        if gain is not None:
+            self._turn_off("GainAuto")
+            self.gain = self._number("Gain", gain)
+        if trigger is not None:
+            self._choose("TriggerSelector", "FrameStart")
+            if trigger:
+                self._choose("TriggerSource", trigger)
+            self._choose("TriggerMode", "On" if trigger else "Off")
+
+    def _turn_off(self, name: str) -> None:
+        """Turn an automatic off, where the camera has one."""
+        if hasattr(self._acquirer.remote_device.node_map, name):
+            self._choose(name, "Off")
 
     def grab(self) -> np.ndarray:
-        """Take a picture."""
+        """Take an image."""
         try:
             with self._acquirer.fetch(timeout=self._timeout) as buffer:
                 part = buffer.payload.components[0]
                 return np.array(part.data, copy=True).reshape(part.height, part.width)
         except Exception as error:
-            raise DeviceLost(f"the camera gave no picture in {self._timeout} s ({error}); check its cable") from error
+            raise DeviceLost(f"the camera gave no image in {self._timeout} s ({error}); check its cable") from error
 
     def close(self) -> None:
         """Let go of the camera; more than once does no harm."""
@@ -92,22 +166,16 @@ class GenicamCamera:
                 except Exception as error:  # a camera that is gone must not keep the rest from closing
                     log.warning("closing the camera: %s", error)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 def _natural(path: Path) -> list[tuple[int, int | str]]:
     """A key that puts 2 before 10."""
     return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"(\d+)", path.name) if part]
 
 
-class FilePlayer:
-    """Pictures of a folder, in the order of the numbers in their names, one for each ``grab``.
+class FilePlayer(Closing):
+    """Images of a folder, in the order of the numbers in their names, one for each ``grab``.
 
-    It is a camera by configuration, for records to be looked at again; after the last picture it raises DeviceError,
+    It is a camera by configuration, for records to be looked at again; after the last image it raises DeviceError,
     or begins again if ``loop``.
     """
 
@@ -117,9 +185,9 @@ class FilePlayer:
             names = [path for path in Path(folder).glob(pattern) if path.suffix.lower() in kinds]
         except OSError as error:
             raise BadInput(f"{folder} cannot be read ({error})") from error
-        self.paths = sorted(names, key=_natural)
+        self.paths: list[Path] = sorted(names, key=_natural)
         if not self.paths:
-            raise DeviceNotFound(f"there are no pictures {pattern} in {folder}; check the folder")
+            raise DeviceNotFound(f"there are no images {pattern} in {folder}; check the folder")
         self._loop = loop
         self._next = self._play()
 
@@ -130,26 +198,17 @@ class FilePlayer:
                 return
 
     def expose(self, exposure_us: float) -> None:
-        """Pictures of the past keep their exposure."""
+        """Images of the past keep their exposure."""
 
     def grab(self) -> np.ndarray:
-        """Read the next picture as gray levels."""
-        from PIL import Image
-
+        """Read the next image as gray levels."""
         path = next(self._next, None)
         if path is None:
-            raise DeviceError(f"all {len(self.paths)} pictures have been played")
+            raise DeviceError(f"all {len(self.paths)} images have been played")
         try:
-            with Image.open(path) as image:
-                return np.asarray(image if image.mode in ("L", "I;16", "I", "F") else image.convert("L"))
+            return read_image(path)
         except OSError as error:
-            raise BadInput(f"{path} is no picture that can be read ({error})") from error
+            raise BadInput(f"{path} is no image that can be read ({error})") from error
 
     def close(self) -> None:
         """Nothing is held."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

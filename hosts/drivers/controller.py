@@ -5,15 +5,20 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Iterable
+from dataclasses import dataclass
+from fractions import Fraction
 from typing import Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 from vamgpu.hosts.protocols import controller as protocol
-from vamgpu.hosts.protocols.controller import Reply, Row, Status
+from vamgpu.hosts.protocols.controller import ControllerRow, Reply, Status
+from vamgpu.hosts.run_all import Closing
+from vamgpu.hosts.schedules.timing import exact, fraction
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 TRIES = 3
+CLOSE = Fraction(1, 10**9)  # how far, relatively, a ratio may be from what was asked for: a microstep in 10^9
 LONGEST_BABBLE = 100
 """Lines that are listened to for one answer, so that a machine which never falls silent is given up."""
 REASONS = {
@@ -25,15 +30,60 @@ REASONS = {
     "range": "a value is outside what it can do",
     "state": "it is not in a state to do so",
     "verb": "it does not know the command: check its firmware",
+    "stall": "its encoder is not where the motor was stepped to: look at motor and load, then home it or begin anew",
+    "index": "its index mark was not where it should be: look at motor and belt, then home it or begin anew",
 }
 
 
-class Controller:
+@dataclass(frozen=True)
+class Encoder:
+    """Measures where the motion is.
+
+    counts: quadrature edges in a mm or degree of the motion; below 0 where it counts down.  tolerance: the greatest
+    distance from where the motor was stepped to [mm] or [deg]; what is beyond closes the light. Raises `BadInput`.
+    """
+
+    counts: float
+    tolerance: float
+
+    def __post_init__(self) -> None:
+        exact("counts", abs(fraction("counts", self.counts)))
+        exact("tolerance", self.tolerance)
+
+
+@dataclass(frozen=True)
+class Index:
+    """A mark that comes round, such as once a turn.
+
+    distance: from mark to mark [mm] or [deg].  tolerance: how far from its place the motor may be when it comes [mm]
+    or [deg]; what is beyond closes the light. Raises `BadInput`.
+    """
+
+    distance: float
+    tolerance: float
+
+    def __post_init__(self) -> None:
+        exact("distance", self.distance)
+        exact("tolerance", self.tolerance)
+
+
+def _in_range(ratio: Fraction) -> Fraction:
+    """The nearest ratio of numbers that the controller takes."""
+    if abs(ratio) <= 1:
+        return ratio.limit_denominator(protocol.LONGEST_RATIO)
+    return 1 / (1 / ratio).limit_denominator(protocol.LONGEST_RATIO)
+
+
+class Controller(Closing):
     """The controller; every command is answered, and repeated if the answer does not come or is garbled.
 
     ``microsteps_per_mm`` turns the web's distances into microsteps. Opening it ends what an earlier host let it play.
     What the controller says by itself is collected in ``events`` as words.
     """
+
+    capacity: int
+    longest_lease_ms: int
+    channels: int
 
     def __init__(self, wire: Wire, microsteps_per_mm: float = 1.0) -> None:
         if not microsteps_per_mm > 0:
@@ -41,8 +91,10 @@ class Controller:
         self._wire = wire
         self._number = 0
         self.microsteps_per_mm = microsteps_per_mm
+        self._ramp: float | None = None
+        self._measuring: tuple[Encoder | None, Index | None] = (None, None)
         self.events: deque[tuple[str, ...]] = deque(maxlen=1000)
-        self.repeated = 0
+        self.repeated: int = 0
         try:
             self._start()
         except BaseException:
@@ -65,10 +117,25 @@ class Controller:
             raise WrongDevice(f"{self._wire.name} does not answer as one: {error}") from error
         if name != protocol.NAME or version != protocol.VERSION:
             raise WrongDevice(
-                f"{self._wire.name} is {name} version {version}, {protocol.NAME} version {protocol.VERSION} is wanted; "
-                "load the sketch that comes with this library"
+                f"{self._wire.name} is {name} version {version}; expected {protocol.NAME} version {protocol.VERSION}, "
+                "which measures where the motion is: load the sketch that comes with this library (hosts/firmware)"
             )
         self.capacity, self.longest_lease_ms, self.channels = capacity, longest, channels
+
+    def revive(self) -> None:
+        """Open the port again where the controller does not answer, as when it was unplugged and is back.
+
+        Raises DeviceLost, WrongDevice.
+        """
+        try:
+            self.status()
+        except DeviceLost:
+            self._wire.reopen()
+            self._start()
+            if self._ramp is not None:
+                self.ramp(self._ramp)
+            if any(self._measuring):
+                self.feedback(*self._measuring)
 
     def ask(self, verb: str, *arguments: object) -> tuple[str, ...]:
         """Send a command and return the words of its answer.
@@ -161,11 +228,11 @@ class Controller:
         """What rows count: ``time`` (microseconds since ``go``) or ``steps`` (microsteps of the web)."""
         self.ask("mode", mode)
 
-    def row(self, row: Row) -> int:
+    def row(self, row: ControllerRow) -> int:
         """Queue one slot; how many more fit."""
         return int(self.ask("row", *row.words())[0])
 
-    def load(self, rows: Iterable[Row]) -> int:
+    def load(self, rows: Iterable[ControllerRow]) -> int:
         """Queue slots one after the other while they fit; how many more fit after the last."""
         free = self.capacity
         for row in rows:
@@ -192,8 +259,9 @@ class Controller:
     def ramp(self, acceleration_mm_s2: float) -> None:
         """How fast the web changes its speed [mm/s2]."""
         if not acceleration_mm_s2 > 0:
-            raise BadInput(f"the web changes its speed by {acceleration_mm_s2:g} mm/s2; wanted more than 0")
+            raise BadInput(f"the web changes its speed by {acceleration_mm_s2:g} mm/s2; expected more than 0")
         self._within("change of speed", acceleration_mm_s2, "mm/s2", protocol.STEEPEST)
+        self._ramp = acceleration_mm_s2
         self.ask("ramp", max(round(acceleration_mm_s2 * self.microsteps_per_mm), 1))
 
     def _within(self, what: str, value: float, unit: str, most: int) -> None:
@@ -207,6 +275,40 @@ class Controller:
         """Call this position of the web 0. number: 1 to 65535, by which a later host knows this zero again."""
         self.ask("zero", number)
 
+    def feedback(self, encoder: Encoder | None = None, index: Index | None = None) -> None:
+        """Tell what measures the motion; `None`: nothing does. What is there is taken to be right here.
+
+        Raises `BadInput` for what the controller cannot count.
+        """
+        per_unit = fraction("microsteps", self.microsteps_per_mm)
+        edges = Fraction(0) if encoder is None else fraction("counts", encoder.counts) / per_unit
+        marks = Fraction(0) if index is None else 1 / (fraction("distance", index.distance) * per_unit)
+        for verb, wanted, found in (("encoder", edges, encoder), ("index", marks, index)):
+            ratio = _in_range(wanted)
+            limit = 0 if found is None else int(fraction("tolerance", found.tolerance) * per_unit)
+            if abs(ratio - wanted) > CLOSE * abs(wanted) or limit > protocol.LONGEST_RATIO:
+                raise BadInput(
+                    f"{found} is {float(wanted):.6g} a microstep, {limit} microsteps allowed; the controller takes "
+                    f"ratios of whole numbers up to {protocol.LONGEST_RATIO}: check counts, distance and microsteps"
+                )
+            if found is not None and (limit < 1 or (found is encoder and limit * abs(ratio) < 2)):
+                raise BadInput(
+                    f"the {verb}'s tolerance of {found.tolerance:g} is {limit} microsteps, less than it tells apart; "
+                    "expected two counts of an encoder and one microstep, or more"
+                )
+            self.ask(verb, ratio.numerator, ratio.denominator, limit)
+        self._measuring = (encoder, index)
+
+    @property
+    def index(self) -> Index | None:
+        """The index mark that it was told of."""
+        return self._measuring[1]
+
+    def home(self, number: int, speed_mm_s: float) -> None:
+        """Run up to the next index mark, call it 0 under a number, and come to rest; `status` tells ``homing``."""
+        self._within("speed", speed_mm_s, "mm/s", protocol.FASTEST)
+        self.ask("home", number, round(speed_mm_s * self.microsteps_per_mm * 1000))
+
     def status(self) -> Status:
         """What the controller does now."""
         return protocol.parse_status(self.ask("stat"))
@@ -218,9 +320,3 @@ class Controller:
     def close(self) -> None:
         """Let go of the port; the lease runs out and closes the light if it was on."""
         self._wire.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -10,16 +10,17 @@ from typing import Any, Self
 
 import numpy as np
 
-from vamgpu.errors import BadInput, DeviceError, DeviceRefused, OutOfMemory, WrongDevice
+from vamgpu.errors import BadInput, DeviceBusy, DeviceError, DeviceRefused, OutOfMemory, WrongDevice
 from vamgpu.hosts.drivers import alp
 from vamgpu.hosts.drivers.alp import Alp, Progress
+from vamgpu.hosts.run_all import Closing
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class SlotTiming:
-    """The times of a picture [us]: from picture to picture, lit (0: as long as possible), and from trigger to light."""
+    """The times of a frame [us]: from frame to frame, lit (0: as long as possible), and from trigger to light."""
 
     picture_us: int = 0
     illuminate_us: int = 0
@@ -27,7 +28,7 @@ class SlotTiming:
 
 
 @dataclass(frozen=True)
-class Limits:
+class SequenceLimits:
     """What the device allows at a sequence's bit depth [us]."""
 
     least_picture_us: int
@@ -37,22 +38,20 @@ class Limits:
     on_us: int
 
 
-class Dmd:
+class Dmd(Closing):
     """An array of ``height`` rows and ``width`` columns of mirrors; ``memory_planes`` bit planes fit at first."""
 
     def __init__(self, library: Any, serial: int = 0, size: tuple[int, int] | None = None) -> None:
         self._alp = Alp(library)
-        self.device = self._alp.number("AlpDevAlloc", serial, alp.DEFAULT)
+        self.device: int = self._alp.number("AlpDevAlloc", serial, alp.DEFAULT)
         self._open = True
         try:
-            self.width = self.inquire(alp.DISPLAY_WIDTH)
-            self.height = self.inquire(alp.DISPLAY_HEIGHT)
-            self.serial = self.inquire(alp.DEVICE_NUMBER)
-            self.memory_planes = self.inquire(alp.AVAILABLE_MEMORY)
+            self.width: int = self.inquire(alp.DISPLAY_WIDTH)
+            self.height: int = self.inquire(alp.DISPLAY_HEIGHT)
+            self.serial: int = self.inquire(alp.DEVICE_NUMBER)
+            self.memory_planes: int = self.inquire(alp.AVAILABLE_MEMORY)
             if size is not None and size != (self.height, self.width):
-                raise WrongDevice(
-                    f"the array has {self.height} x {self.width} mirrors, the configuration wants {size[0]} x {size[1]}"
-                )
+                raise WrongDevice(f"the array has {self.height} x {self.width} mirrors; expected {size[0]} x {size[1]}")
         except BaseException:
             self.close()
             raise
@@ -86,14 +85,14 @@ class Dmd:
         return self.inquire(alp.AVAILABLE_MEMORY)
 
     def slave(self, rising: bool = True) -> None:
-        """Show the next picture at each edge of the trigger, however long that takes to come, in a queue."""
+        """Show the next frame at each edge of the trigger, however long that takes to come, in a queue."""
         self.call("AlpDevControl", alp.TRIGGER_EDGE, alp.EDGE_RISING if rising else alp.EDGE_FALLING)
         self.call("AlpDevControl", alp.TRIGGER_TIME_OUT, alp.TIME_OUT_DISABLE)
         self.call("AlpProjControl", alp.PROJECTION_MODE, alp.SLAVE)
         self.call("AlpProjControl", alp.QUEUE_MODE, alp.QUEUE_SEQUENCES)
 
     def master(self) -> None:
-        """Show pictures by the device's own clock, in a queue."""
+        """Show frames by the device's own clock, in a queue."""
         self.call("AlpProjControl", alp.PROJECTION_MODE, alp.MASTER)
         self.call("AlpProjControl", alp.QUEUE_MODE, alp.QUEUE_SEQUENCES)
 
@@ -103,15 +102,19 @@ class Dmd:
         self.call("AlpProjInquireEx", alp.PROGRESS, byref(answer))
         return answer
 
-    def sequence(self, count: int, bits: int, timing: SlotTiming = SlotTiming()) -> Sequence:
-        """Room for ``count`` pictures of ``bits`` planes; OutOfMemory with the numbers if there is none."""
+    def queue_places(self) -> int:
+        """How many more sequences the queue takes now."""
+        return self.number("AlpProjInquire", alp.QUEUE_AVAILABLE)
+
+    def sequence(self, count: int, bits: int, timing: SlotTiming = SlotTiming()) -> PlaneSequence:
+        """Room for ``count`` frames of ``bits`` planes; OutOfMemory with the numbers if there is none."""
         free = self.free_planes()
         if count * bits > free:
             raise OutOfMemory(
-                f"{count} pictures of {bits} bits are {count * bits} planes, and {free} are free; "
+                f"{count} frames of {bits} bits are {count * bits} planes, and {free} are free; "
                 "stream them through two shorter sequences, or show fewer bits"
             )
-        return Sequence(self, count, bits, timing)
+        return PlaneSequence(self, count, bits, timing)
 
     def number(self, name: str, *arguments: Any) -> int:
         """Call the library for this device and return the number it answers."""
@@ -147,21 +150,19 @@ class Dmd:
             except DeviceError as error:
                 log.warning("closing the DMD: %s", error)
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+class PlaneSequence:
+    """Frames in the device's memory, as packed planes, the most significant first."""
 
-
-class Sequence:
-    """Pictures in the device's memory, as packed planes, the most significant first."""
+    dmd: Dmd
+    count: int
+    bits: int
 
     def __init__(self, dmd: Dmd, count: int, bits: int, timing: SlotTiming) -> None:
         if not 1 <= bits <= 8 or count < 1:
-            raise BadInput(f"a sequence of {count} pictures of {bits} bits is none; give 1..8 bits and 1 or more")
+            raise BadInput(f"a sequence of {count} frames of {bits} bits is none; give 1..8 bits and 1 or more")
         self.dmd, self.count, self.bits = dmd, count, bits
-        self.id = dmd.number("AlpSeqAlloc", bits, count)
+        self.id: int = dmd.number("AlpSeqAlloc", bits, count)
         self._control(alp.DATA_FORMAT, alp.DATA_BINARY_TOPDOWN)
         if bits == 1 and not timing.illuminate_us:
             self._control(alp.BINARY_MODE, alp.BINARY_UNINTERRUPTED)
@@ -174,8 +175,8 @@ class Sequence:
         """A number of the sequence."""
         return self.dmd.number("AlpSeqInquire", self.id, kind)
 
-    def limits(self) -> Limits:
-        """What the device allows for these pictures, and how long each is lit now."""
+    def limits(self) -> SequenceLimits:
+        """What the device allows for these frames, and how long each is lit now."""
         kinds = (
             alp.MIN_PICTURE_TIME,
             alp.MAX_PICTURE_TIME,
@@ -183,7 +184,7 @@ class Sequence:
             alp.MAX_TRIGGER_IN_DELAY,
             alp.ON_TIME,
         )
-        return Limits(*(self.inquire(kind) for kind in kinds))
+        return SequenceLimits(*(self.inquire(kind) for kind in kinds))
 
     def retime(self, timing: SlotTiming) -> None:
         """Set the times; DeviceRefused with the device's limits where they do not fit."""
@@ -195,21 +196,28 @@ class Sequence:
             raise DeviceRefused(f"{timing} does not fit the device's {self.limits()}: {error}", error.code) from error
 
     def put(self, planes: np.ndarray, first: int = 0) -> None:
-        """Upload packed pictures ``[picture, plane, row, byte]`` (uint8) from picture ``first`` on, without a copy."""
+        """Upload packed frames ``[frame, plane, row, byte]`` (uint8) from frame ``first`` on, without a copy."""
         wanted = (self.bits, *self.dmd.plane_shape)
         if planes.dtype != np.uint8 or planes.shape[1:] != wanted or not planes.flags.c_contiguous:
             raise BadInput(
-                f"packed pictures are a contiguous uint8 array [picture, {wanted[0]}, {wanted[1]}, {wanted[2]}], "
+                f"packed frames are a contiguous uint8 array [frame, {wanted[0]}, {wanted[1]}, {wanted[2]}], "
                 f"not {planes.dtype}{list(planes.shape)}"
             )
         if first < 0 or first + len(planes) > self.count:
-            raise BadInput(f"pictures {first}..{first + len(planes) - 1} do not fit a sequence of {self.count}")
+            raise BadInput(f"frames {first}..{first + len(planes) - 1} do not fit a sequence of {self.count}")
         self.dmd.call("AlpSeqPut", self.id, first, len(planes), planes.ctypes.data)
 
     def start(self, shown: int | None = None, forever: bool = False) -> None:
-        """Put the first ``shown`` pictures (None: all) at the end of the queue."""
+        """Put the first ``shown`` frames (None: all) at the end of the queue; `DeviceRefused` where it is full."""
         self._control(alp.LAST_FRAME, (self.count if shown is None else shown) - 1)
-        self.dmd.call("AlpProjStartCont" if forever else "AlpProjStart", self.id)
+        try:
+            self.dmd.call("AlpProjStartCont" if forever else "AlpProjStart", self.id)
+        except DeviceBusy as error:  # the library has one number for this and for a device that another program has
+            raise DeviceRefused(
+                f"the mirrors' queue takes no sequence ({self.dmd.queue_places()} places are free): ask for free "
+                "places before each start, and halt whatever shows frames without end",
+                str(alp.NOT_READY),
+            ) from error
 
     def free(self) -> None:
         """Give the memory back."""

@@ -10,11 +10,12 @@ from typing import Self
 from vamgpu.errors import BadInput, DeviceError, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 from vamgpu.hosts.protocols import optotune as ld4
+from vamgpu.hosts.run_all import Closing
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
-class TunableLens:
+class LensDriver(Closing):
     """A lens driver: handshake once, then settings that are not answered.
 
     Nothing here waits for a reply to a setting, and inside ``streaming()`` nothing is asked at all: a handshake would
@@ -25,9 +26,9 @@ class TunableLens:
         self._wire = wire
         self._streaming = False
         self._power_mode = False
-        self.firmware = ""
-        self.version = ""
-        self.full_current_ma = 0.0
+        self.firmware: str = ""
+        self.version: str = ""
+        self.full_current_ma: float = 0.0
         try:
             self._start(firmware)
         except BaseException:
@@ -53,9 +54,7 @@ class TunableLens:
                 break
         self.firmware = self.ask(ld4.FIRMWARE_TYPE).decode("ascii", "replace")
         if expected is not None and self.firmware != expected:
-            raise WrongDevice(
-                f"{self._wire.name} has firmware type {self.firmware}, the configuration wants {expected}"
-            )
+            raise WrongDevice(f"{self._wire.name} has firmware type {self.firmware}; expected {expected}")
         numbers = self.ask(ld4.VERSION)
         self.version = f"{numbers[0]}.{numbers[1]}.{int.from_bytes(numbers[2:4])}.{int.from_bytes(numbers[4:6])}"
         self.full_current_ma = int.from_bytes(self.ask(ld4.GET_FULL_CURRENT), "big") / 100
@@ -159,9 +158,3 @@ class TunableLens:
     def close(self) -> None:
         """Let go of the port; the lens keeps its last setting."""
         self._wire.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

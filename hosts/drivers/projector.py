@@ -1,16 +1,77 @@
-"""Projectors that are a screen: a window that covers it, and pictures in the slots of its frames."""
+"""Projectors that are a screen: a window that covers it, and frames in the slots of its video frames."""
 
 from __future__ import annotations
 
 import logging
-from typing import Any, Protocol, Self, runtime_checkable
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, VamError, WrongDevice
-from vamgpu.hosts.protocols.slots import SlotLayout, compose
+from vamgpu.hosts.run_all import Closing
 
-log = logging.getLogger(__name__)
+
+@dataclass(frozen=True)
+class SlotLayout:
+    """Which channel of a video frame carries which frame, in the order they are shown, and with how many bits.
+
+    ``channels`` are 0 red, 1 green, 2 blue; frames of fewer than 8 bits lie in the high bits. With ``gray`` all
+    channels carry the one frame.
+    """
+
+    channels: tuple[int, ...]
+    bits: int
+    gray: bool = False
+
+    @property
+    def slots(self) -> int:
+        """Frames a video frame."""
+        return len(self.channels)
+
+
+TWO_OF_8 = SlotLayout((1, 0), 8)
+THREE_OF_7 = SlotLayout((1, 0, 2), 7)
+ONE_OF_8 = SlotLayout((1,), 8)
+ONE_GRAY = SlotLayout((1,), 8, gray=True)
+
+
+def compose(frames: list[np.ndarray], layout: SlotLayout) -> np.ndarray:
+    """A video frame ``[row, column, 3]`` (uint8) of as many 8-bit frames ``[row, column]`` as the layout holds.
+
+    Levels are rounded to the layout's bits; where it holds 7, level 255 becomes 127 of 127.
+    """
+    if len(frames) != layout.slots:
+        raise BadInput(f"{len(frames)} frames for the {layout.slots} slots of a video frame")
+    shape = frames[0].shape
+    video_frame = np.zeros((*shape, 3), np.uint8)
+    for channel, frame in zip(layout.channels, frames, strict=True):
+        if frame.dtype != np.uint8 or frame.shape != shape:
+            raise BadInput(f"frames of a video frame are uint8 of one shape, not {frame.dtype}{list(frame.shape)}")
+        if layout.bits == 8:
+            video_frame[..., channel] = frame
+        else:
+            top = 2**layout.bits - 1
+            levels = (frame.astype(np.uint16) * top + 127) // 255
+            video_frame[..., channel] = levels << (8 - layout.bits)
+    return np.repeat(video_frame[..., layout.channels], 3, axis=2) if layout.gray else video_frame
+
+
+def plane_walk(shape: tuple[int, int]) -> list[np.ndarray]:
+    """Frames ``[row, column, 3]`` that light one of the 24 bit planes each: green, red, blue, and low bits first.
+
+    On a screen of the right setting, 24 equal flashes follow one another; a dead or doubled plane shows at once.
+    """
+    video_frames = []
+    for channel in (1, 0, 2):
+        for bit in range(8):
+            video_frame = np.zeros((*shape, 3), np.uint8)
+            video_frame[..., channel] = 1 << bit
+            video_frames.append(video_frame)
+    return video_frames
+
+
+log: logging.Logger = logging.getLogger(__name__)
 
 
 @runtime_checkable
@@ -20,13 +81,9 @@ class Window(Protocol):
     size: tuple[int, int]
     rate_hz: float
 
-    def show(self, frame: np.ndarray, /) -> int:
-        """Show ``[row, column, 3]`` (uint8) from the next refresh on; returns the number of that refresh."""
-        ...
-
-    def close(self) -> None:
-        """Go dark, and away."""
-        ...
+    # show ``[row, column, 3]`` (uint8) from the next refresh on; returns the number of that refresh
+    def show(self, video_frame: np.ndarray, /) -> int: ...
+    def close(self) -> None: ...  # go dark, and away
 
 
 class PygletWindow:
@@ -34,6 +91,9 @@ class PygletWindow:
 
     ``rate_hz`` is needed where the system does not tell the screen's.
     """
+
+    size: tuple[int, int]
+    rate_hz: float
 
     def __init__(self, screen: int, size: tuple[int, int], rate_hz: float | None = None) -> None:
         try:
@@ -68,12 +128,12 @@ class PygletWindow:
             self._window.close()
             raise
 
-    def show(self, frame: np.ndarray, /) -> int:
-        """Show a frame from the next refresh on; returns when it is on the screen."""
+    def show(self, video_frame: np.ndarray, /) -> int:
+        """Show a video frame from the next refresh on; returns when it is on the screen."""
         rows, columns = self.size
         if self._window.has_exit:
             raise DeviceLost("the projector's window was closed; leave it open while a print runs")
-        image = self._pyglet.image.ImageData(columns, rows, "RGB", frame.tobytes(), pitch=-3 * columns)
+        image = self._pyglet.image.ImageData(columns, rows, "RGB", video_frame.tobytes(), pitch=-3 * columns)
         self._window.switch_to()
         self._window.dispatch_events()
         image.blit(0, 0)
@@ -89,12 +149,16 @@ class PygletWindow:
             self._window.close()
 
 
-class HdmiProjector:
-    """Pictures on a projector that shows several of them each frame.
+class HdmiProjector(Closing):
+    """Frames on a projector that shows several of them in each video frame.
 
-    A controller in video pattern mode shows a frame one refresh after it has received it; ``latency_refreshes`` says
-    how many, so that ``show`` can tell when the light of its pictures comes.
+    A controller in video pattern mode shows a video frame one refresh after it has received it; ``latency_refreshes``
+    says how many, so that ``show`` can tell when the light of its frames comes.
     """
+
+    window: Window
+    layout: SlotLayout
+    latency: int
 
     def __init__(self, window: Window, layout: SlotLayout, latency_refreshes: int = 1) -> None:
         self.window, self.layout, self.latency = window, layout, latency_refreshes
@@ -107,26 +171,26 @@ class HdmiProjector:
 
     @property
     def slots_per_s(self) -> float:
-        """Pictures a second."""
+        """Frames a second."""
         return self.layout.slots * self.window.rate_hz
 
-    def show(self, pictures: list[np.ndarray]) -> int:
-        """Show the next frame's pictures ``[row, column]`` (uint8); the number of the first slot they are lit in.
+    def show(self, frames: list[np.ndarray]) -> int:
+        """Show the next video frame's frames ``[row, column]`` (uint8); the number of the first slot they are lit in.
 
         Raises `DeviceLost` where the screen is gone.
         """
-        if any(picture.shape != self.size for picture in pictures):
-            raise BadInput(f"pictures must have {self.size[0]} x {self.size[1]} pixels, as the projector has")
-        refresh = self._send(compose(pictures, self.layout))
+        if any(frame.shape != self.size for frame in frames):
+            raise BadInput(f"frames must have {self.size[0]} x {self.size[1]} pixels, as the projector has")
+        refresh = self._send(compose(frames, self.layout))
         return (refresh + self.latency) * self.layout.slots
 
     def black(self) -> None:
         """Show black; light ends some refreshes later, so switch the lamp off where that is too late."""
         self._send(np.zeros((*self.size, 3), np.uint8))
 
-    def _send(self, frame: np.ndarray) -> int:
+    def _send(self, video_frame: np.ndarray) -> int:
         try:
-            return self.window.show(frame)
+            return self.window.show(video_frame)
         except VamError:
             raise
         except Exception as error:  # whatever a system raises for a screen that was pulled out
@@ -141,9 +205,3 @@ class HdmiProjector:
             self.window.close()
         except Exception as error:  # raised, it would hide why a print ended
             log.warning("closing the projector's window: %s; check its cable and its power", error)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -8,18 +8,19 @@ from typing import Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers.wire import Wire, open_wire
+from vamgpu.hosts.run_all import Closing
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 MILLI = 1000.0
 
 
-class Instrument:
+class Instrument(Closing):
     """Asks and tells; ``maker`` is what its identification must contain (None: anything)."""
 
     def __init__(self, wire: Wire, maker: str | None = None) -> None:
         self._wire = wire
         try:
-            self.identity = self._identify()
+            self.identity: str = self._identify()
             if maker is not None and maker.lower() not in self.identity.lower():
                 raise WrongDevice(f"{self.identity!r} answers at {wire.name}, not one of {maker!r}; check the port")
             self.tell("*CLS")
@@ -60,7 +61,7 @@ class Instrument:
         try:
             value = float(answer)
         except ValueError:
-            raise ProtocolError(f"{self._wire.name} answered {answer!r} to {text!r}, a number was wanted") from None
+            raise ProtocolError(f"{self._wire.name} answered {answer!r} to {text!r}, a number was expected") from None
         if not math.isfinite(value) or abs(value) >= 9e37:
             raise DeviceRefused(f"{self._wire.name} has no value ({answer}) for {text!r}; check its sensor", "range")
         return value
@@ -75,12 +76,6 @@ class Instrument:
     def close(self) -> None:
         """Let go of the port."""
         self._wire.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 class PowerMeter(Instrument):

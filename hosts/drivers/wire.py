@@ -1,7 +1,9 @@
 """A line to a machine: bytes out, bytes in, and errors that say what to check.
 
 Every serial machine is opened through pyserial's ``serial_for_url``, so ``/dev/ttyUSB0``, ``COM3``,
-``socket://host:port``, ``rfc2217://`` and ``spy://`` work alike. ``usbtmc:/dev/usbtmc0`` opens a measuring instrument.
+``socket://host:port``, ``rfc2217://`` and ``spy://`` work alike. Measuring instruments are opened by the kernel's
+``usbtmc:/dev/usbtmc0``, or through PyVISA by a resource such as ``USB0::0x1313::0x8075::P0012345::INSTR`` and
+``TCPIP::host::INSTR``, on Windows too.
 """
 
 from __future__ import annotations
@@ -10,36 +12,24 @@ import errno
 import logging
 import os
 import threading
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from vamgpu.errors import BadInput, DeviceBusy, DeviceLost, DeviceNotFound
+from vamgpu.hosts.run_all import Closing
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class Port(Protocol):
     """What a wire needs of an open port; pyserial's ports have it."""
 
-    def write(self, data: bytes, /) -> Any:
-        """Send."""
-        ...
-
-    def read(self, size: int = 1, /) -> bytes:
-        """Receive ``size`` bytes, or fewer if they do not come in the port's own time."""
-        ...
-
-    def reset_input_buffer(self) -> None:
-        """Forget what has come in."""
-        ...
-
-    def close(self) -> None:
-        """Let go of the port."""
-        ...
-
+    def write(self, data: bytes, /) -> Any: ...  # send
+    # receive ``size`` bytes, or fewer if they do not come in the port's own time
+    def read(self, size: int = 1, /) -> bytes: ...
+    def reset_input_buffer(self) -> None: ...  # forget what has come in
+    def close(self) -> None: ...  # let go of the port
     @property
-    def in_waiting(self) -> int:
-        """How many bytes have come in."""
-        ...
+    def in_waiting(self) -> int: ...  # how many bytes have come in
 
 
 class UsbtmcPort:
@@ -81,13 +71,84 @@ class UsbtmcPort:
         return len(self._pending)
 
 
-class Wire:
+class VisaPort:
+    """A message-based resource of PyVISA; one message a read."""
+
+    def __init__(self, resource: Any, timeout_s: float) -> None:
+        self._resource = resource
+        resource.timeout = round(timeout_s * 1000)
+        self._pending = b""
+
+    def write(self, data: bytes, /) -> int:
+        """Send one message."""
+        try:
+            return self._resource.write_raw(data)
+        except _visa().errors.Error as error:
+            raise OSError(errno.EIO, str(error)) from error
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Receive from the message that is there, or the next."""
+        visa = _visa()
+        if not self._pending:
+            try:
+                self._pending = self._resource.read_raw()
+            except visa.errors.VisaIOError as error:
+                if error.error_code == visa.constants.StatusCode.error_timeout:
+                    return b""
+                raise OSError(errno.EIO, str(error)) from error
+            except visa.errors.Error as error:
+                raise OSError(errno.EIO, str(error)) from error
+        taken, self._pending = self._pending[:size], self._pending[size:]
+        return taken
+
+    def reset_input_buffer(self) -> None:
+        """Forget what has come in."""
+        self._pending = b""
+
+    def close(self) -> None:
+        """Let go of the instrument."""
+        self._resource.close()
+
+    @property
+    def in_waiting(self) -> int:
+        """How many bytes of the message are left."""
+        return len(self._pending)
+
+
+def _visa() -> Any:
+    try:
+        import pyvisa
+    except ImportError as error:
+        raise DeviceNotFound('VISA addresses need PyVISA: pip install "vamgpu[visa]"') from error
+    return pyvisa
+
+
+def _visa_port(url: str, name: str, timeout_s: float) -> VisaPort:
+    """The resource of a VISA address; the maker's library where one is installed, else pyvisa-py."""
+    visa = _visa()
+    try:
+        return VisaPort(visa.ResourceManager().open_resource(url), timeout_s)
+    except visa.errors.VisaIOError as error:
+        if error.error_code in (
+            visa.constants.StatusCode.error_resource_busy,
+            visa.constants.StatusCode.error_resource_locked,
+        ):
+            raise DeviceBusy(f"{name} at {url} is used by another program ({error}); close that program") from error
+        raise DeviceNotFound(f"{name} is not at {url} ({error}); check the address, the plug and the power") from error
+    except (visa.errors.Error, ValueError, OSError) as error:
+        raise DeviceNotFound(
+            f"{name} cannot be opened at {url} ({error}); check the address, and that a VISA library is there: "
+            'pip install "vamgpu[visa]"'
+        ) from error
+
+
+class Wire(Closing):
     """An open port with a name, safe to use from several threads one exchange at a time."""
 
     def __init__(self, port: Port, name: str) -> None:
         self.port = port
         self.name = name
-        self.lock = threading.RLock()
+        self.lock: threading.RLock = threading.RLock()
         self._ahead = bytearray()
 
     def send(self, data: bytes) -> None:
@@ -141,6 +202,15 @@ class Wire:
         except OSError as error:
             raise self._lost(error) from error
 
+    def reopen(self) -> None:
+        """Open the port again, of a machine that was unplugged. Raises DeviceLost where it is not back."""
+        self.close()
+        self._ahead.clear()
+        try:
+            self.port.open()  # type: ignore[attr-defined] - ports that cannot be opened again are told below
+        except (OSError, AttributeError) as error:
+            raise self._lost(error) from error
+
     def close(self) -> None:
         """Let go of the port; more than once does no harm."""
         try:
@@ -148,22 +218,18 @@ class Wire:
         except OSError as error:
             log.warning("closing %s: %s", self.name, error)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def _lost(self, error: Exception) -> DeviceLost:
         return DeviceLost(f"{self.name} is gone ({error}); check its plug and its power, then start again")
 
 
-def open_wire(url: str, name: str, baud: int = 115200, timeout_s: float = 0.25) -> Wire:
+def open_wire(url: str, name: str, baud: int = 115200, timeout_s: float = 0.25, lines_low: bool = False) -> Wire:
     """Open the port of a machine.
 
-    ``timeout_s`` is how long a read waits. Raises DeviceNotFound where nothing is at the address, DeviceBusy where
-    another program holds it.
+    ``timeout_s`` is how long a read waits; ``lines_low`` opens with the control lines RTS and DTR low.
+    Raises DeviceNotFound where nothing is at the address, DeviceBusy where another program holds it.
     """
+    if "::" in url:
+        return Wire(_visa_port(url, name, timeout_s), f"{name} at {url}")
     if url.startswith("usbtmc:"):
         try:
             return Wire(UsbtmcPort(url.removeprefix("usbtmc:")), f"{name} at {url}")
@@ -171,7 +237,12 @@ def open_wire(url: str, name: str, baud: int = 115200, timeout_s: float = 0.25) 
             raise _unopened(url, name, error) from error
     serial = _pyserial()
     try:
-        port = serial.serial_for_url(url, baudrate=baud, timeout=timeout_s, write_timeout=2.0, exclusive=True)
+        port = serial.serial_for_url(
+            url, do_not_open=True, baudrate=baud, timeout=timeout_s, write_timeout=2.0, exclusive=True
+        )
+        if lines_low:
+            port.rts = port.dtr = False
+        port.open()
     except ValueError as error:
         raise BadInput(f"{url!r} is no address of a port for {name}: {error}") from error
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A mirror array: pictures in its memory, a queue of them, triggers, and when which plane was lit."""
+"""A mirror array: frames in its memory, a queue of them, triggers, and when which plane was lit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MICRO = 1000
 class ArrayModel:
     """The device: its size, its memory, and its least times [us] at 1 and 8 bits.
 
-    The time of a picture of b bits is one load of all rows, or the 8-bit time over 255 for each step of gray, whichever
+    The time of a frame of b bits is one load of all rows, or the 8-bit time over 255 for each step of gray, whichever
     is longer. ``bytes_per_s`` is how fast uploads go (0: at once); ``dark_us`` is lost of every lit time.
     """
 
@@ -37,20 +37,20 @@ class ArrayModel:
         return 2048 // 8 if self.width == 1920 else self.width // 8
 
     def least_picture_us(self, bits: int) -> int:
-        """The least time from picture to picture [us]."""
+        """The least time from frame to frame [us]."""
         return max(self.load_us, -(-self.gray_us * (2**bits - 1) // 255))
 
 
 @dataclass(frozen=True)
-class Shown:
-    """One picture as the mirrors made it: planes ``[plane, row, byte]``, and when each began and ended [ns].
+class DisplayedFrame:
+    """One frame as the mirrors made it: planes ``[plane, row, byte]``, and when each began and ended [ns].
 
-    ``number`` counts pictures since the device was opened; ``sequence`` and ``picture`` are where it was stored.
+    ``number`` counts frames since the device was opened; ``sequence`` and ``frame`` are where it was stored.
     """
 
     number: int
     sequence: int
-    picture: int
+    frame: int
     planes: np.ndarray
     starts: tuple[int, ...]
     ends: tuple[int, ...]
@@ -72,7 +72,7 @@ class Stored:
     picture_us: int = 33334
     illuminate_us: int = 33333
     delay_us: int = 0
-    pictures: dict[int, np.ndarray] = field(default_factory=dict)
+    frames: dict[int, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass
@@ -86,20 +86,23 @@ class Queued:
 
 
 class EmulatedArray:
-    """The mirrors; ``trigger`` is their input, ``on_shown`` hears of each picture when it is over.
+    """The mirrors; ``trigger`` is their input, ``on_shown`` hears of each frame when it is over.
 
-    ``counts`` tells triggers that came while a picture still showed (``missed``) or with nothing to show (``empty``).
+    ``counts`` tells triggers that came while a frame still showed (``missed``) or with nothing to show (``empty``).
     """
+
+    clock: VirtualClock
+    model: ArrayModel
 
     def __init__(self, clock: VirtualClock, model: ArrayModel = ArrayModel()) -> None:
         self.clock, self.model = clock, model
-        self.on_shown: Callable[[Shown], None] | None = None
-        self.counts = {"shown": 0, "missed": 0, "empty": 0, "uploaded": 0, "upload_bytes": 0}
+        self.on_shown: Callable[[DisplayedFrame], None] | None = None
+        self.counts: dict[str, int] = {"shown": 0, "missed": 0, "empty": 0, "uploaded": 0, "upload_bytes": 0}
         self.removed = False
         self.slave = self.queueing = False
         self.time_out = True
         self._queue: deque[Queued] = deque()
-        self._current: tuple[Shown, int] | None = None
+        self._current: tuple[DisplayedFrame, int] | None = None
         self._last_trigger = 0
         clock.attach(self)
 
@@ -118,26 +121,25 @@ class EmulatedArray:
             self._show(now + self._queue[0].stored.delay_us * MICRO)
 
     def _next_ready(self) -> int:
-        """When the next picture may begin."""
+        """When the next frame may begin."""
         assert self._current is not None
         return self._current[1]
 
     def _show(self, start: int) -> None:
-        """Begin the next picture of the queue at a time [ns]."""
+        """Begin the next frame of the queue at a time [ns]."""
         head = self._queue[0]
-        stored, picture = head.stored, head.next
-        planes = stored.pictures.get(picture)
+        stored, frame = head.stored, head.next
+        planes = stored.frames.get(frame)
         if planes is None:
             planes = np.zeros((stored.bits, self.model.height, self.model.row_bytes), np.uint8)
         planes = planes[: stored.shown_bits]
         lit = self._lit_ns(stored)
-        total = 2**stored.shown_bits - 1
-        edges = [start]
-        for plane in range(stored.shown_bits):
-            done = sum(1 << (stored.shown_bits - 1 - i) for i in range(plane + 1))
-            edges.append(start + lit * done // total)
+        levels = 2**stored.shown_bits
+        edges = [start + lit * (levels - (levels >> plane)) // (levels - 1) for plane in range(stored.shown_bits + 1)]
         self.counts["shown"] += 1
-        shown = Shown(self.counts["shown"] - 1, head.sequence, picture, planes, tuple(edges[:-1]), tuple(edges[1:]))
+        shown = DisplayedFrame(
+            self.counts["shown"] - 1, head.sequence, frame, planes, tuple(edges[:-1]), tuple(edges[1:])
+        )
         period = max(stored.picture_us * MICRO, edges[-1] - start)
         self._current = (shown, start + period)
         head.next += 1
@@ -150,14 +152,14 @@ class EmulatedArray:
         return max(stored.illuminate_us - self.model.dark_us, 0) * MICRO
 
     def _iterate(self, head: Queued) -> None:
-        """Begin a sequence again, or take it off the queue when its last picture is over."""
+        """Begin a sequence again, or take it off the queue when its last frame is over."""
         if head.iterations is not None:
             head.iterations -= 1
         if head.iterations is None or head.iterations > 0:
             head.next = 0
 
     def _finish(self) -> None:
-        """End the picture that shows, and drop its sequence if it was its last."""
+        """End the frame that shows, and drop its sequence if it was its last."""
         if self._current is None:
             return
         shown, _ = self._current
@@ -168,7 +170,7 @@ class EmulatedArray:
             self.on_shown(shown)
 
     def due(self) -> int | None:
-        """When a picture ends."""
+        """When a frame ends."""
         if self._current is not None:
             return self._current[1]
         if self.slave and self.time_out and self._queue:
@@ -176,7 +178,7 @@ class EmulatedArray:
         return None
 
     def advance(self, now: int) -> None:
-        """End pictures that are over, and in master mode begin those that follow."""
+        """End frames that are over, and in master mode begin those that follow."""
         while self._current is not None and self._current[1] <= now:
             end = self._current[1]
             self._finish()
@@ -187,7 +189,7 @@ class EmulatedArray:
             self._queue.clear()
 
     def _cut(self) -> None:
-        """Stop the picture that shows, as a halt does: what was to come of it is not shown."""
+        """Stop the frame that shows, as a halt does: what was to come of it is not shown."""
         if self._current is None:
             self._queue.clear()
             return

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vamgpu.hosts.emulators.chamber import Chamber
 from vamgpu.hosts.emulators.clock import VirtualClock
 
 MICRO = 1000
-Scene = Callable[[int], np.ndarray]
-"""Electrons a second ``[row, column]`` at a time [ns]."""
+Scene = Callable[[int], np.ndarray]  # electrons a second ``[row, column]`` at a time [ns]
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,14 @@ class EmulatedCamera:
     """Looks at a scene; ``blur`` is the standard deviation of its optics' spot [pixel], or a function of time of it.
 
     The exposure is split in ``samples`` looks at the scene, at their middles, so that motion and settling smear.
-    Noise comes from a generator with a seed: the same run makes the same pictures.
+    Noise comes from a generator with a seed: the same run makes the same images.
     """
+
+    clock: VirtualClock
+    scene: Scene
+    sensor: Sensor
+    blur: float | Callable[[int], float]
+    samples: int
 
     def __init__(
         self,
@@ -41,8 +47,8 @@ class EmulatedCamera:
         seed: int = 0,
     ) -> None:
         self.clock, self.scene, self.sensor, self.blur, self.samples = clock, scene, sensor, blur, samples
-        self.exposure_us = 10_000.0
-        self.grabbed = 0
+        self.exposure_us: float = 10_000.0
+        self.grabbed: int = 0
         self._random = np.random.default_rng(seed)
 
     def expose(self, exposure_us: float) -> None:
@@ -50,7 +56,7 @@ class EmulatedCamera:
         self.exposure_us = exposure_us
 
     def grab(self) -> np.ndarray:
-        """Take a picture ``[row, column]``; the clock passes the exposure."""
+        """Take an image ``[row, column]``; the clock passes the exposure."""
         part = self.exposure_us * MICRO / self.samples
         start = self.clock.now()
         electrons: np.ndarray | float = 0.0
@@ -85,10 +91,12 @@ class EmulatedCamera:
 
 
 class RunningCamera(EmulatedCamera):
-    """Takes a picture each ``period`` [ns] by itself, as cameras do; nobody who asks for one holds the clock up by it.
+    """Takes an image each ``period`` [ns] by itself, as cameras do; nobody who asks for one holds the clock up by it.
 
-    ``grab`` gives the newest picture that was not given yet, and waits where there is none.
+    ``grab`` gives the newest image that was not given yet, and waits where there is none.
     """
+
+    grabbed: int
 
     def __init__(
         self, clock: VirtualClock, scene: Scene, sensor: Sensor = Sensor(), period: int = 100_000_000, samples: int = 2,
@@ -100,34 +108,34 @@ class RunningCamera(EmulatedCamera):
         clock.attach(self)
 
     def _begin(self, start: int) -> None:
-        """A picture whose exposure ends a period after ``start`` [ns]."""
+        """An image whose exposure ends a period after ``start`` [ns]."""
         part = self.exposure_us * MICRO / self.samples
         self._end = start + max(self._period, round(self.samples * part))
-        self._looks = [self._end - round((k + 0.5) * part) for k in reversed(range(self.samples))]
+        self._polls = [self._end - round((k + 0.5) * part) for k in reversed(range(self.samples))]
         self._electrons: np.ndarray | float = 0.0
 
     def expose(self, exposure_us: float) -> None:
-        """Set the time of exposure [us], from the next picture on."""
+        """Set the time of exposure [us], from the next image on."""
         with self.clock.lock:
             super().expose(exposure_us)
             self._ready = None
             self._begin(self.clock.now())
 
     def due(self) -> int | None:
-        """When it looks next, or has a picture [ns]."""
-        return self._looks[0] if self._looks else self._end
+        """When it looks next, or has an image [ns]."""
+        return self._polls[0] if self._polls else self._end
 
     def advance(self, now: int) -> None:
-        """Look, and begin again where the picture is whole."""
-        if self._looks:
+        """Look, and begin again where the image is whole."""
+        if self._polls:
             part = self.exposure_us * MICRO * 1e-9 / self.samples
-            self._electrons = self._electrons + self._look(self._looks.pop(0)) * part
+            self._electrons = self._electrons + self._look(self._polls.pop(0)) * part
             return
         self._ready = np.asarray(self._electrons)
         self._begin(now)
 
     def grab(self) -> np.ndarray:
-        """The newest picture ``[row, column]``."""
+        """The newest image ``[row, column]``."""
         while True:
             with self.clock.lock:
                 ready, self._ready = self._ready, None
@@ -138,7 +146,7 @@ class RunningCamera(EmulatedCamera):
             self.clock.sleep_until(until)
 
     def close(self) -> None:
-        """No more pictures."""
+        """No more images."""
         self.clock.detach(self)
 
 
@@ -167,11 +175,13 @@ class ResinScene:
     to ``end`` [ns]. Called, it is a scene.
     """
 
+    model: ResinModel
+
     def __init__(
         self, size: tuple[int, int], model: ResinModel = ResinModel(), electrons_per_s: float = 200_000.0
     ) -> None:
         self.model, self._electrons = model, electrons_per_s
-        self.dose = np.zeros(size)
+        self.dose: np.ndarray = np.zeros(size)
 
     def deposit(self, rate: np.ndarray | float, start: int, end: int) -> None:
         """Add what came between two times."""
@@ -180,3 +190,26 @@ class ResinScene:
     def __call__(self, now: int) -> np.ndarray:
         """Electrons a second ``[row, column]``."""
         return self._electrons * self.model.scattering(self.dose)
+
+
+RATE = 5.0  # dose that full drive brings [mW/mm3]
+LIQUID = 1000.0  # electrons of an image's pixel where the resin is liquid: the lamp of the camera suits the exposure
+
+
+def resin_camera(
+    chamber: Chamber, clock: VirtualClock, exposure: float = 0.01, bits: int = 8, rate: float = RATE
+) -> RunningCamera:
+    """A camera that sees the resin of a chamber, a pixel for each mirror; its ``scene`` is a `ResinScene`.
+
+    A pixel gets the light of its mirror from all sides, which is what a part looks like in the mean over a turn.
+    exposure: [s].  bits: of the camera.  rate: dose of full drive [mW/mm3].
+    """
+    scene = ResinScene(chamber.mirrors, electrons_per_s=LIQUID / exposure)
+
+    def lit(mirrors: np.ndarray, start: int, end: int) -> None:
+        scene.deposit(rate * mirrors[: chamber.mirrors[0]], start, end)
+
+    chamber.hears.append(lit)
+    camera = RunningCamera(clock, scene, Sensor(bits=bits))
+    camera.expose(1e6 * exposure)
+    return camera

@@ -1,6 +1,6 @@
 """What resin gets: it sees mirrors, lamp, lens and motion as they truly were, and nothing of what the host wanted.
 
-A picture's light goes to the pose that the motion was in, and to the focus plane that the lens was at, while the lamp
+A frame's light goes to the pose that the motion was in, and to the focus plane that the lens was at, while the lamp
 shone; light from a lens under way goes astray.
 """
 
@@ -8,16 +8,18 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from vamgpu.hosts.emulators.array import Shown
+from vamgpu.hosts.emulators.array import DisplayedFrame
+from vamgpu.hosts.frames.sources import MirrorArray
 from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
 
-MARGIN = 0.005
-"""Share of a pose by which light may come too early, from where the first light fell."""
-NEAR = 0.02
-"""Within how much of a plane's power [1/m] the lens is at it."""
+MARGIN = 0.005  # share of a pose by which light may come too early, from where the first light fell
+NEAR = 0.02  # within how much of a plane's power [1/m] the lens is at it
 
 
 class Chamber:
@@ -28,6 +30,9 @@ class Chamber:
     ``turn``: poses that come round again are one, where it is set; `scan` sets it.  ``hears`` are told of light as it
     falls: mirrors, start and end [ns].
     """
+
+    mirrors: tuple[int, int]
+    engines: int
 
     def __init__(
         self,
@@ -41,7 +46,7 @@ class Chamber:
         self._position, self._power, self._planes = position, power, np.asarray(planes, float)
         self.mirrors, self.engines = mirrors, engines
         self.light: dict[tuple[int, int, int], np.ndarray] = {}
-        self.astray = 0.0
+        self.astray: float = 0.0
         self.hears: list[Callable[[np.ndarray, int, int], None]] = []
         self.first = first
         self.turn: int | None = None
@@ -63,8 +68,8 @@ class Chamber:
         if len(self._times) > 4000:
             del self._times[:2000], self._channels[:2000]
 
-    def shown(self, engine: int, shown: Shown) -> None:
-        """Mirrors have shown a picture."""
+    def shown(self, engine: int, shown: DisplayedFrame) -> None:
+        """Mirrors have shown a frame."""
         for plane, (start, end) in enumerate(zip(shown.starts, shown.ends, strict=True)):
             self.lit(engine, shown.mirrors(plane, self.mirrors[1]), start, end)
 
@@ -86,6 +91,10 @@ class Chamber:
                 found.append((low, high))
             place += 1
         return found
+
+    def pose(self, now: int) -> float:
+        """The pose that light goes to at a time [ns], turns running on."""
+        return self._pose(now)
 
     def _pose(self, now: int) -> float:
         pose = self._position(now) - (self.first or 0.0) + MARGIN
@@ -135,3 +144,99 @@ class Chamber:
             if which == engine and 0 <= place < poses:
                 total[plane, place] += light
         return total
+
+
+BEHIND = 2  # poses after which no light falls into one any more
+FULL = 255
+
+
+class Leveled(Protocol):
+    """Frames that tell their levels."""
+
+    def levels(self, numbers: np.ndarray) -> np.ndarray: ...  # of frames, uint8 [frame, row, column], 255 full on
+
+
+@dataclass(frozen=True)
+class DoseComparison:
+    """What resin saw, against the frames. greatest: difference in the light of any pixel, in shares of full on.
+
+    frames: compared.  beside: light outside of all frames, or while the lens moved, in seconds of full-on pixels.
+    """
+
+    greatest: float
+    frames: int
+    beside: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.frames} frames differ in the resin from the job by {self.greatest:.2g} of full on at most; "
+            f"{self.beside:.2g} s of a pixel's light beside them"
+        )
+
+
+class DoseMonitor:
+    """Watches a chamber; attached to its clock, it compares once a second. sources: of each engine.  planes: focus."""
+
+    def __init__(
+        self, chamber: Chamber, schedule: Schedule, sources: Sequence[Leveled], mirrors: MirrorArray, planes: int = 1
+    ) -> None:
+        self._chamber, self._schedule, self._sources, self._mirrors = chamber, schedule, tuple(sources), mirrors
+        self._planes, self._turn = planes, schedule.unit == "deg"
+        self._poses = schedule.frames // planes
+        self._light, self._next, self._at = chamber.light, 0, SECOND
+        self._greatest, self._count, self._beside = 0.0, 0, 0.0
+        turns = len(schedule) // schedule.frames if self._turn else 1
+        self._times, self._cut = np.full(self._poses, turns), set[int]()
+
+    def due(self) -> int | None:
+        """When it compares next [ns]."""
+        return None if self._turn else self._at
+
+    def advance(self, now: int) -> None:
+        """Compare the poses that are over, and forget them."""
+        self._at = now + SECOND
+        if self._light:
+            newest = max(pose for _, _, pose in self._light)
+            self._compare(min(newest - BEHIND, self._poses))
+
+    def verdict(self, shown: Sequence[int] | None = None) -> DoseComparison:
+        """What was found, once the print is over.
+
+        shown: frames of a vial that was stopped, in order. Where the light went out is not compared: at the last of
+        them, or the next.
+        """
+        if shown is not None:
+            self._times = np.bincount(np.asarray(shown, int), minlength=self._poses)
+            last = int(shown[-1]) if len(shown) else 0
+            self._cut = {last, (last + 1) % self._poses}
+        if self._turn:
+            self._light = {}
+            for (engine, plane, pose), seconds in self._chamber.light.items():
+                place = (engine, plane, pose % self._poses)
+                before = self._light.get(place)
+                self._light[place] = seconds if before is None else before + seconds
+        self._compare(self._poses)
+        self._beside += sum(float(light.sum()) for light in self._light.values())
+        return DoseComparison(self._greatest, self._count, self._beside + self._chamber.astray)
+
+    def _compare(self, stop: int) -> None:
+        if stop <= self._next:
+            return
+        numbers = np.arange(self._next * self._planes, stop * self._planes)
+        once = (int(self._schedule.on[0]) // 1000) * 1e-6
+        for engine, source in enumerate(self._sources):
+            levels = source.levels(numbers)
+            down, across = self._mirrors.place(*levels.shape[1:])
+            for number, wanted in zip(numbers.tolist(), levels, strict=True):
+                pose, plane = divmod(number, self._planes)
+                seconds = self._light.pop((engine, plane, pose), None)
+                if pose in self._cut:
+                    continue
+                full, right = max(int(self._times[pose]), 1) * once, wanted / FULL * (self._times[pose] > 0)
+                got = np.zeros(wanted.shape) if seconds is None else seconds[down, across] / full
+                self._greatest = max(self._greatest, float(np.abs(got - right).max()))
+                if seconds is not None:
+                    whole, own = (each.sum(dtype=np.float64) for each in (seconds, seconds[down, across]))
+                    self._beside += max(0.0, float(whole - own))
+            self._count += len(numbers) - len(self._cut & set((numbers // self._planes).tolist())) * self._planes
+        self._next = stop

@@ -12,13 +12,9 @@ from vamgpu.hosts.clock import RealClock
 class Timed(Protocol):
     """An emulated machine whose state changes by itself."""
 
-    def due(self) -> int | None:
-        """When something happens next [ns]; None while nothing is pending."""
-        ...
-
-    def advance(self, now: int) -> None:
-        """Carry the state to ``now`` [ns]; never called with a time before an earlier one's."""
-        ...
+    def due(self) -> int | None: ...  # when something happens next [ns]; None while nothing is pending
+    # carry the state to ``now`` [ns]; never called with a time before an earlier one's
+    def advance(self, now: int) -> None: ...
 
 
 class VirtualClock:
@@ -34,7 +30,7 @@ class VirtualClock:
     def __init__(self, start: int = 0) -> None:
         self._now = int(start)
         self._machines: list[Timed] = []
-        self.lock = threading.RLock()
+        self.lock: threading.RLock = threading.RLock()
 
     def now(self) -> int:
         """The time [ns]."""

@@ -1,7 +1,8 @@
 """The emulated controller of web, trigger, lens and light; also a process of its own on a pseudo terminal.
 
 ``python -m vamgpu.hosts.emulators.controller --link PATH --log FILE`` serves until it is ended. PATH becomes a link to
-the terminal; what it did is written to FILE, see `vamgpu.hosts.emulators.served`.
+the terminal; what it did is written to FILE, see `vamgpu.hosts.emulators.servers`. Check sums and limits are its own:
+one that is wrong in the driver's protocol is refused here.
 """
 
 from __future__ import annotations
@@ -11,21 +12,23 @@ import re
 from binascii import crc_hqx
 from pathlib import Path
 
-from vamgpu.hosts.emulators.line import Outbox
-from vamgpu.hosts.emulators.rows import FASTEST, MICRO, RAMP, STEEPEST, RowPlayer
-from vamgpu.hosts.emulators.served import serve
+from vamgpu.hosts.emulators.line import LineDevice
+from vamgpu.hosts.emulators.rows import MICRO, RAMP, RowPlayer
+from vamgpu.hosts.emulators.servers import serve
 
 MILLI = 1_000_000
 LONGEST_LEASE_MS = 1000
 CAPACITY = 256
-LONGEST_LINE = 128
-GREATEST = 10**15
-"""The greatest count of microseconds or microsteps, some thirty years."""
+LONGEST_LINE = 160
+FASTEST = 200_000  # the greatest speed of the web [microsteps/s]
+STEEPEST = 10**8  # the greatest change of its speed [microsteps/s2]
+GREATEST = 10**15  # the greatest count of microseconds or microsteps, some thirty years
 LONGEST_US = 2**31 - 1
+LONGEST_RATIO = 10**6
 NUMBER = re.compile(r"-?[0-9]{1,18}")
 ARGUMENTS = {
     "hello": 0, "lease": 1, "arm": 0, "disarm": 0, "power": 2, "light": 1, "mode": 1, "row": 6, "end": 1, "go": 1,
-    "move": 1, "ramp": 1, "zero": 1, "stop": 0, "stat": 0,
+    "move": 1, "ramp": 1, "zero": 1, "stop": 0, "stat": 0, "encoder": 3, "index": 3, "home": 2,
 }  # fmt: skip
 
 
@@ -34,14 +37,22 @@ def line_check(data: bytes) -> int:
     return crc_hqx(data, 0xFFFF)
 
 
-class EmulatedController(RowPlayer):
+class EmulatedController(RowPlayer, LineDevice):
     """The firmware's line: commands in, answers and events out."""
 
+    done: bool
+    steps_mode: bool
+    fault: str
+    armed: bool
+    running: bool
+    started: int
+    late: int
+    next_row: int
+
     def __init__(self, capacity: int = CAPACITY, channels: int = 2, latency_us: float = 50.0) -> None:
-        super().__init__(channels)
+        RowPlayer.__init__(self, channels)
+        LineDevice.__init__(self, latency_us)
         self.capacity = capacity
-        self._buffer = bytearray()
-        self._out = Outbox(0, round(latency_us * 1000))
         self._last: tuple[bytes, bytes] | None = None
 
     def say(self, now: int, *words: object) -> None:
@@ -56,22 +67,10 @@ class EmulatedController(RowPlayer):
     def receive(self, data: bytes, now: int) -> None:
         """Take bytes."""
         self.advance(now)
-        self._buffer += data
-        while (end := self._buffer.find(b"\n")) >= 0:
-            line = bytes(self._buffer[:end]).replace(b"\r", b"")
-            del self._buffer[: end + 1]
-            if line:
-                self.advance(now)
-                self._line(line, now)
+        for line in self.lines(data):
+            self.advance(now)
+            self._line(line, now)
         del self._buffer[LONGEST_LINE + 1 :]
-
-    def take(self, now: int) -> bytes:
-        """Give bytes that have left."""
-        return self._out.take(now)
-
-    def ready(self) -> int | None:
-        """When the next bytes leave."""
-        return self._out.ready()
 
     def _line(self, line: bytes, now: int) -> None:
         body, _, given = line.rpartition(b"*")
@@ -104,12 +103,13 @@ class EmulatedController(RowPlayer):
         self._drop()
         self.done, self.steps_mode, self.fault = False, False, "none"
         self.web.ramp(now, RAMP)
-        return f"ok vam-controller 2 {self.capacity} {LONGEST_LEASE_MS} {self.channels}"
+        self.senses.forget()
+        return f"ok vam-controller 3 {self.capacity} {LONGEST_LEASE_MS} {self.channels}"
 
     def _do_lease(self, now: int, milliseconds: int) -> str:
         if not 1 <= milliseconds <= LONGEST_LEASE_MS:
             return "no range"
-        self.lease_end = now + milliseconds * MILLI
+        self.lease_end: int = now + milliseconds * MILLI
         if self.on_lease is not None:
             self.on_lease(self.lease_end, now)
         return "ok"
@@ -119,6 +119,8 @@ class EmulatedController(RowPlayer):
             return "no interlock"
         if self.lease_end is None or now >= self.lease_end:
             return "no lease"
+        if reason := self.senses.wrong(self.microsteps(now)):
+            return f"no {reason}"
         self.armed, self.fault = True, "none"
         return "ok"
 
@@ -188,6 +190,8 @@ class EmulatedController(RowPlayer):
     def _do_move(self, now: int, speed: int) -> str:
         if abs(speed) > 1000 * FASTEST:
             return "no range"
+        self.senses.home = 0
+        self.senses.moved(now, self.microsteps(now))
         self.web.run(now, speed / 1000)
         return "ok"
 
@@ -203,12 +207,38 @@ class EmulatedController(RowPlayer):
         if not 1 <= number <= 65535:
             return "no range"
         self.zero = number
-        self.web.set_position(now, 0.0)
+        self.call_position(now, 0)
+        return "ok"
+
+    def _do_encoder(self, now: int, counts: int, steps: int, limit: int) -> str:
+        return self._sense(now, "encoder", counts, steps, limit)
+
+    def _do_index(self, now: int, marks: int, steps: int, limit: int) -> str:
+        return "no range" if marks < 0 and not self.running else self._sense(now, "index", marks, steps, limit)
+
+    def _sense(self, now: int, which: str, counts: int, steps: int, limit: int) -> str:
+        if self.running:
+            return "no state"
+        if abs(counts) > LONGEST_RATIO or not 1 <= steps <= LONGEST_RATIO:
+            return "no range"
+        if counts and (not 1 <= limit <= LONGEST_RATIO or (which == "encoder" and limit * abs(counts) < 2 * steps)):
+            return "no range"
+        self.senses.take(which, (counts, steps, limit), now, self.microsteps(now))
+        return "ok"
+
+    def _do_home(self, now: int, number: int, speed: int) -> str:
+        if self.running or not self.senses.index[0]:
+            return "no state"
+        if not 1 <= number <= 65535 or not 1 <= speed <= 1000 * FASTEST:
+            return "no range"
+        self.senses.home = number
+        self.web.run(now, speed / 1000)
         return "ok"
 
     def _do_stop(self, now: int) -> str:
         self.close("stop", now)
         self._drop()
+        self.senses.home = 0
         self.web.run(now, 0.0)
         return "ok"
 
@@ -224,7 +254,7 @@ class EmulatedController(RowPlayer):
         numbers = (
             self.next_row, self.shown, self.late, self.capacity - len(self.rows), self.microsteps(now),
             round(self.web.velocity(now) * 1000), self.zero, self.play, lease, self.light,
-            int(self.armed), int(self.interlock_closed),
+            int(self.armed), int(self.interlock_closed), *self.senses.told(self.microsteps(now)),
         )  # fmt: skip
         return " ".join(["ok", state, *map(str, numbers), self.fault])
 

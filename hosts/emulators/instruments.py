@@ -7,25 +7,21 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vamgpu.hosts.emulators.line import Outbox
+from vamgpu.hosts.emulators.line import LineDevice
 
 
-class _Lines:
+class _ScpiDevice(LineDevice):
     """Text in lines, and a list of errors."""
 
     def __init__(self, identity: str, latency_us: float) -> None:
         self.identity = identity
         self.errors: deque[str] = deque()
-        self._buffer = bytearray()
-        self._out = Outbox(0, round(latency_us * 1000))
+        super().__init__(latency_us)
 
     def receive(self, data: bytes, now: int) -> None:
         """Take bytes."""
-        self._buffer += data
-        while (end := self._buffer.find(b"\n")) >= 0:
-            words = self._buffer[:end].decode("ascii", "replace").strip().upper().split()
-            del self._buffer[: end + 1]
-            if words:
+        for line in self.lines(data):
+            if words := line.decode("ascii", "replace").upper().split():
                 self._line(words, now)
 
     def _line(self, words: list[str], now: int) -> None:
@@ -48,24 +44,12 @@ class _Lines:
         """The answer to a command ('' if it has none), or None if there is no such command."""
         raise NotImplementedError
 
-    def take(self, now: int) -> bytes:
-        """Give bytes that have left."""
-        return self._out.take(now)
 
-    def ready(self) -> int | None:
-        """When the next bytes leave."""
-        return self._out.ready()
-
-    def due(self) -> int | None:
-        """Instruments say nothing by themselves."""
-        return None
-
-    def advance(self, now: int) -> None:
-        """Instruments do nothing by themselves."""
-
-
-class EmulatedMeter(_Lines):
+class EmulatedMeter(_ScpiDevice):
     """A meter that reads ``light(now)`` [mW], with noise [mW]; above its range it has no value."""
+
+    wavelength: float
+    count: int
 
     def __init__(
         self, light: Callable[[int], float], noise_mw: float = 0.0, greatest_mw: float = 500.0, seed: int = 0
@@ -94,8 +78,12 @@ class EmulatedMeter(_Lines):
         return None
 
 
-class EmulatedSupply(_Lines):
+class EmulatedSupply(_ScpiDevice):
     """A supply with a current [A] and an output; ``on_change(on, current, now)`` hears of changes."""
+
+    limit: float
+    current: float
+    output: bool
 
     def __init__(self, limit_a: float = 1.0) -> None:
         super().__init__("Emulated,SUPPLY,1001,1.0", 1000.0)

@@ -7,9 +7,57 @@ coding cannot hide in both.
 from __future__ import annotations
 
 import struct
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass
+from math import cos, exp, pi, sin, sqrt
 
-from vamgpu.hosts.emulators.glass import Glass, LensModel
-from vamgpu.hosts.emulators.line import SECOND, Outbox
+from vamgpu.hosts.emulators.line import SECOND, LineDevice
+
+
+@dataclass(frozen=True)
+class LensModel:
+    """What the lens does: a damped oscillator, a power a milliampere, and a drift with temperature."""
+
+    natural_hz: float = 300.0
+    damping: float = 0.9
+    diopters_per_ma: float = 0.05
+    offset: float = 0.0
+    drift_per_celsius: float = 0.067
+    reference_celsius: float = 25.0
+    least: float = -1.5
+    greatest: float = 3.5
+
+
+class LensDynamics:
+    """Focal power over time after steps of what is asked of it, in closed form."""
+
+    def __init__(self, model: LensModel) -> None:
+        self.model = model
+        self._steps: deque[tuple[int, float, float, float]] = deque([(0, 0.0, 0.0, 0.0)], maxlen=4096)
+
+    def step(self, now: int, wanted: float) -> None:
+        """Ask for another power [1/m]."""
+        power, rate = self.state(now)
+        while len(self._steps) > 1 and self._steps[-1][0] >= now:
+            self._steps.pop()
+        self._steps.append((now, power, rate, wanted))
+
+    def state(self, now: int) -> tuple[float, float]:
+        """Power [1/m] and its rate [1/m/s] at a time, past or future."""
+        index = bisect_right(self._steps, now, key=lambda step: step[0])
+        start, power, rate, wanted = self._steps[max(index - 1, 0)]
+        t = max(now - start, 0) / SECOND
+        omega = 2 * pi * self.model.natural_hz
+        decay = omega * self.model.damping
+        ringing = omega * sqrt(max(1 - self.model.damping**2, 1e-12))
+        offset = power - wanted
+        b = (rate + decay * offset) / ringing
+        fade, c, s = exp(-decay * t), cos(ringing * t), sin(ringing * t)
+        moved = fade * (offset * c + b * s)
+        speed = fade * ((b * ringing - decay * offset) * c - (offset * ringing + decay * b) * s)
+        return wanted + moved, speed
+
 
 LENGTHS = {
     b"H": 3, b"F": 3, b"J": 3, b"V": 3, b"X": 3, b"IR": 12, b"Aw": 6, b"Ar": 6,
@@ -24,8 +72,7 @@ BEGINNINGS = {name[:size] for name in LENGTHS for size in range(1, len(name))}
 MODES = {b"MwDA": 1, b"MwSA": 2, b"MwTA": 3, b"MwQA": 4, b"MwCA": 5, b"MwAA": 6}
 CRC_TABLE = [0, 0xCC01, 0xD801, 0x1400, 0xF001, 0x3C00, 0x2800, 0xE401]
 CRC_TABLE += [0xA001, 0x6C00, 0x7800, 0xB401, 0x5000, 0x9C01, 0x8801, 0x4400]
-PATIENCE = 20_000_000
-"""How long the driver waits for the rest of a command [ns]."""
+PATIENCE = 20_000_000  # how long the driver waits for the rest of a command [ns]
 
 
 def check_sum(data: bytes) -> int:
@@ -37,12 +84,25 @@ def check_sum(data: bytes) -> int:
     return value
 
 
-class EmulatedLens:
+class EmulatedLens(LineDevice):
     """The driver's firmware and the lens behind it.
 
     ``legacy`` answers bad frames with ``N`` as old firmware does, ``stray`` sends an extra frame after the handshake
     as some units do, ``sensor`` False is a lens without a thermometer and memory.
     """
+
+    model: LensModel
+    firmware: str
+    sensor: bool
+    legacy: bool
+    stray: bool
+    mode: int
+    full_ma: float
+    current_code: int
+    power_code: int
+    memory_writes: int
+    handshakes: int
+    settings: int
 
     def __init__(
         self,
@@ -55,18 +115,17 @@ class EmulatedLens:
         legacy: bool = False,
         stray: bool = False,
     ) -> None:
+        super().__init__(latency_us, round(10 * SECOND / baud))
         self.model, self.firmware, self.sensor, self.legacy, self.stray = model, firmware, sensor, legacy, stray
-        self.celsius = celsius
+        self.celsius: float = celsius
         self.mode, self.full_ma, self.current_code, self.power_code = 1, 292.84, 0, 0
-        self.limits = {"U": 4095, "L": -4095}
-        self.gain = 100
+        self.limits: dict[str, int] = {"U": 4095, "L": -4095}
+        self.gain: int = 100
         self.window: tuple[float, float] | None = None
         self.memory_writes = self.handshakes = self.settings = 0
         self.refused: list[int] = []
-        self._glass = Glass(model)
-        self._buffer = bytearray()
+        self._glass = LensDynamics(model)
         self._heard = 0
-        self._out = Outbox(round(10 * SECOND / baud), round(latency_us * 1000))
 
     # the line
 
@@ -77,14 +136,6 @@ class EmulatedLens:
         self._heard = now
         while self._buffer and self._one(now):
             pass
-
-    def take(self, now: int) -> bytes:
-        """Give bytes that have left."""
-        return self._out.take(now)
-
-    def ready(self) -> int | None:
-        """When the next byte will have left."""
-        return self._out.ready()
 
     def due(self) -> int | None:
         """When patience with half a command ends."""

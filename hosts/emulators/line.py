@@ -1,15 +1,19 @@
 """Lines to emulated machines: a cable that takes time, and faults on it.
 
 A machine on a line takes bytes with ``receive`` and gives bytes with ``take``. It is reached in three ways:
-``ports.plug`` makes a port on a virtual clock, ``servers.PtyServer`` a pseudo terminal and ``servers.TcpServer`` a
+`plug` makes a port on a virtual clock, ``servers.PtyServer`` a pseudo terminal and ``servers.TcpServer`` a
 socket, both in real time.
 """
 
 from __future__ import annotations
 
+import errno
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Protocol
+
+from vamgpu.hosts.emulators.clock import VirtualClock
 
 SECOND = 1_000_000_000
 
@@ -17,52 +21,79 @@ SECOND = 1_000_000_000
 class LineMachine(Protocol):
     """An emulated machine on a line; times in ns."""
 
-    def receive(self, data: bytes, now: int) -> None:
-        """Take bytes that have arrived."""
-        ...
+    def receive(self, data: bytes, now: int) -> None: ...  # take bytes that have arrived
+    def take(self, now: int) -> bytes: ...  # give the bytes that have left by now
+    def ready(self) -> int | None: ...  # when the next bytes will have left; None while there are none
+    def due(self) -> int | None: ...  # when the machine acts by itself next
+    def advance(self, now: int) -> None: ...  # carry the state to ``now``
+
+
+class LineDevice:
+    """What emulated machines on a line share: bytes that came in, and bytes on their way out."""
+
+    _buffer: bytearray
+
+    def __init__(self, latency_us: float, byte_ns: int = 0) -> None:
+        self._buffer = bytearray()
+        self._out = Outbox(byte_ns, round(latency_us * 1000))
+
+    def lines(self, data: bytes) -> Iterator[bytes]:
+        """The lines that are whole once bytes have come in, without their ends."""
+        self._buffer += data
+        while (end := self._buffer.find(b"\n")) >= 0:
+            line = bytes(self._buffer[:end]).replace(b"\r", b"")
+            del self._buffer[: end + 1]
+            if line:
+                yield line
 
     def take(self, now: int) -> bytes:
-        """Give the bytes that have left by now."""
-        ...
+        """See `LineMachine`."""
+        return self._out.take(now)
 
     def ready(self) -> int | None:
-        """When the next bytes will have left; None while there are none."""
-        ...
+        """See `LineMachine`."""
+        return self._out.ready()
 
     def due(self) -> int | None:
-        """When the machine acts by itself next."""
-        ...
+        """Never, as it does nothing by itself."""
+        return None
 
     def advance(self, now: int) -> None:
-        """Carry the state to ``now``."""
-        ...
+        """Nothing changes by itself."""
 
 
 class Outbox:
     """Bytes on their way out, each with the time when it has left."""
 
+    byte_ns: int
+    latency_ns: int
+
     def __init__(self, byte_ns: int = 0, latency_ns: int = 0) -> None:
         self.byte_ns, self.latency_ns = byte_ns, latency_ns
-        self._bytes: deque[tuple[int, int]] = deque()
+        self._pieces: deque[tuple[int, bytes]] = deque()  # when a piece's first byte begins to leave
         self._last = 0
 
     def put(self, data: bytes, now: int) -> None:
         """Queue bytes behind those that are still leaving."""
-        start = max(now + self.latency_ns, self._last)
-        for number, byte in enumerate(data, 1):
-            self._last = start + number * self.byte_ns
-            self._bytes.append((self._last, byte))
+        if data:
+            start = max(now + self.latency_ns, self._last)
+            self._last = start + len(data) * self.byte_ns
+            self._pieces.append((start, data))
 
     def take(self, now: int) -> bytes:
         """The bytes that have left."""
-        taken = bytearray()
-        while self._bytes and self._bytes[0][0] <= now:
-            taken.append(self._bytes.popleft()[1])
-        return bytes(taken)
+        taken = b""
+        while (first := self.ready()) is not None and first <= now:
+            start, data = self._pieces.popleft()
+            left = (now - start) // self.byte_ns if self.byte_ns else len(data)
+            taken += data[:left]
+            if left < len(data):
+                self._pieces.appendleft((start + left * self.byte_ns, data[left:]))
+        return taken
 
     def ready(self) -> int | None:
         """When the next byte will have left."""
-        return self._bytes[0][0] if self._bytes else None
+        return self._pieces[0][0] + self.byte_ns if self._pieces else None
 
 
 @dataclass
@@ -89,6 +120,8 @@ class Faults:
         self._count[way] += len(data)
         if self.dead:
             return b""
+        if not drop and not flip:
+            return data
         kept = [(byte ^ 1 if first + i in flip else byte) for i, byte in enumerate(data) if first + i not in drop]
         return bytes(kept)
 
@@ -115,3 +148,98 @@ class Cable:
         """Deliver what has arrived, each byte at its time."""
         while (at := self._flight.ready()) is not None and at <= now:
             self.machine.receive(self._flight.take(at), at)
+
+
+class VirtualPort:
+    """A port on a virtual clock: reading waits in virtual time."""
+
+    machine: LineMachine
+    clock: VirtualClock
+    faults: Faults
+
+    def __init__(self, machine: LineMachine, clock: VirtualClock, timeout_s: float, baud: int, faults: Faults) -> None:
+        self.machine, self.clock, self.faults = machine, clock, faults
+        self.timeout_ns: int = round(timeout_s * SECOND)
+        self._cable = Cable(machine, baud)
+        self._received = bytearray()
+        self._unplugged = self._absent = False
+        clock.attach(machine)
+        clock.attach(self._cable)
+
+    def unplug(self) -> None:
+        """From now on every use fails as when a plug is pulled."""
+        self._unplugged = self._absent = True
+
+    def replug(self) -> None:
+        """The plug is back; who opens the port again can use it."""
+        self._absent = False
+
+    def open(self) -> None:
+        """Open it again after `close`."""
+        self._unplugged = self._absent
+        self._check()
+        self._received.clear()
+        self.clock.attach(self._cable)
+
+    def _check(self) -> None:
+        if self._unplugged:
+            raise OSError(errno.EIO, "device disconnected")
+
+    def _collect(self) -> None:
+        with self.clock.lock:
+            if data := self.machine.take(self.clock.now()):
+                self._received += self.faults.to_host(data)
+
+    def write(self, data: bytes, /) -> int:
+        """Send."""
+        self._check()
+        with self.clock.lock:
+            self._cable.send(self.faults.to_machine(bytes(data)), self.clock.now())
+        return len(data)
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Receive, or give up when the timeout is over."""
+        with self.clock.lock:
+            return self._read(size)
+
+    def _read(self, size: int) -> bytes:
+        self._check()
+        deadline = self.clock.now() + self.timeout_ns
+        self._collect()
+        while len(self._received) < size and self.clock.now() < deadline:
+            times = (self.machine.ready(), self.machine.due(), self._cable.due())
+            ahead = [at for at in times if at is not None and at <= deadline]
+            self.clock.sleep_until(min(ahead, default=deadline))
+            self._check()
+            self._collect()
+        taken = bytes(self._received[:size])
+        del self._received[:size]
+        return taken
+
+    @property
+    def in_waiting(self) -> int:
+        """How many bytes have come in."""
+        self._check()
+        self._collect()
+        return len(self._received)
+
+    def reset_input_buffer(self) -> None:
+        """Forget what has come in."""
+        self._check()
+        self._collect()
+        self._received.clear()
+
+    def close(self) -> None:
+        """Pull the line out; the machine stays as it is."""
+        self.clock.detach(self._cable)
+
+
+def plug(
+    machine: LineMachine,
+    clock: VirtualClock,
+    timeout_s: float = 0.25,
+    baud: int = 0,
+    faults: Faults | None = None,
+) -> VirtualPort:
+    """A port to a machine on a virtual clock; ``baud`` 0 means that sending takes no time."""
+    return VirtualPort(machine, clock, timeout_s, baud, faults or Faults())

@@ -6,17 +6,12 @@ from collections import deque
 from collections.abc import Callable
 
 from vamgpu.hosts.emulators.lens import check_sum
+from vamgpu.hosts.emulators.senses import Senses
 from vamgpu.hosts.emulators.track import Track
 
 MICRO = 1000
-TRIGGER_GAP = 50 * MICRO
-"""From trigger to trigger at least [ns]."""
-FASTEST = 200_000
-"""The greatest speed of the web [microsteps/s]."""
-STEEPEST = 10**8
-"""The greatest change of its speed [microsteps/s2]."""
-RAMP = 200_000.0
-"""How fast the web changes its speed until a host tells it otherwise [microsteps/s2]."""
+TRIGGER_GAP = 50 * MICRO  # from trigger to trigger at least [ns]
+RAMP = 200_000.0  # how fast the web changes its speed until a host tells it otherwise [microsteps/s2]
 
 
 class RowPlayer:
@@ -29,6 +24,13 @@ class RowPlayer:
     ``intervals`` remembers when which channels were lit with which drive, ``row_times`` when each row acted.
     """
 
+    armed: bool
+    running: bool
+    done: bool
+    next_row: int
+    shown: int
+    zero: int
+
     def __init__(self, channels: int) -> None:
         self.channels = channels
         self.on_trigger: Callable[[int], None] | None = None
@@ -36,19 +38,20 @@ class RowPlayer:
         self.on_light: Callable[[int, int], None] | None = None
         self.on_lease: Callable[[int, int], None] | None = None
         self.on_close: Callable[[str, int], None] | None = None
-        self.interlock_closed = True
-        self.powers = [65535] * channels
+        self.interlock_closed: bool = True
+        self.powers: list[int] = [65535] * channels
         self.intervals: deque[tuple[int, int, int, tuple[int, ...]]] = deque(maxlen=4096)
         self.row_times: deque[tuple[int, int]] = deque(maxlen=4096)
-        self.light = 0
+        self.light: int = 0
         self._lit_at = 0
         self._begin()
 
     def _begin(self) -> None:
         """As a board does when it gets its power."""
-        self.web = Track(acceleration=RAMP)
+        self.web: Track = Track(acceleration=RAMP)
+        self.senses: Senses = Senses()
         self.armed = self.running = self.done = False
-        self.fault = "none"
+        self.fault: str = "none"
         self.lease_end: int | None = None
         self.steps_mode = False
         self.rows: deque[tuple[int, int, int | None, int, int, int]] = deque()
@@ -66,10 +69,12 @@ class RowPlayer:
 
     def due(self) -> int | None:
         """When it acts next."""
-        times = [self._judge_at, self._pulse_end, self._pulse[0] if self._pulse else None, self._row_due()]
+        times = [self._judge_at, self._pulse_end, None if self._pulse is None else self._pulse[0], self._row_due()]
         if self.lease_end is not None and (self.light or self.armed):
             times.append(self.lease_end)
-        return min((at for at in times if at is not None), default=None)
+        if self.senses.used:
+            times += self.senses.due(self.web)
+        return min([at for at in times if at is not None], default=None)
 
     def _row_due(self) -> int | None:
         if not self.running or not self.rows or self._pulse is not None or self._all_acted():
@@ -89,6 +94,8 @@ class RowPlayer:
     def advance(self, now: int) -> None:
         """Do all that is due."""
         while (at := self.due()) is not None and at <= now:
+            if self.senses.used and self._sense_at(at):
+                continue
             if self.lease_end is not None and at >= self.lease_end and (self.light or self.armed):
                 self.close("lease", at)
             elif self._judge_at is not None and at >= self._judge_at:
@@ -102,6 +109,26 @@ class RowPlayer:
                 self._fire(at)
             else:
                 self._act_row(at)
+
+    def _sense_at(self, at: int) -> bool:
+        """Look at encoder and mark; whether that closed the light, or was all that was due."""
+        only = at not in (self._judge_at, self._pulse_end, self.lease_end, self._row_due())
+        only = only and (self._pulse is None or at < self._pulse[0])
+        reason, homed = self.senses.look(self.web, at, self.microsteps(at))
+        if homed:
+            self.zero = homed
+            self.call_position(at, 0)
+            self.web.run(at, 0.0)
+            self.say(at, "home", homed)
+        if reason and (self.light or self.armed or self.running):
+            self.close(reason, at)
+            return True
+        return only
+
+    def call_position(self, now: int, there: int) -> None:
+        """Call where the web is so; encoder and mark are taken to agree."""
+        self.senses.call_position(now, self.microsteps(now), there)
+        self.web.set_position(now, float(there))
 
     def _act_row(self, at: int) -> None:
         index, _, code, delay_us, on_us, channels = self.rows.popleft()
@@ -163,7 +190,7 @@ class RowPlayer:
         self.set_light(0, at)
         self.armed = self.running = False
         self.lease_end = None
-        if reason in ("lease", "interlock"):
+        if reason in ("lease", "interlock", "stall", "index"):
             self.fault = reason
         if self.on_close is not None:
             self.on_close(reason, at)
@@ -174,6 +201,18 @@ class RowPlayer:
         self.advance(now)
         self.set_light(0, now)
         self._begin()
+
+    def stall(self, now: int) -> None:
+        """The motor stands, though it is stepped on."""
+        self.advance(now)
+        self.senses.stall(now, self.microsteps(now))
+
+    def slip(self, now: int, steps: int) -> None:
+        """The motor loses so many microsteps at once."""
+        self.advance(now)
+        self.senses.slip(now, self.microsteps(now), steps)
+        if self.senses.used:
+            self._sense_at(now)
 
     def open_interlock(self, now: int) -> None:
         """Somebody opens the enclosure."""

@@ -1,4 +1,4 @@
-"""An emulated projector on a video cable: frames taken at refreshes, and their slots lit one refresh later."""
+"""An emulated projector on a video cable: video frames taken at refreshes, and their slots lit one refresh later."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True)
-class Slot:
+class LitSlot:
     """Levels ``[row, column]`` out of ``top`` that were lit from ``start`` to ``end`` [ns], as slot ``number``."""
 
     number: int
@@ -27,11 +27,22 @@ class Slot:
 class EmulatedScreen:
     """A window and the projector behind it.
 
-    ``order`` lists the colors of a frame whose planes are shown, as the letters of its setting, and ``bits`` how many
-    planes of each. Refresh k is at k / rate; a slot is lit for ``share`` of its length. A frame that is not replaced
-    is shown again, as screens do: ``repeated`` counts such refreshes.  ``hitches`` maps the number of a frame, as they
-    come, to refreshes that its host lets pass before it is there; ``unplug`` pulls the cable out.
+    ``order`` lists the colors of a video frame whose planes are shown, as the letters of its setting, and ``bits`` how
+    many planes of each. Refresh k is at k / rate; a slot is lit for ``share`` of its length. A video frame that is not
+    replaced is shown again, as screens do: ``repeated`` counts such refreshes.  ``hitches`` maps the number of a video
+    frame, as they come, to refreshes that its host lets pass before it is there; ``unplug`` pulls the cable out.
     """
+
+    clock: VirtualClock
+    size: tuple[int, int]
+    order: str
+    bits: int
+    latency: int
+    share: float
+    repeated: int
+    video_frames: int
+    closed: bool
+    unplugged: bool
 
     def __init__(
         self,
@@ -44,10 +55,10 @@ class EmulatedScreen:
         share: float = 1.0,
     ) -> None:
         self.clock, self.size, self._rate = clock, size, rate_hz
-        self.rate_hz = float(rate_hz)
+        self.rate_hz: float = float(rate_hz)
         self.order, self.bits, self.latency, self.share = order, bits, latency_refreshes, share
-        self.on_slot: Callable[[Slot], None] | None = None
-        self.repeated = self.frames = 0
+        self.on_slot: Callable[[LitSlot], None] | None = None
+        self.repeated = self.video_frames = 0
         self.hitches: dict[int, int] = {}
         self._frame = np.zeros((*size, 3), np.uint8)
         self._scanned: deque[tuple[int, np.ndarray, bool]] = deque()
@@ -68,22 +79,22 @@ class EmulatedScreen:
         """When a slot begins [ns]."""
         return -(-slot * SECOND // (self._rate * len(self.order)))
 
-    def show(self, frame: np.ndarray, /) -> int:
-        """Take a frame for the next refresh, and return once that is reached, as a window in step does."""
-        if frame.shape != (*self.size, 3) or frame.dtype != np.uint8:
-            raise ValueError(f"frames are {self.size} x 3 bytes, not {frame.shape} {frame.dtype}")
+    def show(self, video_frame: np.ndarray, /) -> int:
+        """Take a video frame for the next refresh, and return once that is reached, as a window in step does."""
+        if video_frame.shape != (*self.size, 3) or video_frame.dtype != np.uint8:
+            raise ValueError(f"video frames are {self.size} x 3 bytes, not {video_frame.shape} {video_frame.dtype}")
         if self.unplugged:
             raise OSError("no such screen")
-        wait, self.frames = self.hitches.get(self.frames, 0), self.frames + 1
+        wait, self.video_frames = self.hitches.get(self.video_frames, 0), self.video_frames + 1
         if wait:
             self.clock.sleep_until(self.refresh_time(self._refresh + wait - 1))
-        self._frame, self._fresh = frame.copy(), True
+        self._frame, self._fresh = video_frame.copy(), True
         refresh = self._refresh
         self.clock.sleep_until(self.refresh_time(refresh))
         return refresh
 
     def unplug(self) -> None:
-        """From now on nothing arrives; the projector shows its last frame again and again."""
+        """From now on nothing arrives; the projector shows its last video frame again and again."""
         self.unplugged = True
 
     def close(self) -> None:
@@ -97,7 +108,7 @@ class EmulatedScreen:
         return min(self.refresh_time(self._refresh), self.slot_time(self._slot + 1))
 
     def advance(self, now: int) -> None:
-        """Scan frames out and light slots."""
+        """Scan video frames out and light slots."""
         while (at := self.due()) is not None and at <= now:
             if self.slot_time(self._slot + 1) <= at:
                 self._light()
@@ -117,5 +128,5 @@ class EmulatedScreen:
             levels = self._scanned[0][1][:, :, color] >> (8 - self.bits)
             start, stop = self.slot_time(self._slot), self.slot_time(self._slot + 1)
             end = start + round((stop - start) * self.share)
-            self.on_slot(Slot(self._slot, levels, 2**self.bits - 1, start, end))
+            self.on_slot(LitSlot(self._slot, levels, 2**self.bits - 1, start, end))
         self._slot += 1

@@ -1,18 +1,24 @@
-"""Emulated machines in real time, on pseudo terminals and sockets."""
+"""Emulated machines in real time, on pseudo terminals and sockets, and a controller that logs what it did."""
 
 from __future__ import annotations
 
+import itertools
+import json
 import logging
 import os
 import select
 import socket
 import threading
 import time
-from typing import Self
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
 
 from vamgpu.hosts.emulators.line import SECOND, Faults, LineMachine
 
-log = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from vamgpu.hosts.emulators.controller import EmulatedController
+
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class _Server:
@@ -20,8 +26,8 @@ class _Server:
 
     def __init__(self, machine: LineMachine, faults: Faults | None = None) -> None:
         self.machine = machine
-        self.faults = faults or Faults()
-        self.lock = threading.RLock()
+        self.faults: Faults = faults or Faults()
+        self.lock: threading.RLock = threading.RLock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -82,7 +88,7 @@ class PtyServer(_Server):
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
-        self.url = os.ttyname(self._slave)
+        self.url: str = os.ttyname(self._slave)
 
     def _descriptors(self) -> list[int]:
         return [self._master]
@@ -112,7 +118,7 @@ class TcpServer(_Server):
         super().__init__(machine, faults)
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._caller: socket.socket | None = None
-        self.url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
+        self.url: str = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
 
     def _descriptors(self) -> list[int]:
         return [(self._caller or self._listener).fileno()]
@@ -145,3 +151,24 @@ class TcpServer(_Server):
         if self._caller is not None:
             self._caller.close()
         self._listener.close()
+
+
+def serve(machine: EmulatedController, link: Path, log: Path) -> None:
+    """Serve. link: becomes a link to the terminal.  log: is added to."""
+    server, triggers = PtyServer(machine), itertools.count(1)
+    with log.open("a", buffering=1, encoding="utf-8") as file:
+
+        def note(kind: str, value: object, at: int) -> None:
+            file.write(json.dumps({kind: value, "due_ns": at, "done_ns": time.monotonic_ns()}) + "\n")
+
+        machine.on_light = lambda channels, at: note("light", channels, at)
+        machine.on_trigger = lambda at: note("trigger", next(triggers), at)
+        machine.on_lease = lambda until, at: note("lease", until, at)
+        machine.on_close = lambda reason, at: note("close", reason, at)
+        link.unlink(missing_ok=True)
+        os.symlink(server.url, link)
+        try:
+            while True:
+                server.step(1.0)
+        finally:
+            link.unlink(missing_ok=True)

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from vamgpu.hosts.emulators.line import Outbox
+from collections.abc import Callable
+
+from vamgpu.hosts.emulators.line import LineDevice
 from vamgpu.hosts.emulators.track import Track
 
-SPEED = 1.6384
+SPEED = 1.6384  # units of speed in a microstep a second
 
 
-class EmulatedStage:
+class EmulatedStage(LineDevice):
     """One axis in microsteps; ``track`` tells where it truly is, ``rotary`` has no end.
 
-    ``scale`` and ``offset`` make the true position differ from the one reported, as a slipping belt does.
+    ``scale`` makes the true position differ from the one reported, as a slipping belt does.
     """
+
+    limit: int
+    rotary: bool
+    device: int
+    scale: float
+    output: bool
+    edges: int
 
     def __init__(
         self,
@@ -23,51 +32,48 @@ class EmulatedStage:
         latency_us: float = 90.0,
         scale: float = 1.0,
     ) -> None:
-        self.track = Track(acceleration)
+        super().__init__(latency_us)
+        self.track: Track = Track(acceleration)
         self.limit, self.rotary, self.device, self.scale = limit, rotary, device, scale
-        self.settings = {"maxspeed": 153600, "resolution": 64, "limit.max": limit}
+        self.settings: dict[str, int] = {"maxspeed": 153600, "resolution": 64, "limit.max": limit}
         self.settings |= {"deviceid": 50081, "system.serial": 42}
-        self.homed = False
+        self.homed: bool = False
         self.fault = ""
         self.rejected: list[str] = []
-        self._buffer = bytearray()
-        self._out = Outbox(0, round(latency_us * 1000))
+        self.on_trigger: Callable[[int], None] | None = None
+        self.output, self.edges, self._half = False, 0, 0
+        self._next: float | None = None
+        self._after = 0
 
     def true_position(self, now: int) -> float:
         """Where the axis is [microsteps]."""
         return self.track.position(now) * self.scale
 
-    def receive(self, data: bytes, now: int) -> None:
-        """Take bytes."""
-        self._buffer += data
-        while (end := self._buffer.find(b"\n")) >= 0:
-            line = bytes(self._buffer[:end]).rstrip(b"\r")
-            del self._buffer[: end + 1]
-            if line.startswith(b"/"):
-                self._command(line[1:], now)
-
-    def take(self, now: int) -> bytes:
-        """Give bytes that have left."""
-        return self._out.take(now)
-
-    def ready(self) -> int | None:
-        """When the next bytes leave."""
-        return self._out.ready()
-
     def due(self) -> int | None:
-        """The axis says nothing by itself."""
-        return None
+        """When the trigger output changes next."""
+        return None if self._next is None else self.track.reaches(self._next, self._after)
 
     def advance(self, now: int) -> None:
-        """Positions are computed when they are asked for."""
+        """Toggle the output where that is due: at each half distance on the way up."""
+        while self._next is not None and (at := self.due()) is not None and at <= now:
+            self._next, self._after, self.output = self._next + self._half, at, not self.output
+            if self.output:
+                self.edges += 1
+                if self.on_trigger is not None:
+                    self.on_trigger(at)
+
+    def receive(self, data: bytes, now: int) -> None:
+        """Take bytes."""
+        self.advance(now)
+        self._after = now
+        for line in self.lines(data):
+            if line.startswith(b"/"):
+                self._command(line[1:], now)
 
     def _command(self, body: bytes, now: int) -> None:
         checked = body[-3:-2] == b":"
         if checked:
-            total = 0
-            for byte in body[:-3]:
-                total = (total + byte) % 256
-            if (total + int(body[-2:], 16)) % 256:
+            if (sum(body[:-3]) + int(body[-2:], 16)) % 256:
                 return
             body = body[:-3]
         words = body.decode("ascii").split()
@@ -93,6 +99,8 @@ class EmulatedStage:
     def _act(self, words: list[str], now: int) -> tuple[bool, str]:
         try:
             match words:
+                case ["trigger" | "io", *_]:
+                    return self._triggers(words, now)
                 case []:
                     return True, "0"
                 case ["get", "pos"]:
@@ -121,6 +129,28 @@ class EmulatedStage:
         except ValueError:
             return False, "BADDATA"
         return False, "BADCOMMAND"
+
+    def _triggers(self, words: list[str], now: int) -> tuple[bool, str]:
+        """One trigger that toggles one output as the axis travels."""
+        match words:
+            case ["trigger", "1", "when", "1", "dist", distance]:
+                self._half = int(distance)
+            case ["trigger", "1", "action", "a", "io", "set", "do", "1", "t"]:
+                pass
+            case ["trigger", "1", "enable"] if self._half:
+                self._next, self._after, self.edges = self.track.position(now) + self._half, now, 0
+            case ["trigger", "1", "disable"]:
+                self._next, self.edges = None, 0
+            case ["io", "set", "do", "1", "0" | "1" as level]:
+                self.output = level == "1"
+            case _:
+                return False, "BADDATA"
+        return True, "0"
+
+    def rising_edges(self, now: int) -> int:
+        """How often the output has risen since its trigger was enabled."""
+        self.advance(now)
+        return self.edges
 
     def _go(self, target: float, now: int) -> tuple[bool, str]:
         if not self.rotary and not 0 <= target <= self.limit:

@@ -5,15 +5,14 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import inf, sqrt
 
 SECOND = 1_000_000_000
-FOREVER = 1e9
-"""What takes longer [s] never happens."""
+FOREVER = 1e9  # what takes longer [s] never happens
 
 
 @dataclass(frozen=True)
-class Piece:
+class MotionPiece:
     """From ``start`` [ns] on: position, velocity [1/s] and acceleration [1/s2]."""
 
     start: int
@@ -34,11 +33,14 @@ class Track:
     """The motion of one axis; the last ``memory`` pieces are remembered."""
 
     def __init__(self, acceleration: float, memory: int = 4096) -> None:
-        self.acceleration = acceleration
-        self._pieces: deque[Piece] = deque([Piece(0, 0.0, 0.0)], maxlen=memory)
-        self.settled_at = 0
+        self.acceleration: float = acceleration
+        self._pieces: deque[MotionPiece] = deque([MotionPiece(0, 0.0, 0.0)], maxlen=memory)
+        self.settled_at: int = 0
+        self._reached: tuple[int, float, int | None] = (0, -inf, None)  # what `reaches` found last, and for what
 
-    def _piece(self, now: int) -> Piece:
+    def _piece(self, now: int) -> MotionPiece:
+        if now >= self._pieces[-1].start:
+            return self._pieces[-1]
         index = bisect_right(self._pieces, now, key=lambda piece: piece.start)
         return self._pieces[max(index - 1, 0)]
 
@@ -54,18 +56,19 @@ class Track:
         """Whether the axis moves, or is yet to."""
         return now < self.settled_at or self.velocity(now) != 0.0
 
-    def _replan(self, now: int, pieces: list[Piece]) -> None:
+    def _replan(self, now: int, pieces: list[MotionPiece]) -> None:
         while len(self._pieces) > 1 and self._pieces[-1].start >= now:
             self._pieces.pop()
         self._pieces.extend(pieces)
         self.settled_at = pieces[-1].start
+        self._reached = (0, -inf, None)
 
     def set_position(self, now: int, position: float) -> None:
         """Call where the axis is ``position``; its motion, planned or under way, stays."""
         under_way = self._piece(now)
         shift = position - under_way.at(now)[0]
         later = [replace(piece, position=piece.position + shift) for piece in self._pieces if piece.start > now]
-        self._replan(now, [Piece(now, position, under_way.at(now)[1], under_way.acceleration), *later])
+        self._replan(now, [MotionPiece(now, position, under_way.at(now)[1], under_way.acceleration), *later])
 
     def run(self, now: int, velocity: float) -> None:
         """Change to a velocity [1/s] with the axis's acceleration, and keep it."""
@@ -77,13 +80,13 @@ class Track:
         self.acceleration = acceleration
         self.run(now, self._pieces[-1].velocity)
 
-    def _ramp(self, now: int, position: float, speed: float, velocity: float) -> list[Piece]:
+    def _ramp(self, now: int, position: float, speed: float, velocity: float) -> list[MotionPiece]:
         duration = abs(velocity - speed) / self.acceleration
         if duration == 0:
-            return [Piece(now, position, velocity)]
-        ramp = Piece(now, position, speed, (velocity - speed) / duration)
+            return [MotionPiece(now, position, velocity)]
+        ramp = MotionPiece(now, position, speed, (velocity - speed) / duration)
         end = now + max(round(duration * SECOND), 1)
-        return [ramp, Piece(end, ramp.at(end)[0], velocity)]
+        return [ramp, MotionPiece(end, ramp.at(end)[0], velocity)]
 
     def go(self, now: int, target: float, speed: float) -> None:
         """Move to ``target`` with at most ``speed`` [1/s], from rest to rest; a moving axis stops first."""
@@ -101,15 +104,20 @@ class Track:
             middle = now + round(rise * SECOND)
             fall = middle + round(cruise * SECOND)
             end = fall + round(rise * SECOND)
-            pieces.append(Piece(now, position, 0.0, sign * self.acceleration))
-            pieces.append(Piece(middle, position + sign * top * rise / 2, sign * top))
-            pieces.append(Piece(fall, target - sign * top * rise / 2, sign * top, -sign * self.acceleration))
+            pieces.append(MotionPiece(now, position, 0.0, sign * self.acceleration))
+            pieces.append(MotionPiece(middle, position + sign * top * rise / 2, sign * top))
+            pieces.append(MotionPiece(fall, target - sign * top * rise / 2, sign * top, -sign * self.acceleration))
             now = end
-        pieces.append(Piece(now, target, 0.0))
+        pieces.append(MotionPiece(now, target, 0.0))
         self._replan(pieces[0].start, pieces)
 
     def reaches(self, target: float, after: int) -> int | None:
         """When the axis first is at or beyond ``target`` [ns], moving up, from ``after`` on; None if it will not be."""
+        if self._reached[:2] != (after, target):  # machines on a clock are asked again and again
+            self._reached = (after, target, self._reaches(target, after))
+        return self._reached[2]
+
+    def _reaches(self, target: float, after: int) -> int | None:
         if self.position(after) >= target:
             return after
         pieces = [self._piece(after), *(piece for piece in self._pieces if piece.start > after)]
@@ -123,7 +131,7 @@ class Track:
         return None
 
     @staticmethod
-    def _crossing(piece: Piece, target: float) -> int | None:
+    def _crossing(piece: MotionPiece, target: float) -> int | None:
         """When one piece rises to a target [ns]."""
         missing, v, a = target - piece.position, piece.velocity, piece.acceleration
         if a == 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,21 +12,17 @@ from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.protocols.controller import FASTEST, NUMBERS
 from vamgpu.hosts.safety.interlock import InterlockOpen
-from vamgpu.hosts.schedules.rows import Rows
+from vamgpu.hosts.schedules.rows import RowTable
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND, fraction, whole
 
+log: logging.Logger = logging.getLogger(__name__)
 MILLI = 1_000_000
-LOOK = 20 * MILLI
-"""Between two looks at the machines [ns]."""
-PATIENCE = 3.0
-"""Longest wait for the motion to have its speed, in times that the run-up takes at it."""
-AHEAD = 0.2
-"""How long before its first row a motion must have its speed [s]."""
-RUN_UPS = 4
-"""How often a longer run-up is tried."""
-WINDOW = 1_000_000_000
-"""Over which the motion's speed is judged [ns]."""
+POLL = 20 * MILLI  # between two polls of the machines [ns]
+PATIENCE = 3.0  # longest wait for the motion to have its speed, in times that the run-up takes at it
+AHEAD = 0.2  # how long before its first row a motion must have its speed [s]
+RUN_UPS = 4  # how often a longer run-up is tried
+WINDOW = 1_000_000_000  # over which the motion's speed is judged [ns]
 
 
 def own_number(clock: Clock, other: int) -> int:
@@ -52,7 +49,7 @@ class Origin:
         object.__setattr__(self, "zero", number)
 
 
-class Motion:
+class SpeedMonitor:
     """Whether a motion keeps its speed: how far it is from where it should be after the last second, in poses."""
 
     def __init__(self, schedule: Schedule, microsteps: float) -> None:
@@ -73,7 +70,7 @@ class Approach:
     """Brings a motor to its speed ahead of a slot's row, with ``AHEAD`` seconds to spare.
 
     microsteps: of the motion, in a unit of the schedule's positions. A web goes back as far as it must; a vial never
-    turns back, which would stir the resin: pose 0 moves on by whole turns.
+    turns back, which would stir the resin: pose 0 moves on by whole turns.  lost: see `again`.
     """
 
     def __init__(self, schedule: Schedule, controller: Controller, clock: Clock, microsteps: float) -> None:
@@ -81,12 +78,59 @@ class Approach:
         self._microsteps, self._speed = microsteps, float(schedule.speed)
         self._per_mm = controller.microsteps_per_mm / microsteps
         self._run_up = 4 * float(schedule.advance) + 1.6 * self._speed
+        self.lost: float | None = None
 
-    def fresh(self, time: int) -> Origin:
-        """A zero here, with room for a run-up to a time of the schedule [ns]."""
+    def fresh(self, time: int, alive: Callable[[], None]) -> Origin:
+        """A zero here, with room for a run-up to a time of the schedule [ns]; at the index mark where there is one.
+
+        Pose 0 of a vial is at that mark.
+        """
         zero = own_number(self._clock, self._controller.status().zero)
-        self._controller.zero(zero)
+        if self._controller.index is None:
+            self._controller.zero(zero)
+        else:
+            self._mark(zero, alive)
+            if self._schedule.unit == "deg":
+                return Origin(0.0, zero)
         return Origin(self._run_up + 1 / self._microsteps - float(self._schedule.position_at(time)), zero)
+
+    def again(self, time: int, origin: Origin, alive: Callable[[], None]) -> Origin:
+        """Where pose 0 is by the index mark, of a print that goes on; where there is none, where it was.
+
+        The motor may have lost steps at rest: ``lost`` tells how far the mark was from its place, in the schedule's
+        unit, to about a status poll's tenth of motion.
+        """
+        if (index := self._controller.index) is None:
+            return origin
+        distance = index.distance * self._controller.microsteps_per_mm / self._microsteps
+        if self._schedule.unit == "mm":  # rows are counted from the mark: it must come before them
+            self._back(time, origin.at, self._run_up + distance, alive)
+        zero = own_number(self._clock, self._controller.status().zero)
+        mark = self._mark(zero, alive) / self._microsteps
+        passed = distance * round(mark / distance)
+        self.lost = mark - passed
+        if abs(self.lost) > index.tolerance + self._speed * POLL / 5 / SECOND:
+            log.warning("the motor was %.3g %s off its index mark; by that mark it is in its place again",
+                        self.lost, self._schedule.unit)  # fmt: skip
+        return Origin(origin.at - passed, zero)
+
+    def _mark(self, zero: int, alive: Callable[[], None]) -> int:
+        """Run on to the index mark, which is 0 from then on; returns what it was before [microsteps]."""
+        controller, index = self._controller, self._controller.index
+        assert index is not None
+        way = PATIENCE * (index.distance * controller.microsteps_per_mm / self._microsteps + self._run_up)
+        end = self._clock.now() + round(way / self._speed * SECOND)
+        mark = controller.status().position
+        controller.home(zero, self._speed / self._per_mm)
+        while (status := controller.status()).homing:
+            mark = status.position
+            if self._clock.now() > end:
+                raise InterlockOpen(
+                    f"no index mark in {way:.4g} {self._schedule.unit} of motion; check motor, mark and its sensor, or "
+                    "correct distance in [[feedback]]"
+                )
+            self._pause(POLL // 10, alive)
+        return mark
 
     def to(self, time: int, origin: Origin, alive: Callable[[], None]) -> Origin:
         """Run at the speed so that ``time`` of the schedule [ns] is still ahead; returns where pose 0 is then.
@@ -107,7 +151,7 @@ class Approach:
         )
 
     def _row(self, time: int, origin: float) -> int:
-        return Rows(self._schedule, self._microsteps, origin).at(time)
+        return RowTable(self._schedule, self._microsteps, origin).at(time)
 
     def ahead(self, time: int, origin: float) -> float:
         """How long it is to a time of the schedule, at the speed [s]."""
@@ -125,7 +169,7 @@ class Approach:
         while self._before(time, origin) < run_up:
             fastest = FASTEST / self._microsteps
             self._controller.move(-min(max(self._speed, 1e-3) * 4, fastest) / self._per_mm)
-            self._look(LOOK, alive)
+            self._pause(POLL, alive)
         self._controller.move(0.0)
         return origin
 
@@ -138,8 +182,8 @@ class Approach:
                     f"the motion did not reach {self._speed:.4g} {self._schedule.unit}/s in {most:.3g} s; check motor "
                     "and load"
                 )
-            self._look(LOOK // 10, alive)
+            self._pause(POLL // 10, alive)
 
-    def _look(self, pause: int, alive: Callable[[], None]) -> None:
+    def _pause(self, pause: int, alive: Callable[[], None]) -> None:
         self._clock.sleep_until(self._clock.now() + pause)
         alive()

@@ -2,67 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.record import Shown
+from vamgpu.hosts.frames.versions import FramePlans, FrameVersion
+from vamgpu.hosts.record import FrameRecord
 from vamgpu.hosts.safety.light import Lamp, Switch
 from vamgpu.hosts.schedules.schedule import Schedule
 
 
 @dataclass(frozen=True)
-class Look:
-    """What the machines did up to a look.
+class StatusPoll:
+    """What the machines did up to a status poll.
 
-    running: False once the light of the last picture, or of the last that `Player.finish` lets through, is over.
-    motion: its error, in poses.  shown, scheduled: pictures that the mirrors showed, and that they should have.
-    pictures: those since the last look, slots rising.  position: of the motion, in the schedule's unit, pose 0 at 0.
-    fill: of the buffers, 0..1.  margin: how long the pictures at the mirrors last [s].  fault: why a machine cannot be
-    trusted; None where all can.
+    running: False once the light of the last frame, or of the last that `Player.finish` lets through, is over.
+    motion: its error, in poses.  shown, scheduled: frames that the mirrors showed, and that they should have.
+    frames: those since the last poll, slots rising.  position: of the motion, in the schedule's unit, pose 0 at 0.
+    fill: of the buffers, 0..1.  margin: how long the frames at the mirrors last [s].  fault: why a machine cannot be
+    trusted; None where all can.  final: whether no print can go on after that fault.
     """
 
     running: bool
     motion: float
     shown: int
     scheduled: int
-    pictures: tuple[Shown, ...]
+    frames: tuple[FrameRecord, ...]
     position: float
     fill: float
     margin: float
     fault: str | None = None
+    final: bool = False
+
+
+class Renew(Protocol):
+    """What renews a lease."""
+
+    def __call__(self, length: int) -> None: ...  # keep the light for ``length`` [ns] more
 
 
 class Player(Protocol):
     """Machines that play one schedule.
 
-    schedule: may grow at its end, see `amends`.  lamp: the light.  switches: further ways to make it dark, by name.
+    schedule: may grow at its end, see `add_repeats`.  lamp: the light.  switches: more ways to make it dark, by name.
     """
 
     clock: Clock
 
     @property
-    def schedule(self) -> Schedule:
-        """What is played."""
-        ...
-
+    def schedule(self) -> Schedule: ...  # what is played
     @property
-    def lamp(self) -> Lamp:
-        """The light."""
-        ...
-
+    def lamp(self) -> Lamp: ...  # the light
     @property
-    def switches(self) -> Mapping[str, Switch]:
-        """Further ways to make it dark."""
-        ...
-
-    def renew(self, length: int) -> None:
-        """Let the controller keep the light for ``length`` [ns] more."""
-        ...
-
+    def switches(self) -> Mapping[str, Switch]: ...  # further ways to make it dark
+    @property
+    def plans(self) -> FramePlans | None: ...  # versions of the frames; None where these stay as they are
+    def renew(self, length: int) -> None: ...  # let the controller keep the light for ``length`` [ns] more
     def prime(self, first: int, alive: Callable[[], None]) -> int:
         """In the dark: fill buffers, bring the motion to its speed ahead of a slot; ``alive`` is called meanwhile.
 
@@ -70,38 +68,28 @@ class Player(Protocol):
         """
         ...
 
-    def facts(self) -> dict[str, Any]:
-        """What a run's folder keeps of a leg, so that another host can go on with it."""
+    # what a run's folder keeps of a run segment, so that another host can go on with it
+    def facts(self) -> dict[str, Any]: ...
+    def start(self) -> None: ...  # light is allowed: begin
+    def poll(self) -> StatusPoll: ...  # see what the machines did
+    def feed(self) -> None: ...  # after a poll: hand frames on to the machines. Raises `Underrun`.
+    @property
+    def owed(self) -> Set[int]: ...  # versions of frames that were missed and are to be shown again
+    # show a version from its turn on; False where frames of that turn are on their way already
+    def swap(self, version: FrameVersion) -> bool: ...
+    def wait(self) -> None: ...  # return when the next poll is due
+    def finish(self) -> None: ...  # end after the frame that is on its way
+
+    def doubtful(self) -> range:
+        """In the dark, before `halt`: slots that were on show when the light went off unasked.
+
+        They had all of their light, some, or none. Slots before were lit or are in the record as black, those after
+        saw none. Raises `DeviceError` where nobody knows.
+        """
         ...
 
-    def start(self) -> None:
-        """Light is allowed: begin."""
-        ...
-
-    def look(self) -> Look:
-        """See what the machines did."""
-        ...
-
-    def feed(self) -> None:
-        """After a look: hand pictures on to the machines. Raises `Underrun`."""
-        ...
-
-    def wait(self) -> None:
-        """Return when the next look is due."""
-        ...
-
-    def finish(self) -> None:
-        """End after the picture that is on its way."""
-        ...
-
-    def halt(self) -> None:
-        """Bring all to rest, come what may; raises the first failure afterwards."""
-        ...
-
-    def amends(self) -> bool:
-        """At the end: whether slots were added for pictures that were missed. Raises `Underrun` for too many."""
-        ...
-
-    def picture(self, number: int) -> np.ndarray:
-        """A frame for people, uint8 [row, column]."""
-        ...
+    def recover(self) -> None: ...  # before a print goes on: reach again machines that were unplugged
+    def halt(self) -> None: ...  # bring all to rest, come what may; raises the first failure afterwards
+    # at the end: whether slots were added for frames that were missed. Raises `Underrun` for too many.
+    def add_repeats(self) -> bool: ...
+    def frame(self, number: int, engine: int = 0) -> np.ndarray: ...  # for people, uint8 [row, column]

@@ -26,12 +26,23 @@ move      thousandths of microsteps per second        run the web at a speed, ra
 ramp      microsteps per second squared               how fast the speed changes
 zero      1..65535                                    call this position 0; ``stat`` tells the number
 stop      \\-                                           light off, then rows dropped, then the web ramped to rest
+encoder   counts, microsteps, limit                   an encoder gives so many counts in so many microsteps (below 0:
+                                                      it counts down), and is right here; limit: the greatest error
+                                                      [microsteps]; 0 counts: there is none
+index     marks, microsteps, limit                    the same for a mark that comes round
+home      1..65535, thousandths of microsteps a s     run up to the next index mark, call it 0 under the number, and
+                                                      come to rest; ``! home <number>``
 stat      \\-                                           see ``Status``
 ========= =========================================== =================================================================
 
 The web goes 200 000 microsteps per second at most, and changes its speed by 1 to 100 000 000 microsteps per second
 squared; what is outside is refused. It is stepped a few microsteps at a time, with lease and interlock looked at after
-each. What it owes when it cannot keep up is forgotten beyond 1000 microsteps: ``position`` counts the steps it went.
+each. Steps that it cannot keep up with are forgotten beyond 1000: ``position`` counts the steps it went.
+
+The motion is compared with the encoder at each look at the lease, and with the marks as they are passed upwards: each
+is to come where the first one and the ratio put it. Where they differ by more than the limit, the light is closed with
+the fault ``stall`` or ``index``, and ``arm`` is refused until ``zero``, ``home``, ``encoder`` or ``index`` say where
+the motion is. ``hello`` forgets encoder and marks, so that a host tells what is there.
 
 A row acts when ``at`` is reached: a lens driver's focal power code is sent (``-`` for none), and ``delay`` microseconds
 later the projector is triggered and the light of the channels (a sum of powers of two) is on for ``on`` microseconds.
@@ -58,13 +69,12 @@ from vamgpu.errors import BadInput, ProtocolError
 from vamgpu.hosts.protocols.checks import crc16_ccitt
 
 NAME = "vam-controller"
-VERSION = 2
-LONGEST_LINE = 128
+VERSION = 3
+LONGEST_LINE = 160
 NUMBERS = 65536
-FASTEST = 200_000
-"""The greatest speed of the web [microsteps/s]."""
-STEEPEST = 100_000_000
-"""The greatest change of its speed [microsteps/s2]."""
+FASTEST = 200_000  # the greatest speed of the web [microsteps/s]
+LONGEST_RATIO = 1_000_000  # the greatest number of counts, marks or microsteps in a ratio
+STEEPEST = 100_000_000  # the greatest change of its speed [microsteps/s2]
 LONGEST_LEASE_MS = 1000
 
 
@@ -78,7 +88,7 @@ class Reply:
 
 
 @dataclass(frozen=True)
-class Row:
+class ControllerRow:
     """One slot: when it acts [us or microsteps], the lens's code, and the light's delay and duration [us]."""
 
     index: int
@@ -101,6 +111,8 @@ class Status:
     ``row`` is the next row to act, ``shown`` how many acted, ``late`` how many stayed dark because they came late,
     ``free`` how many more fit, ``position`` the web's [microsteps], ``speed`` [thousandths of microsteps per second],
     ``zero`` the number under which its position 0 was set, ``play`` that of the last ``go``; both 0 since power came.
+    ``measured`` is the position by the encoder [microsteps], ``marks`` how often the index mark was passed; None
+    without one.  ``homing`` says whether it looks for the mark, ``astray`` whether that was not where it should be.
     """
 
     state: str
@@ -117,6 +129,15 @@ class Status:
     armed: bool
     interlock_closed: bool
     fault: str
+    measured: int | None = None
+    marks: int | None = None
+    homing: bool = False
+    astray: bool = False
+
+    @property
+    def at(self) -> int:
+        """Where the motion is [microsteps]: as measured, else as stepped."""
+        return self.position if self.measured is None else self.measured
 
 
 def encode(*words: object) -> bytes:
@@ -150,8 +171,10 @@ def parse_status(words: tuple[str, ...]) -> Status:
     """The status in the answer to ``stat``."""
     try:
         state, *numbers, fault = words
-        row, shown, late, free, position, speed, zero, play, lease, light, armed, closed = map(int, numbers)
+        row, shown, late, free, *web, lease, light, armed, closed, senses, measured, marks = map(int, numbers)
+        position, speed, zero, play = web
     except ValueError:
-        raise ProtocolError(f"the controller's status {words} has not the 14 values of version {VERSION}") from None
-    web = (position, speed, zero, play)
-    return Status(state, row, shown, late, free, *web, lease, light, bool(armed), bool(closed), fault)
+        raise ProtocolError(f"the controller's status {words} has not the 17 values of version {VERSION}") from None
+    seen = (measured if senses & 1 else None, marks if senses & 2 else None, bool(senses & 4), bool(senses & 8))
+    stands = (position, speed, zero, play, lease, light)
+    return Status(state, row, shown, late, free, *stands, bool(armed), bool(closed), fault, *seen)

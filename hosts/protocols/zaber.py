@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
 from vamgpu.hosts.protocols.checks import lrc
 
-SPEED_UNITS = 1.6384
-"""The device's unit of speed is microsteps per second over this."""
+SPEED_UNITS = 1.6384  # units of the device's speed in one microstep per second
 
 
 @dataclass(frozen=True)

@@ -1,27 +1,31 @@
-"""The file of a rig: which machines it has, where they are, and what they may do."""
+"""The file of a rig: which parts fill its roles, where they are, and what they may do."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from vamgpu.deprecated import Renamed
 from vamgpu.errors import JobError
-from vamgpu.hosts.calibrating.sections import CameraSection, CameraStageSection, PhotodiodeSection
+from vamgpu.hosts.rigs.feedback import CameraFeedback, PowerMeterFeedback
+from vamgpu.hosts.rigs.guarantees import refusal
+from vamgpu.hosts.rigs.roles import DisplayPart, FeedbackPart, LensPart, LightPart, MotionPart, Part
 from vamgpu.hosts.rigs.sections import (
+    CalibrationSection,
+    CameraStageSection,
     ControllerSection,
-    LensRigSection,
-    LightSection,
-    ProjectorSection,
     RigSection,
     SafetySection,
-    StageSection,
 )
+from vamgpu.hosts.rigs.spelling import current
 from vamgpu.jobs.read import checked
-from vamgpu.schema.read import Misplaced, Section
+from vamgpu.schema.read import noun
+from vamgpu.schema.section import Misplaced, Section
+from vamgpu.storage.reading import MOST_TOML, read_text
 
 EMULATED = """\
 # A rehearsal: every machine is emulated and time is a program's, so that nothing shines and an hour takes seconds.
@@ -33,127 +37,143 @@ machine = "any"
 [controller]
 driver = "emulated"
 
-[projector]
+[motion]
+driver = "emulated"
+
+[display]
 driver = "emulated"
 
 [lens]
 driver = "emulated"
 
-[stage]
-driver = "emulated"
-
-[camera]
-driver = "emulated"
+[[feedback]]
+driver = "emulated camera"
 exposure = "5 ms"
 pixel = "7.8 um"
 discard = 0
+
+[[feedback]]
+driver = "emulated photodiode"
 
 [camera_stage]
 driver = "emulated"
 microsteps = 5000.0
 middle = "20 mm"
-
-[photodiode]
-driver = "emulated"
 """
 
 
 def _each(value: Any) -> Any:
-    """``[projector]`` is one, ``[[projector]]`` may be several."""
+    """``[display]`` is one, ``[[display]]`` may be several."""
     return tuple(value) if isinstance(value, list) else (value,) if isinstance(value, dict) else value
 
 
 class RigFile(Section):
-    """A whole file of a rig."""
+    """A whole file of a rig: a table for each role, whose ``driver`` names the part that fills it."""
 
     rig: RigSection
-    controller: ControllerSection
-    projector: Annotated[tuple[ProjectorSection, ...], BeforeValidator(_each), Field(min_length=1)]
-    lens: LensRigSection | None = None
-    stage: StageSection | None = None
-    camera: CameraSection | None = None
+    controller: ControllerSection | None = None
+    motion: Annotated[MotionPart, noun("rig_motion")]
+    clock: Annotated[Part, noun("rig_clock")]
+    display: Annotated[
+        tuple[Annotated[DisplayPart, noun("rig_display")], ...], BeforeValidator(_each), Field(min_length=1)
+    ]
+    light: Annotated[LightPart, noun("rig_light")]
+    lens: Annotated[LensPart, noun("rig_lens")] | None = None
+    feedback: Annotated[tuple[Annotated[FeedbackPart, noun("rig_feedback")], ...], BeforeValidator(_each)] = ()
     camera_stage: CameraStageSection | None = None
-    photodiode: PhotodiodeSection | None = None
-    light: LightSection = LightSection()
     safety: SafetySection = SafetySection()
+    calibration: CalibrationSection = CalibrationSection()
 
     @model_validator(mode="after")
-    def _whole(self) -> RigFile:
-        ports = {"controller": self.controller, "lens": self.lens, "stage": self.stage}
-        ports |= {"camera_stage": self.camera_stage, "photodiode": self.photodiode}
-        for name, section in ports.items():
+    def _whole(self) -> Self:
+        for name, section in (("controller", self.controller), ("camera_stage", self.camera_stage)):
             if section is not None and section.driver != "emulated" and not section.port:
-                raise Misplaced(f'driver "{section.driver}" wanted port = "/dev/…" or "socket://host:port"', name)
-        every = [("projector", section) for section in self.projector] + [("camera", self.camera), *ports.items()]
-        real, emulated = ([name for name, section in every if section and (section.driver == "emulated") is rehearsed]
-                          for rehearsed in (False, True))  # fmt: skip
+                raise Misplaced(f'driver "{section.driver}": expected port = "/dev/…" or "socket://host:port"', name)
+        parts = [(name, part.driver == "emulated") for name, part in (
+            ("controller", self.controller), ("camera_stage", self.camera_stage)) if part is not None]  # fmt: skip
+        parts += [("motion", self.motion.emulated), *(("display", each.emulated) for each in self.display)]
+        parts += [] if self.lens is None else [("lens", self.lens.emulated)]
+        parts += [("feedback", each.emulated) for each in self.feedback]
+        real, emulated = ([name for name, one in parts if one is which] for which in (False, True))
         if real and emulated:
             raise Misplaced(
-                f"is emulated and {real[0]} is real; wanted all machines of one kind, as time is of one", emulated[0]
+                f"is emulated and {real[0]} is real; expected all machines of one kind, as time is of one", emulated[0]
             )
-        if self.video:
-            self._on_a_cable()
-        elif self.stage is not None and not self.emulated:
-            raise Misplaced(
-                "mirrors behind a trigger follow the motor that the controller itself moves; remove [stage], or take a "
-                'projector with driver "hdmi"', "stage",
-            )  # fmt: skip
+        if (found := refusal(self)) is not None:  # type: ignore[arg-type]
+            raise found
         return self
-
-    def _on_a_cable(self) -> None:
-        if len(self.projector) > 1:
-            raise Misplaced(
-                f"wanted one projector on a video cable, got {len(self.projector)}: cables keep no step", "projector"
-            )
-        if self.rig.machine != "vial":
-            raise Misplaced(
-                f'driver "hdmi" prints vials; wanted machine = "vial", got "{self.rig.machine}"', "rig", "machine"
-            )
-        if self.stage is None:
-            raise Misplaced('driver "hdmi" wanted a table [stage]: its angle chooses the pictures', "projector")
-        if self.lens is not None:
-            raise Misplaced('driver "hdmi" prints vials, which want no lens; remove [lens]', "lens")
 
     @property
     def emulated(self) -> bool:
         """Whether this is a rehearsal."""
-        return self.controller.driver == "emulated"
+        return self.motion.emulated
 
     @property
     def video(self) -> bool:
         """Whether the projector is on a video cable."""
-        return any(section.driver == "hdmi" for section in self.projector)
+        return not self.display[0].triggered
+
+    @property
+    def projector(self) -> tuple[Any, ...]:
+        """The displays, under the name of earlier versions."""
+        return self.display
+
+    @property
+    def camera(self) -> CameraFeedback | None:
+        """The camera that looks along the light."""
+        return next((each for each in self.feedback if isinstance(each, CameraFeedback)), None)
+
+    @property
+    def photodiode(self) -> PowerMeterFeedback | None:
+        """The power meter."""
+        return next((each for each in self.feedback if isinstance(each, PowerMeterFeedback)), None)
 
 
 @dataclass(frozen=True)
 class RigConfig:
-    """A checked rig. text: of its file.  source: where it came from.  settings: that replace its values."""
+    """A checked rig. setup: its roles.  text: of its file.  source: where it came from.  settings: that replace its
+    values."""
 
-    wanted: RigFile
+    setup: RigFile
     text: str
     source: str
     settings: tuple[str, ...] = ()
 
+    wanted: ClassVar[Renamed] = Renamed("setup")
+
 
 def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
-    """Read the file of a rig; the word ``emulated`` is a rig that is rehearsed on. Raises `JobError`."""
+    """Read a rig file.
+
+    Args:
+        path: The TOML file, or the word ``emulated`` for a rig whose machines are all emulated.
+        settings: Values that replace those of the file, as ``table.key=value``.
+
+    Returns:
+        The checked rig, with the text of its file.
+
+    Raises:
+        JobError: The file cannot be read, or has wrong values; the message names the line of each.
+    """
     if str(path) == "emulated":
         return parse_rig(EMULATED, settings, source="emulated")
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = read_text(path, MOST_TOML)
     except (OSError, ValueError, TypeError) as error:  # no UTF-8, or no path
         why = getattr(error, "strerror", None) or error
-        raise JobError(f"cannot read the rig {str(path)!r}: {why}; wanted a TOML file, or the word emulated") from error
+        raise JobError(
+            f"cannot read the rig {str(path)!r}: {why}; expected a TOML file, or the word emulated"
+        ) from error
     return parse_rig(text, settings, source=str(path))
 
 
 def parse_rig(text: str, settings: Iterable[str] = (), *, source: str = "rig") -> RigConfig:
     """A rig from TOML text. Raises `JobError` naming every wrong value at once."""
     if not isinstance(text, str):
-        raise JobError(f"the rig's text is {text!r}; wanted the text of a TOML file")
+        raise JobError(f"the rig's text is {text!r}; expected the text of a TOML file")
     try:
         given = (settings,) if isinstance(settings, str) else tuple(settings)
-        return RigConfig(checked(RigFile, text, given, source=source)[0], text, source, given)
+        return RigConfig(checked(RigFile, text, given, source=source, current=current)[0], text, source, given)
     except JobError as error:
-        alone = "[[projector]]" not in text
-        raise JobError(str(error).replace("projector.0", "projector") if alone else str(error)) from error
+        alone = "[[display]]" not in text and "[[projector]]" not in text
+        raise JobError(str(error).replace("display.0", "display") if alone else str(error)) from error

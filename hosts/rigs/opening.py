@@ -2,104 +2,104 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
-from vamgpu.errors import DeviceRefused, WrongDevice
-from vamgpu.hosts.calibrating.sections import CameraSection
 from vamgpu.hosts.clock import RealClock
-from vamgpu.hosts.drivers.camera import Camera
-from vamgpu.hosts.drivers.lens import TunableLens
-from vamgpu.hosts.drivers.stage import Stage
-from vamgpu.hosts.players.cable import VideoMachines
-from vamgpu.hosts.players.mirrors import Machines
-from vamgpu.hosts.rigs.closing import let_go
-from vamgpu.hosts.rigs.config import RigConfig
-from vamgpu.hosts.rigs.sections import ORDERS, LensRigSection, ProjectorSection, StageSection
+from vamgpu.hosts.players.machines import Machines, MirrorMachines, StageMachines, VideoMachines
+from vamgpu.hosts.rigs.config import RigConfig, RigFile
+from vamgpu.hosts.rigs.guarantees import driver_of
+from vamgpu.hosts.rigs.sections import ControllerSection
+from vamgpu.hosts.run_all import close_all
 
-if TYPE_CHECKING:
-    from vamgpu.hosts.drivers.projector import HdmiProjector
+Machine = TypeVar("Machine")
 
 
-def opened(rig: RigConfig, camera: bool = False) -> Machines | VideoMachines:
-    """The real machines of a rig; ``camera``: also the one that watches the resin.
+def opened(rig: RigConfig, camera: bool = False, focus: Sequence[float] = ()) -> Machines:
+    """Open the real machines of a rig. No emulator replaces a machine that is missing.
 
-    Raises `DeviceNotFound`, `DeviceBusy`, `WrongDevice`; nothing stands in for them.
+    Args:
+        rig: The rig, of `read_rig`.
+        camera: Open the camera that watches the resin too.
+        focus: Of the plan [dpt]: a lens that the host tells is set to its one power, or to that of the axis.
+
+    Returns:
+        The machines; let go of them with `close`.
+
+    Raises:
+        DeviceNotFound: A machine is not there.
+        DeviceBusy: Another program uses it.
+        WrongDevice: Another machine answers than the rig file says.
+        DeviceRefused: A machine is not ready.
     """
-    from vamgpu.hosts.drivers.controller import Controller
-    from vamgpu.hosts.drivers.dmd import Dmd
+    held: list[Any] = []
 
-    wanted, held = rig.wanted, []
+    def hold(machine: Machine) -> Machine:
+        held.append(machine)
+        return machine
+
     try:
-        controller = Controller.open(str(wanted.controller.port), wanted.controller.microsteps, wanted.controller.baud)
-        held.append(controller)
-        if wanted.controller.ramp is not None:
-            controller.ramp(wanted.controller.ramp)
-        if wanted.stage is not None and wanted.video:
-            held.append(_stage(wanted.stage))
-            held.append(_screen(wanted.projector[0]))
-            watching = _camera(wanted.camera) if camera and wanted.camera is not None else None
-            return VideoMachines(RealClock(), controller, held[1], held[2], watching)
-        lens = None if wanted.lens is None else _lens(wanted.lens)
-        held += [] if lens is None else [lens]
-        mirrors = []
-        for each in wanted.projector:
-            mirrors.append(Dmd.open(str(each.library), each.serial, each.array))
-            held.append(mirrors[-1])
-        watching = _camera(wanted.camera) if camera and wanted.camera is not None else None
+        machines = _opened(rig.setup, camera, hold)
+        lens = rig.setup.lens
+        if lens is not None and lens.told_by == "host":
+            assert not isinstance(machines, VideoMachines) and machines.lens is not None
+            machines.lens.set_power(focus[0] if focus else lens.axis)
+        return machines
     except BaseException:
-        let_go([each.close for each in held])
+        close_all([each.close for each in held])
         raise
-    return Machines(RealClock(), controller, mirrors, wanted.controller.microsteps, lens, watching)
 
 
-def _stage(wanted: StageSection) -> Stage:
-    if wanted.driver == "standa":
-        from vamgpu.hosts.drivers.standa import StandaStage
-
-        return StandaStage.open(str(wanted.port), wanted.steps)
-    from vamgpu.hosts.drivers.zaber import ZaberStage
-
-    return ZaberStage.open(str(wanted.port), wanted.steps, "deg", wanted.device, wanted.axis)
-
-
-def _screen(wanted: ProjectorSection) -> HdmiProjector:
-    from vamgpu.hosts.drivers.projector import HdmiProjector, PygletWindow
-    from vamgpu.hosts.protocols.slots import SlotLayout
-
-    colors = {"red": 0, "green": 1, "blue": 2}
-    layout = SlotLayout(tuple(colors[name] for name in wanted.order or ORDERS[wanted.bits]), wanted.bits)
-    return HdmiProjector(PygletWindow(wanted.screen, wanted.array, wanted.refresh), layout, wanted.latency)
-
-
-def _camera(wanted: CameraSection) -> Camera:
-    from vamgpu.hosts.drivers.camera import GenicamCamera
-
-    return GenicamCamera.open(str(wanted.producer), wanted.serial)
-
-
-def _lens(wanted: LensRigSection) -> TunableLens:
-    """A lens that is what the rig's file says, in its mode, and reaches the powers that it may be told."""
-    lens = TunableLens.open(str(wanted.port), wanted.firmware)
-    try:
-        found = lens.focal_power_mode()
-        if not found.least <= wanted.lowest < wanted.highest <= found.greatest:
-            raise WrongDevice(
-                f"the lens guarantees {found.least:.4g} to {found.greatest:.4g} dpt, the rig's file wants "
-                f"{wanted.lowest:g} to {wanted.highest:g} dpt; correct lowest and highest in [lens], or warm it up"
-            )
-        if said := lens.status():
-            raise DeviceRefused(f"the lens is not ready: {', '.join(said)}", "status")
-    except BaseException:
-        lens.close()
-        raise
-    return lens
-
-
-def close(machines: Machines | VideoMachines) -> None:
-    """Let go of all machines, a camera and the mirrors first."""
-    watching = [] if machines.camera is None else [machines.camera]
-    if isinstance(machines, VideoMachines):
-        held: list[Any] = [machines.controller, machines.stage, machines.projector, *watching]
+def _opened(setup: RigFile, camera: bool, hold: Any) -> Machines:
+    """Each part opens its own machine; ``hold`` keeps what is to be closed where a later one fails."""
+    measuring = {driver_of(each): each for each in setup.feedback if each.sees == "motion"}
+    motion, stepping = setup.motion, driver_of(setup.motion) == "controller"
+    controller = None
+    if setup.controller is not None:
+        controller = hold(_controller(setup.controller, motion.microsteps if stepping else 1.0))
+    lamp = setup.light.open()
+    hold(lamp) if lamp is not None else None
+    if stepping:
+        assert controller is not None
+        if motion.ramp is not None:
+            controller.ramp(motion.ramp)
+        controller.feedback(**{name: each.told() for name, each in measuring.items()})
+        stage = None
     else:
-        held = [machines.controller, *([] if machines.lens is None else [machines.lens]), *machines.mirrors, *watching]
-    let_go([each.close for each in held])
+        pin = {"pin": measuring["index"].pin} if "index" in measuring else {}
+        stage = hold(motion.open("deg" if setup.rig.machine == "vial" else "mm", **pin))
+    lens = None if setup.lens is None else hold(setup.lens.open())
+    shown = [hold(each.open()) for each in setup.display]
+    if setup.light.gate == "display" and setup.display[0].lamps:
+        lamp = shown[0].lamp
+    watching = hold(setup.camera.open()) if camera and setup.camera is not None else None
+    if setup.video:
+        assert stage is not None
+        return VideoMachines(RealClock(), controller, stage, shown[0], watching, lamp)
+    if stage is not None:
+        return StageMachines(RealClock(), stage, shown, motion.microsteps, controller, lamp, lens, watching)
+    assert controller is not None
+    return MirrorMachines(RealClock(), controller, shown, motion.microsteps, lens, watching)
+
+
+def _controller(section: ControllerSection, microsteps: float) -> Any:
+    from vamgpu.hosts.drivers.controller import Controller
+
+    return Controller.open(str(section.port), microsteps, section.baud)
+
+
+def close(machines: Machines) -> None:
+    """Let go of all machines, the last opened first, whatever becomes of one.
+
+    Args:
+        machines: What `opened` or `rehearsal` returned.
+
+    Raises:
+        DeviceError: What failed first; the other machines are closed all the same.
+    """
+    names = ("controller", "lamp", "stage", "lens", "projector", "mirrors", "camera")
+    found = [getattr(machines, name, None) for name in names]
+    each = [
+        machine for one in found if one is not None for machine in (one if isinstance(one, (list, tuple)) else [one])
+    ]
+    close_all([machine.close for machine in each if hasattr(machine, "close")])

@@ -1,151 +1,185 @@
-"""Jobs on a rig, before any machine is touched: which pictures when, on which mirrors, through which focus."""
+"""Jobs on a rig, before any machine is touched: which frames when, on which mirrors, through which focus."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from vamgpu.backend.device import Device
+from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
-from vamgpu.hosts.exposure import Stop
-from vamgpu.hosts.pictures.stream import Mirrors, Pictures
+from vamgpu.hosts.calibrating.store import MachineCalibration, calibration_of
+from vamgpu.hosts.exposure import StopRule
+from vamgpu.hosts.frames.sources import FrameSource, MirrorArray
 from vamgpu.hosts.rigs.config import RigConfig
-from vamgpu.hosts.rigs.motor import steppable
-from vamgpu.hosts.rigs.works import Kind, Work, work
-from vamgpu.hosts.schedules.angles import closest, rising
-from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import sla, turned, web
+from vamgpu.hosts.rigs.guarantees import Guarantees, accepted, driver_of, guarantees
+from vamgpu.hosts.rigs.jobs import Kind, PrintJob, print_job
+from vamgpu.hosts.rigs.slots import mirror_arrays, triggered_schedule, whole_poses
+from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
+from vamgpu.hosts.schedules.rows import steppable
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.hosts.schedules.timing import DAY, SECOND, every, whole
-from vamgpu.hosts.schedules.video import vial
+from vamgpu.hosts.schedules.timing import every, whole
+from vamgpu.hosts.schedules.video import vial, web_on_cable
 from vamgpu.optics.lens import TunableLens
 from vamgpu.quantity import parse
 
-GUARD = 0.02
-"""Share of a pose that stays dark at its end, so that no light falls into the next."""
-BLOCK = 64
-"""Columns that a device packs together: emulated mirrors are as wide as whole blocks."""
 HOUR = 3600.0
-UNITS: dict[Kind, str] = {"vial": "deg/s", "web": "mm/s", "slices": "mm/h"}
-"""Of a speed that is a plain number."""
-USUAL = 40.0
-"""Speed of a vial [deg/s] unless told otherwise."""
-SLOTS = 10**7
-"""Most pictures of a print; more are a slip of the pen."""
+UNITS: dict[Kind, str] = {"vial": "deg/s", "web": "mm/s", "slices": "mm/h"}  # of a speed that is a plain number
+USUAL = 40.0  # speed of a vial [deg/s] by default
+SLOTS = 10**7  # most frames of a print; more are a slip of the pen
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
-    """Works on a rig, one for each projector. focus: powers of the lens [dpt], one for each plane.  display: of a video
-    cable; None for mirrors behind a trigger.  rehearsed: whether the machines are to be emulated.
-    stop: by what the resin scatters, see `vamgpu.hosts.rigs.stopping`."""
+class PrintPlan:
+    """Jobs on a rig, with the schedule that prints them.
 
-    works: tuple[Work, ...]
+    Attributes:
+        jobs: One `PrintJob` for each projector.
+        schedule: Time, place and frame of every slot.
+        mirrors: The mirrors of each projector, in rows and columns.
+        rig: The rig that the plan is for.
+        focus: Power of the lens in each focus plane [dpt]; empty without a lens.
+        display: Timing of the video cable; None for mirrors behind a trigger.
+        rehearsed: Whether the machines are emulated.
+        calibration: What the rig's calibrations change of the jobs' frames and lens.
+        stop: Scatter at which the print ends, see `vamgpu.hosts.rig.stopping`; None runs all turns.
+    """
+
+    jobs: tuple[PrintJob, ...]
     schedule: Schedule
-    mirrors: tuple[Mirrors, ...]
+    mirrors: tuple[MirrorArray, ...]
     rig: RigConfig
     focus: tuple[float, ...] = ()
     display: HdmiTiming | None = None
     rehearsed: bool = False
-    stop: Stop | None = None
+    stop: StopRule | None = None
+    calibration: MachineCalibration = MachineCalibration()
+
+    works: ClassVar[Renamed] = Renamed("jobs")
+    pictures: ClassVar[Renamed] = Renamed("sources")
 
     @property
     def kind(self) -> Kind:
         """How it moves."""
-        return self.works[0].kind
+        return self.jobs[0].kind
+
+    @property
+    def guarantees(self) -> Guarantees:
+        """What the rig guarantees at the plan's speed, and what not."""
+        return guarantees(self.rig.setup, float(self.schedule.speed), self.schedule.unit)
 
     @property
     def bits(self) -> int:
-        """Of the pictures."""
-        return self.works[0].bits
+        """Of the frames."""
+        return self.jobs[0].bits
 
     @property
     def timings(self) -> tuple[MirrorTiming, ...]:
         """The mirrors as a preflight judges them."""
-        return tuple(
-            MirrorTiming(pixels=(each.columns, each.rows), row_bytes=each.row_bytes) for each in self.mirrors
-        )
+        return tuple(MirrorTiming(pixels=(each.columns, each.rows), row_bytes=each.row_bytes) for each in self.mirrors)
 
-    def pictures(self) -> tuple[Pictures, ...]:
+    def sources(self) -> tuple[FrameSource, ...]:
         """Of each projector."""
-        return tuple(each.pictures(mirrors) for each, mirrors in zip(self.works, self.mirrors, strict=True))
+        return tuple(each.source(mirrors) for each, mirrors in zip(self.jobs, self.mirrors, strict=True))
 
     def lines(self) -> tuple[tuple[str, str], ...]:
-        """What is told before a print."""
-        table, shape = self.schedule, self.works[0].shape
-        planes = len(self.works[0].depths)
+        """What a person reads before a print, line by line."""
+        table, shape = self.schedule, self.jobs[0].shape
+        planes = len(self.jobs[0].depths)
         focus = ", ".join(f"{power:.3f}" for power in self.focus) + " dpt"
         unit, speed = UNITS[self.kind], float(table.speed) * (HOUR if self.kind == "slices" else 1.0)
         rows = (
-            ("pictures", f"{len(table)} of {shape[0]} × {shape[1]}, {self.bits} bits, {table.frames} different"),
-            ("projectors", f"{len(self.works)} in step" if len(self.works) > 1 else ""),
+            ("frames", f"{len(table)} of {shape[0]} × {shape[1]}, {self.bits} bits, {table.frames} different"),
+            ("projectors", f"{len(self.jobs)} in step" if len(self.jobs) > 1 else ""),
             ("focus planes", f"{planes} at {focus}" if self.focus else ""),
             ("duration", f"{table.duration * 1e-9:.2f} s at {speed:.4g} {unit}"),
-            ("rate", f"{table.rate:.4g} pictures/s, lit {100 * table.duty:.1f} % of the time"),
-            ("light a picture", f"{int(table.on[0]) * 1e-6:.3f} ms"),
+            ("rate", f"{table.rate:.4g} frames/s, lit {100 * table.duty:.1f} % of the time"),
+            ("light a frame", f"{int(table.on[0]) * 1e-6:.3f} ms"),
             ("memory", f"{self.bits * len(table)} bit planes in all" if self.display is None else ""),
-            ("lease", f"{1e3 * self.rig.wanted.safety.lease:.0f} ms"),
+            ("calibrations", ", ".join(self.calibration.used.values())),
+            (
+                "lease",
+                f"{1e3 * self.rig.setup.safety.lease:.0f} ms" if self.rig.setup.light.gate == "controller" else "",
+            ),
             ("stop", "" if self.stop is None else f"at scatter density {self.stop.threshold:g}, or after its turns"),
         )
-        return tuple(row for row in rows if row[1])
+        lacking = ((f"no {one.about}", one.why) for one in self.guarantees.lacking)
+        notes = (("note", note) for note in self.calibration.notes)
+        return (*(row for row in rows if row[1]), *lacking, *notes)
 
 
 def plan(
     jobs: str | Path | Sequence[str | Path], rig: RigConfig, *, speed: float | Fraction | str | None = None,
     turns: int = 1, rehearsed: bool = False, device: str | Device | None = None,
-) -> Plan:  # fmt: skip
-    """Jobs on a rig, one for each projector.
+) -> PrintPlan:  # fmt: skip
+    """Plan jobs on a rig, one for each projector, without touching a machine.
 
-    jobs: folders, all of vials, of webs or of slices.  speed: [deg/s] of vials, [mm/s] of webs, [mm/h] of slices, or
-    with its unit; by default 40 deg/s, or what the job was made for.  turns: of a vial.  rehearsed: on emulated
-    machines that are as large as the job, whatever the rig.  device: that makes pictures; by default the best one, and
-    NumPy for a rehearsal. Raises `StorageError`, `SliceError`, `BadInput`, `WrongDevice`, and `TimingInfeasible` with
-    what binds.
+    Args:
+        jobs: Folder of the job, or one folder for each projector: all of vials, all of webs, or all of slices.
+        rig: The rig, of `read_rig`.
+        speed: A number in deg/s for vials, mm/s for webs, mm/h for slices, or text with its unit. None takes 40 deg/s
+            for vials, and for others the speed that the job was made for.
+        turns: Turns of a vial; 1 for all others.
+        rehearsed: Plan for emulated machines as large as the job, whatever the rig.
+        device: Device that packs the frames, or its name; None takes the best one, and NumPy for emulated machines.
+
+    Returns:
+        The plan.
+
+    Raises:
+        StorageError, SliceError: A folder holds no complete job.
+        BadInput: The jobs do not fit the rig or each other, or a number is out of range.
+        TimingInfeasible: The speed is too high; the message says what limits it, and the greatest speed.
     """
     if not isinstance(rig, RigConfig):
-        raise BadInput(f"rig is {rig!r}; wanted what read_rig gives, for instance read_rig(\"lab.toml\")")
-    rehearsed = rehearsed or rig.wanted.emulated
+        raise BadInput(f'rig is {rig!r}; expected what read_rig gives, for instance read_rig("lab.toml")')
+    rehearsed = rehearsed or rig.setup.emulated
     paths = (jobs,) if isinstance(jobs, (str, Path)) else every("jobs", jobs)
     if wrong := [path for path in paths if not isinstance(path, (str, Path))]:
-        raise BadInput(f"a job is {wrong[0]!r}; wanted the path of its folder")
-    works = tuple(work(path, device or ("numpy" if rehearsed else None)) for path in paths)
-    if whole("turns", turns) * works[0].poses > SLOTS:
-        raise BadInput(f"{turns} turns of {works[0].poses} pictures; wanted {SLOTS} pictures at most: take fewer turns")
-    _alike(works, rig)
-    going = _speed(works[0], speed)
-    focus = _focus(works[0], rig)
-    if rig.wanted.video:
-        return _on_a_cable(works[0], rig, going, turns, rehearsed)
-    mirrors = _mirrors(works, rig, rehearsed)
-    schedule = _schedule(works[0], rig, going, turns, mirrors, focus)
-    if not rehearsed:
-        steppable(schedule, rig.wanted.controller.microsteps)
-    return Plan(works, schedule, mirrors, rig, focus, rehearsed=rehearsed)
+        raise BadInput(f"a job is {wrong[0]!r}; expected the path of its folder")
+    calibration = calibration_of(rig)
+    packs = device or ("numpy" if rehearsed else None)
+    loaded = tuple(print_job(path, packs, calibration, number) for number, path in enumerate(paths))
+    if whole("turns", turns) * loaded[0].poses > SLOTS:
+        raise BadInput(f"{turns} turns of {loaded[0].poses} frames; expected {SLOTS} frames at most: take fewer turns")
+    _alike(loaded, rig)
+    going = _speed(loaded[0], speed)
+    accepted(rig.setup, going, "deg" if loaded[0].kind == "vial" else "mm")
+    focus = _focus(loaded[0], rig, calibration)
+    if rig.setup.video:
+        return replace(_on_a_cable(loaded[0], rig, going, turns, rehearsed), calibration=calibration)
+    mirrors = mirror_arrays(loaded, rig, rehearsed)
+    schedule = triggered_schedule(loaded[0], rig, going, turns, mirrors, focus)
+    if driver_of(rig.setup.clock) == "stage":
+        whole_poses(schedule, rig.setup.motion.microsteps)
+    elif not rehearsed:
+        steppable(schedule, rig.setup.motion.microsteps)
+    return PrintPlan(loaded, schedule, mirrors, rig, focus, rehearsed=rehearsed, calibration=calibration)
 
 
-def _alike(works: tuple[Work, ...], rig: RigConfig) -> None:
-    """Raise `BadInput` for works that the rig cannot print, or not together."""
-    wanted = rig.wanted
-    if not works:
-        raise BadInput("no job was given; wanted a folder for each projector")
-    if len(works) != len(wanted.projector) and not wanted.emulated:
+def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
+    """Raise `BadInput` for jobs that the rig cannot print, or not together."""
+    wanted = rig.setup
+    if not loaded:
+        raise BadInput("no job was given; expected a folder for each projector")
+    if len(loaded) != len(wanted.display) and not wanted.emulated:
         raise BadInput(
-            f"got {len(works)} jobs for the {len(wanted.projector)} projectors of the rig {wanted.rig.name!r}; wanted "
-            "one for each, in their order"
+            f"got {len(loaded)} jobs for the {len(wanted.display)} projectors of the rig {wanted.rig.name!r}; "
+            "expected one for each, in their order"
         )
-    for each in works:
+    for each in loaded:
         if wanted.rig.machine not in ("any", each.kind):
             raise BadInput(
                 f"the rig {wanted.rig.name!r} prints {_named(wanted.rig.machine)}, {each.path!r} is for "
                 f"{_named(each.kind)}; choose another rig, or check the path"
             )
-    first = works[0]
-    for other in works[1:]:
+    first = loaded[0]
+    for other in loaded[1:]:
         for what, one, two in (
             ("kind", first.kind, other.kind), ("number of poses", first.poses, other.poses),
             ("angles", first.motion, other.motion),
@@ -163,7 +197,7 @@ def _named(kind: str) -> str:
     return {"vial": "vials", "web": "webs"}.get(kind, kind)
 
 
-def _speed(first: Work, speed: float | Fraction | str | None) -> float:
+def _speed(first: PrintJob, speed: float | Fraction | str | None) -> float:
     """In deg/s or mm/s."""
     unit = UNITS[first.kind]
     if speed is None:
@@ -180,7 +214,7 @@ def _speed(first: Work, speed: float | Fraction | str | None) -> float:
             raise BadInput(f"speed {speed!r}: {error}, or a plain number of {unit}") from error
     text = str(speed).removesuffix("deg/s").strip()
     if not _number(text):
-        raise BadInput(f"speed is {speed!r}; wanted a number of {unit} > 0")
+        raise BadInput(f"speed is {speed!r}; expected a number of {unit} > 0")
     return float(text) / (HOUR if first.kind == "slices" else 1.0)
 
 
@@ -191,86 +225,47 @@ def _number(text: str) -> bool:
         return False
 
 
-def _focus(first: Work, rig: RigConfig) -> tuple[float, ...]:
-    """Powers of the lens [dpt] that focus on a work's planes."""
-    lens = rig.wanted.lens
+def _focus(first: PrintJob, rig: RigConfig, calibration: MachineCalibration) -> tuple[float, ...]:
+    """Powers of the lens [dpt] that focus on a job's planes."""
+    lens = rig.setup.lens
     if not first.depths or (lens is None and len(first.depths) == 1):
         return ()
     if lens is None:
         raise BadInput(
-            f"{first.path!r} changes its focus among {len(first.depths)} planes, and the rig {rig.wanted.rig.name!r} "
+            f"{first.path!r} changes its focus among {len(first.depths)} planes, and the rig {rig.setup.rig.name!r} "
             "has no lens; add a table [lens], or solve the job with lens.bins = 1"
         )
     slope = lens.slope or TunableLens(focal=lens.focal, index=first.bath).slope
-    powers = tuple(round(lens.axis + depth / slope, 6) for depth in first.depths)
+    axis, slope = calibration.lens or (lens.axis, slope)
+    powers = tuple(round(axis + depth / slope, 6) for depth in first.depths)
+    if lens.told_by == "host" and len(powers) > 1:
+        raise BadInput(
+            f"{first.path!r} changes its focus among {len(powers)} planes in time with its frames, and the host tells "
+            'the lens one before the print; set told_by = "controller" in [lens], or solve the job with lens.bins = 1'
+        )
     if not lens.lowest <= min(powers) <= max(powers) <= lens.highest:
         raise BadInput(
-            f"the focus planes of {first.path!r} want powers from {min(powers):.4g} to {max(powers):.4g} dpt; the lens "
+            f"the focus planes of {first.path!r} need powers from {min(powers):.4g} to {max(powers):.4g} dpt; the lens "
             f"has {lens.lowest:g} to {lens.highest:g} dpt: check axis, slope, lowest and highest in [lens]"
         )
     return powers
 
 
-def _mirrors(works: tuple[Work, ...], rig: RigConfig, rehearsed: bool) -> tuple[Mirrors, ...]:
-    """The arrays that pictures are for; emulated ones are as large as the largest of them."""
-    if rehearsed:
-        rows = max(each.shape[0] for each in works)
-        columns = BLOCK * max(-(-each.shape[1] // BLOCK) for each in works)
-        found = [Mirrors(rows, columns, _row_bytes(columns))] * len(works)
-    else:
-        sizes = (section.array for section in rig.wanted.projector)
-        found = [Mirrors(rows, columns, _row_bytes(columns)) for rows, columns in sizes]
-    for each, mirrors in zip(works, found, strict=True):
-        mirrors.place(*each.shape)
-    return tuple(found)
-
-
-def _row_bytes(columns: int) -> int:
-    """Of a packed row in the mirrors' memory."""
-    return 256 if columns == 1920 else -(-columns // 8)
-
-
-def _schedule(
-    first: Work, rig: RigConfig, speed: float, turns: int, mirrors: tuple[Mirrors, ...], focus: tuple[float, ...]
-) -> Schedule:
-    wanted, planes = rig.wanted, max(len(first.depths), 1)
-    pose = (_nearest(first) if first.advance is None else first.advance) / speed
-    if pose * SECOND > DAY:
-        raise BadInput(f"at that speed a picture lasts {pose:.3g} s; wanted a day at most: move faster")
-    sections = wanted.projector * len(mirrors) if wanted.emulated else wanted.projector
-    engines = tuple(
-        MirrorTiming(
-            picture={8: section.picture, 1: 1e-4}, pixels=(each.columns, each.rows), row_bytes=each.row_bytes,
-            dark=round(GUARD * pose / planes, 6),
-        )
-        for each, section in zip(mirrors, sections[: len(mirrors)], strict=True)
-    )  # fmt: skip
-    common: dict[str, Any] = {"speed": speed, "engines": engines, "bits": first.bits, "power": wanted.light.power}
-    if first.advance is None:
-        return turned(first.turn, turns=turns, **common)
-    if turns != 1:
-        raise BadInput(f"turns is {turns}; wanted 1, as only vials come round again")
-    if first.kind == "slices":
-        return sla(first.poses, pitch=first.advance, **common)
-    lens = wanted.lens
-    timing = None if lens is None or not focus else LensTiming(lens.settle, baud=lens.baud, latency=lens.latency)
-    return web(first.poses, advance=first.advance, lens=timing, focus=focus, **common)
-
-
-def _nearest(first: Work) -> float:
-    """Degrees between the nearest two poses of a vial."""
-    motion = first.motion
-    return 360.0 / first.poses if motion is None or motion.is_even else float(closest(rising(motion)))
-
-
-def _on_a_cable(first: Work, rig: RigConfig, speed: float, turns: int, rehearsed: bool) -> Plan:
-    """A vial before a video projector."""
-    section = rig.wanted.projector[0]
+def _on_a_cable(first: PrintJob, rig: RigConfig, speed: float, turns: int, rehearsed: bool) -> PrintPlan:
+    """A vial or web before a video projector."""
+    section: Any = rig.setup.display[0]  # on a cable, or the emulated one, which is of either kind
     rows, columns = first.shape if rehearsed else section.array
-    screen = Mirrors(rows, columns, columns)
+    screen = MirrorArray(rows, columns, columns)
     screen.place(*first.shape)
     display = HdmiTiming(
         refresh=section.refresh, bits=section.bits, latency=section.latency, pixels=(columns, rows),
+        slots=section.slots,
     )  # fmt: skip
-    schedule = vial(first.turn, speed=speed, display=display, turns=turns, power=rig.wanted.light.power)
-    return Plan((first,), schedule, (screen,), rig, display=display, rehearsed=rehearsed)
+    common: dict[str, Any] = {"speed": speed, "display": display, "power": rig.setup.light.power}
+    if first.advance is None:
+        schedule = vial(first.turn, turns=turns, **common)
+    elif turns != 1:
+        raise BadInput(f"turns is {turns}; expected 1, as only vials come round again")
+    else:
+        schedule = web_on_cable(first.poses, advance=first.advance, **common)
+    return PrintPlan((first,), schedule, (screen,), rig, display=display, rehearsed=rehearsed)

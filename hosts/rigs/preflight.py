@@ -15,25 +15,22 @@ from vamgpu.geometry import positive
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
-from vamgpu.hosts.drivers.stream import PIECE
-from vamgpu.hosts.pictures.supply import BUFFERS, guard, length
+from vamgpu.hosts.drivers.memory import PIECE
+from vamgpu.hosts.frames.upload import BUFFERS, guard, length
 from vamgpu.hosts.players.triggered import triggers
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND, numeric, whole
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
-MARGIN = 1.5
-"""How much faster than it is used a wire must be measured."""
-LINE = 0.3
-"""How long a controller's answers are counted [s]."""
-LOADING = 30.0
-"""Longest time [s] that all pictures of a print may take to the mirrors before its light opens."""
+MARGIN = 1.5  # how much faster than it is used a wire must be measured
+LINE = 0.3  # how long a controller's answers are counted [s]
+LOADING = 30.0  # longest time [s] that all frames of a print may take to the mirrors before its light opens
 
 
 class Residence(Enum):
-    """Where the pictures are when the light opens."""
+    """Where the frames are when the light opens."""
 
     RESIDENT = "all at the mirrors"
     STREAMED = "two sequences in turn, filled while the other is shown"
@@ -44,8 +41,8 @@ class Preflight:
     """What was found.
 
     planes, memory: that the job needs and the mirrors have.  demand, measured: bytes a second that the job uses on
-    average and the wire carries.  stall, freeze: how long [s] what makes the pictures, or the whole host, may stand
-    still at the worst moment before a picture is lost.
+    average and the wire carries.  stall, freeze: how long [s] what makes the frames, or the whole host, may stand
+    still at the worst moment before a frame is lost.
     """
 
     residence: Residence
@@ -58,7 +55,7 @@ class Preflight:
 
     def __str__(self) -> str:
         wire = f"of {1e-6 * self.measured:.3g} MB/s" if np.isfinite(self.measured) else "on a wire that takes no time"
-        held = f"; pictures made ahead last {self.stall:.3g} s, those at the mirrors {self.freeze:.3g} s"
+        held = f"; frames made ahead last {self.stall:.3g} s, those at the mirrors {self.freeze:.3g} s"
         return (
             f"{self.planes} planes, room for {self.memory}: {self.residence.value}; "
             f"{1e-6 * self.demand:.3g} MB/s {wire}{held if np.isfinite(self.stall) else ''}"
@@ -67,47 +64,74 @@ class Preflight:
 
 @dataclass(frozen=True)
 class Judged:
-    """What a look at opened mirrors found. found: of each.  depth: pictures in each of their ``sequences``: what a
-    player is to be given."""
+    """What was found on opened mirrors, and what a player is to be given. found: of each.  depth: frames in each of
+    their ``sequences``.  turn: slots that are uploaded once and come round; None where no turn does, or fits."""
 
     found: tuple[Preflight, ...]
     depth: int
     sequences: int
+    turn: int | None = None
 
     def __str__(self) -> str:
         lines = "; ".join(dict.fromkeys(map(str, self.found)))
-        return f"{lines}; {self.sequences} sequences of {self.depth} pictures"
+        return f"{lines}; {self.sequences} sequences of {self.depth} frames"
 
 
 def judged(
-    schedule: Schedule, mirrors: Sequence[Dmd], clock: Clock, *, bits: int = 8, seconds: float = 2.0
-) -> Judged:
-    """Judge a schedule on opened mirrors, in the dark; every print wants this before its light.
+    schedule: Schedule, mirrors: Sequence[Dmd], clock: Clock, *, bits: int = 8, seconds: float = 2.0,
+    live: int | None = None,
+) -> Judged:  # fmt: skip
+    """Judge a schedule on opened mirrors, in the dark; every print does so before its light.
 
     seconds: how long the wires are measured, all at once; emulated mirrors, on a clock that a program sets, have none.
-    What can be loaded within `LOADING` is loaded before the light. Raises `BadInput`, and `TimingInfeasible` with what
-    binds.
+    What can be loaded within `LOADING` is loaded before the light. live: slots after which the frames to come may be
+    replaced, None where they stay: a wire must carry them while others are shown, and a turn of a vial stays at the
+    mirrors where two have room. Raises `BadInput`, and `TimingInfeasible` with what limits it.
     """
     if not mirrors or not len(schedule):
-        raise BadInput(f"got {len(mirrors)} mirrors and {len(schedule)} slots; wanted one or more of both")
+        raise BadInput(f"got {len(mirrors)} mirrors and {len(schedule)} slots; expected one or more of both")
     timings = [MirrorTiming(pixels=(dmd.width, dmd.height), row_bytes=dmd.row_bytes) for dmd in mirrors]
     for dmd in mirrors:
         _in_time(schedule, dmd, bits)
     real, free = clock.real, min(dmd.free_planes() for dmd in mirrors) - guard(schedule.rate) * bits
     with ThreadPoolExecutor(len(mirrors)) as pool:
         wires = list(pool.map(lambda dmd: _wire(dmd, bits, clock, seconds), mirrors)) if real else [np.inf]
-    pictures, slowest = triggers(schedule), min(wires)
-    picture = max(timing.nbytes(bits) for timing in timings)
-    load = pictures * picture / slowest
-    depth = max(2, min(length(schedule.rate, picture), free // (2 * bits)))
-    whole = -(-pictures // depth)
-    resident = real and load <= LOADING and whole * depth * bits <= free
-    sequences = max(2, whole) if resident else 2
-    memory = free if resident else min(free, sequences * depth * bits)
+    frames, slowest = triggers(schedule), min(wires)
+    frame = max(timing.nbytes(bits) for timing in timings)
+    depth = max(2, min(length(schedule.rate, frame), free // (2 * bits)))
+    turn = round_again(schedule, 2 * depth)
+    parts = -(-(turn or frames) // depth)
+    if live is not None:
+        parts = max(3, -(-live // depth))  # of one turn or segment: nothing is packed beyond its end
+        turn, depth = live, max(2, -(-live // parts))
+        even, spare = depth, parts + 2
+    elif turn is not None:
+        parts = max(2, parts)
+        even = -(-turn // parts)
+        spare = 2  # the black frames before the first slot, and what is left where one frame was late
+    else:
+        even, spare = depth, 0
+    comes = live is None or schedule.unit == "deg"  # round again; other segments of a web do not
+    resident = comes and (parts + spare) * even * bits <= free and (turn or frames) * frame / slowest <= LOADING
+    depth = even if resident else depth
+    sequences = max(2, parts + spare) if resident else 2
+    memory = free if resident and live is None else min(free, 2 * depth * bits)
     each = (
-        preflight(schedule, timing, slowest, bits=bits, batch=depth, depth=BUFFERS, memory=memory) for timing in timings
-    )
-    return Judged(tuple(replace(found, memory=free) for found in each), depth, sequences)
+        preflight(
+            schedule, timing, slowest, bits=bits, batch=depth, depth=BUFFERS, memory=memory,
+            stored=turn if resident and live is None else None,
+        )
+        for timing in timings
+    )  # fmt: skip
+    return Judged(tuple(replace(found, memory=free) for found in each), depth, sequences, turn if resident else None)
+
+
+def round_again(schedule: Schedule, least: int = 1) -> int | None:
+    """Slots of whole turns, ``least`` or more, after which the frames of a vial come again; None where none do."""
+    turn, frames = schedule.frames, schedule.frame
+    if schedule.unit != "deg" or len(schedule) <= turn or (frames[turn:] != frames[:-turn]).any():
+        return None
+    return turn * max(1, min(-(-least // turn), len(schedule) // turn))
 
 
 def answered(schedule: Schedule, controller: Controller, clock: Clock, seconds: float = LINE) -> float:
@@ -127,15 +151,15 @@ def answered(schedule: Schedule, controller: Controller, clock: Clock, seconds: 
         most = float(schedule.speed) * measured / (MARGIN * schedule.rate)
         raise TimingInfeasible(
             f"the controller answers {measured:.4g} times a second where {MARGIN:g} × {schedule.rate:.4g} rows/s are "
-            f"wanted, and holds {controller.capacity} of {rows} rows: move at {most:.4g} {unit} at most, or raise baud "
-            "in [controller] and in its firmware",
+            f"expected, and holds {controller.capacity} of {rows} rows: move at {most:.4g} {unit} at most, or raise "
+            "baud in [controller] and in its firmware",
             "serial line", most, unit,
         )  # fmt: skip
     return measured
 
 
 def _in_time(schedule: Schedule, dmd: Dmd, bits: int) -> None:
-    """Raise `TimingInfeasible` for pictures that follow each other faster than the device itself allows."""
+    """Raise `TimingInfeasible` for frames that follow each other faster than the device itself allows."""
     sequence = dmd.sequence(1, bits)
     try:
         allowed = sequence.limits()
@@ -145,7 +169,7 @@ def _in_time(schedule: Schedule, dmd: Dmd, bits: int) -> None:
     if schedule.on.max() >= 1000 * most_us:
         slowest = float(schedule.speed) * float(schedule.on.max()) / (1000 * most_us)
         raise TimingInfeasible(
-            f"pictures are lit for {1e-9 * float(schedule.on.max()):.4g} s; these mirrors show one for "
+            f"frames are lit for {1e-9 * float(schedule.on.max()):.4g} s; these mirrors show one for "
             f"{1e-6 * most_us:.4g} s at most: move at {slowest:.4g} {schedule.unit}/s at least",
             "mirrors", slowest, f"{schedule.unit}/s",
         )  # fmt: skip
@@ -153,7 +177,7 @@ def _in_time(schedule: Schedule, dmd: Dmd, bits: int) -> None:
     if min(gap, on + 1000) < least:
         most = float(schedule.speed) * min(gap, on + 1000) / least
         raise TimingInfeasible(
-            f"pictures of {bits} bits are lit for {1e-6 * on:.4g} ms every {1e-6 * gap:.4g} ms; these mirrors need "
+            f"frames of {bits} bits are lit for {1e-6 * on:.4g} ms every {1e-6 * gap:.4g} ms; these mirrors need "
             f"{1e-6 * least:.4g} ms: move at {most:.4g} {schedule.unit}/s at most, or tell the rig's file their time",
             "mirrors", most, f"{schedule.unit}/s",
         )  # fmt: skip
@@ -170,21 +194,21 @@ def _wire(dmd: Dmd, bits: int, clock: Clock, seconds: float) -> float:
 
 
 def fits(frames: tuple[int, int], mirrors: MirrorTiming | HdmiTiming) -> None:
-    """Raise `WrongDevice` for pictures (rows, columns) that were made for other mirrors."""
+    """Raise `WrongDevice` for frames (rows, columns) that were made for other mirrors."""
     columns, rows = mirrors.pixels
     if tuple(frames) != (rows, columns):
         raise WrongDevice(
-            f"the job's pictures have {frames[0]} × {frames[1]} pixels, the mirrors {rows} × {columns}: it was made "
+            f"the job's frames have {frames[0]} × {frames[1]} pixels, the mirrors {rows} × {columns}: it was made "
             "for another device; pack it again for this one, or check the rig's file"
         )
 
 
-def measure(put: Callable[[np.ndarray], None], pictures: np.ndarray, clock: Clock, seconds: float = 5.0) -> float:
-    """Bytes a second that ``put`` takes of pictures again and again; black ones do no harm and are as large."""
+def measure(put: Callable[[np.ndarray], None], frames: np.ndarray, clock: Clock, seconds: float = 5.0) -> float:
+    """Bytes a second that ``put`` takes of frames again and again; black ones do no harm and are as large."""
     length = positive("seconds", seconds)
-    if pictures.nbytes == 0:
-        raise BadInput("measuring with pictures of 0 bytes; wanted more")
-    return pictures.nbytes * _rate(lambda: put(pictures), clock, length)
+    if frames.nbytes == 0:
+        raise BadInput("measuring with frames of 0 bytes; expected more")
+    return frames.nbytes * _rate(lambda: put(frames), clock, length)
 
 
 def _rate(act: Callable[[], object], clock: Clock, seconds: float) -> float:
@@ -200,19 +224,21 @@ def _rate(act: Callable[[], object], clock: Clock, seconds: float) -> float:
 
 def preflight(
     schedule: Schedule, mirrors: MirrorTiming, measured: float, *, bits: int = 8, batch: int = 8, depth: int = 8,
-    memory: int | None = None,
+    memory: int | None = None, stored: int | None = None,
 ) -> Preflight:  # fmt: skip
-    """Judge a job. measured: bytes a second, of `measure`.  batch, depth: of the feed.  memory: free planes, inquired;
-    None for those of the mirrors' limits.
+    """Judge a job. measured: bytes a second, of `measure`.  batch, depth: of the upload queue.
+
+    memory: free planes, inquired; None for those of the mirrors' limits.  stored: frames that are at the mirrors at
+    once; None for all that are triggered.
 
     What fits is loaded before; the rest must be carried `MARGIN` times as fast as it is shown. Raises `BadInput`,
     `TimingInfeasible`.
     """
     if not numeric(measured) or not measured > 0:
-        raise BadInput(f"measured is {measured!r} bytes a second; wanted more than 0: run the measurement again")
+        raise BadInput(f"measured is {measured!r} bytes a second; expected more than 0: run the measurement again")
     measured = float(measured)
     bits, batch, depth = whole("bits", bits), whole("batch", batch), whole("depth", depth)
-    free, planes = mirrors.memory if memory is None else memory, triggers(schedule) * bits
+    free, planes = mirrors.memory if memory is None else memory, (stored or triggers(schedule)) * bits
     demand = schedule.rate * mirrors.nbytes(bits)
     if planes <= free:
         found = Preflight(Residence.RESIDENT, planes, free, demand, measured, float("inf"), float("inf"))
@@ -220,15 +246,15 @@ def preflight(
         return found
     if 2 * batch * bits > free:
         raise TimingInfeasible(
-            f"two sequences of {batch} pictures are {2 * batch * bits} planes; {free} are free: take smaller batches",
+            f"two sequences of {batch} frames are {2 * batch * bits} planes; {free} are free: take smaller batches",
             "memory", 0.0, f"{schedule.unit}/s",
         )  # fmt: skip
     if measured < MARGIN * demand:
         most = float(schedule.speed) * measured / (MARGIN * demand)
         raise TimingInfeasible(
             f"{planes} planes do not fit into {free}, and the wire carries {1e-6 * measured:.4g} MB/s where "
-            f"{MARGIN:g} × {1e-6 * demand:.4g} MB/s are wanted: move at {most:.4g} {schedule.unit}/s at most, or show "
-            "pictures of 1 bit", "data link", most, f"{schedule.unit}/s",
+            f"{MARGIN:g} × {1e-6 * demand:.4g} MB/s are needed: move at {most:.4g} {schedule.unit}/s at most, or show "
+            "frames of 1 bit", "data link", most, f"{schedule.unit}/s",
         )  # fmt: skip
     freeze = batch / schedule.rate  # one of the two sequences may just have ended
     found = Preflight(Residence.STREAMED, planes, free, demand, measured, freeze * (1 + depth), freeze)

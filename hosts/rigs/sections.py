@@ -1,33 +1,18 @@
-"""The tables of a rig's file, one for each machine."""
+"""The tables of a rig's file that are no roles: the rig itself, the controller, safety, and a camera's stage."""
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator
 
-from vamgpu.hosts.protocols.controller import LONGEST_LEASE_MS, STEEPEST
-from vamgpu.optics.lens import TunableLens
-from vamgpu.schema.quantities import Count, Exposure, Irradiance, Length, Rate, Time
-from vamgpu.schema.read import Listed, Section
+from vamgpu.hosts.protocols.controller import LONGEST_LEASE_MS
+from vamgpu.hosts.rigs.roles import Baud
+from vamgpu.schema.quantities import Count, NonNegative, Speed, Thickness, Time
+from vamgpu.schema.section import Section
 
-Share = Annotated[float, Field(gt=0, le=1)]
-Baud = Annotated[int, Field(ge=300, le=4_000_000)]
-Color = Literal["red", "green", "blue"]
-FINEST = 1e6
-"""Most microsteps of a millimeter or degree; more are a slip of the pen."""
-SHORTEST_LEASE_MS = 20
-"""A host renews it four times meanwhile."""
-MIRRORS = (1080, 1920)
-SCREEN = (1140, 912)
-ORDERS: dict[int, tuple[Color, ...]] = {8: ("green", "red"), 7: ("green", "red", "blue")}
-"""Bits → channels of a video frame in the order that its pictures are shown."""
-ONLY = {
-    "alp": {"library", "serial", "size", "picture"},
-    "hdmi": {"screen", "size", "refresh", "bits", "order", "latency"},
-    "emulated": {"size", "picture"},
-}
-"""Driver → what its projector is told."""
+SHORTEST_LEASE_MS = 20  # A host renews it four times meanwhile
 
 
 class RigSection(Section):
@@ -38,119 +23,74 @@ class RigSection(Section):
 
 
 class ControllerSection(Section):
-    """What keeps trigger, lease, motion and light. microsteps: of the motion, a millimeter or degree.
+    """The line to the controller, for the roles that it fills: motion, clock, light, lens line and lease."""
 
-    ramp: how fast the motion changes its speed [mm/s2] or [deg/s2]; without it as the controller's own firmware does.
-    """
-
-    driver: Literal["vam-controller", "emulated"]
+    driver: Literal["vam-controller", "emulated"] = "vam-controller"
     port: str | None = None
     baud: Baud = 115200
-    microsteps: Annotated[float, Field(gt=0, le=FINEST)] = 3200.0
-    ramp: Annotated[float, Field(gt=0)] | None = None
-
-    @model_validator(mode="after")
-    def _stepped(self) -> ControllerSection:
-        if self.ramp is not None and self.ramp * self.microsteps > STEEPEST:
-            found = self.ramp * self.microsteps
-            raise ValueError(f"ramp = {self.ramp:g} is {found:.4g} microsteps/s2; wanted {STEEPEST:.4g} at most")
-        return self
-
-
-class ProjectorSection(Section):
-    """Mirrors behind a trigger, or on a video cable. size: rows, columns.  picture: least time from one to the next.
-
-    refresh: of the cable.  order: channels of a video frame, as their pictures are shown.  latency: video frames from
-    cable to mirrors. The light of the first projector is the controller's channel 0, that of the second 1.
-    """
-
-    driver: Literal["alp", "hdmi", "emulated"]
-    library: str | None = None
-    serial: int = 0
-    size: Annotated[tuple[Count, Count] | None, Listed] = None
-    picture: Exposure = 1.0 / 266.0
-    screen: Annotated[int, Field(ge=0)] = 0
-    refresh: Rate = 60.0
-    bits: Literal[7, 8] = 8
-    order: Annotated[tuple[Color, ...] | None, Listed] = None
-    latency: Annotated[int, Field(ge=0, le=8)] = 1
-
-    @model_validator(mode="after")
-    def _of_its_driver(self) -> ProjectorSection:
-        if odd := sorted(self.model_fields_set - ONLY[self.driver] - {"driver"}):
-            raise ValueError(f'driver "{self.driver}" takes no {", ".join(odd)}: remove what belongs to other drivers')
-        if self.driver == "alp" and not self.library:
-            raise ValueError('driver "alp" wanted library = "path of the maker\'s library"')
-        if self.order is not None and sorted(self.order) != sorted(ORDERS[self.bits]):
-            names = ", ".join(ORDERS[self.bits])
-            raise ValueError(f"{self.bits} bits go to {names}, each once; wanted order to say in which order")
-        return self
-
-    @property
-    def array(self) -> tuple[int, int]:
-        """Rows and columns of the mirrors."""
-        return self.size or (SCREEN if self.driver == "hdmi" else MIRRORS)
-
-
-class LensRigSection(Section):
-    """The tunable lens. firmware: type letter it must have.  settle: from plane to plane.  latency: that it thinks.
-
-    baud: of the line on which the controller tells it.  lowest, highest: powers it may be told [dpt].  axis: power that
-    focuses on the roller's axis [dpt].  slope: way of the focus per power [mm/dpt], below 0; as a calibration finds
-    both. Without a slope it is that of the relays, ``focal`` lengths, in the web's bath.
-    """
-
-    driver: Literal["optotune", "emulated"]
-    port: str | None = None
-    firmware: str | None = None
-    settle: Time = 0.005
-    latency: Time = 0.0
-    baud: Baud = 38400
-    lowest: float = -1.5
-    highest: float = 3.5
-    axis: float = 0.0
-    slope: Annotated[float, Field(lt=0)] | None = None
-    focal: Annotated[tuple[Length, Length, Length, Length], Listed] = TunableLens.focal
-
-    @model_validator(mode="after")
-    def _rising(self) -> LensRigSection:
-        if not self.lowest < self.highest:
-            raise ValueError(f"powers go from {self.lowest:g} to {self.highest:g} dpt; wanted lowest below highest")
-        return self
-
-
-class StageSection(Section):
-    """The stage that turns a vial before a video projector. steps: of the motor, a degree; microsteps for a Zaber."""
-
-    driver: Literal["zaber", "standa", "emulated"]
-    port: str | None = None
-    steps: Annotated[float, Field(gt=0)] = 6400.0 / 3.0
-    device: Count = 1
-    axis: Count = 1
-
-
-class LightSection(Section):
-    """The light. power: share of full drive.  irradiance: of a full-on pixel at full drive."""
-
-    power: Share = 1.0
-    irradiance: Irradiance | None = None
 
 
 class SafetySection(Section):
     """What holds the light. tolerance: of motion, in poses.  budget: light over what the plan needs.
 
     lease: how long the controller keeps the light by itself, 20 ms to 1 s.  resume: the longest pause after which a
-    print goes on; resin forgets a dose meanwhile.
+    print goes on; resin forgets a dose meanwhile.  drift: of the frames against the motion that is accepted where no
+    clock keeps them in step [deg/min] or [mm/min].
     """
 
     lease: Time = 0.25
     tolerance: Annotated[float, Field(gt=0, le=5)] = 0.5
     budget: Annotated[float, Field(ge=1, le=2)] = 1.01
     resume: Time = 30.0
+    drift: NonNegative = 0.0
 
     @field_validator("lease")
     @classmethod
     def _kept(cls, lease: float) -> float:
         if not SHORTEST_LEASE_MS <= 1000 * lease <= LONGEST_LEASE_MS:
-            raise ValueError(f"wanted {SHORTEST_LEASE_MS} ms to {LONGEST_LEASE_MS} ms, as the controller keeps a lease")
+            raise ValueError(
+                f"expected {SHORTEST_LEASE_MS} ms to {LONGEST_LEASE_MS} ms, as the controller keeps a lease"
+            )
         return lease
+
+
+DATE = re.compile(r"none|\d{4}(-\d\d(-\d\d(T\d*)?)?)?")
+
+
+def _chosen(value: str) -> str:
+    if not DATE.fullmatch(value):
+        raise ValueError('expected the date of one, such as "2026-11-20", or "none"')
+    return value
+
+
+Chosen = Annotated[str, AfterValidator(_chosen)] | None
+
+
+class CalibrationSection(Section):
+    """Which calibrations of the rig are applied: of each kind the newest, or that of a date, or ``"none"``.
+
+    warn_after: age from which a calibration is told to be old.
+    """
+
+    gray: Chosen = None
+    flat: Chosen = None
+    axis: Chosen = None
+    focus: Chosen = None
+    mtf: Chosen = None
+    runout: Chosen = None
+    warn_after: Time = 90 * 86400.0
+
+
+class CameraStageSection(Section):
+    """The stage that carries the camera along the light. microsteps: a millimeter; a Standa's have 256 in a step.
+
+    middle: its position [mm] on the axis of rotation, from which positions are told.
+    """
+
+    driver: Literal["zaber", "standa", "emulated"]
+    port: str | None = None
+    device: Count = 1
+    axis: Count = 1
+    microsteps: Annotated[float, Field(gt=0)] = 1000.0
+    speed: Speed = 5.0
+    middle: Thickness = 0.0

@@ -7,53 +7,52 @@ import logging
 import signal
 import threading
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import FrameType
 from typing import Any, Protocol
 
-from vamgpu.errors import DeviceBusy, VamError
+from vamgpu.errors import DeviceBusy, DeviceError, ProtocolError, VamError
 from vamgpu.geometry import positive
-from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, Seen, reason_dark
-from vamgpu.hosts.safety.lease import Lease
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, Lease, Observation, reason_dark
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """What ends a process that holds the light: keys, systems, and terminals that are closed."""
 
-HELD_UP = 0.1
-"""How long a signal waits for another thread that is putting the light out [s]."""
+HELD_UP = 0.1  # how long a signal waits for another thread that is putting the light out [s]
 
 
 class Switch(Protocol):
     """Something that can make it dark: a controller's gate, a lamp's driver, a projector that shows black."""
 
-    def off(self) -> None:
-        """Make it dark; harmless where it is dark."""
-        ...
+    def off(self) -> None: ...  # make it dark; harmless where it is dark
 
 
 class Lamp(Switch, Protocol):
     """The switch that can also make light."""
 
-    def on(self, power: float) -> None:
-        """Make light of a power."""
-        ...
+    def on(self, power: float) -> None: ...  # make light of a power
 
 
 class LightGuard:
     """Holds the light of one rig. Entered last and left first; the only place that calls a lamp's ``on``.
 
     lamp: what is switched on.  others: further ways to make it dark, named, tried after the lamp, each whatever the
-    one before it did.  tolerance: of motion, in the unit that `look` is given.  signals: whether SIGINT, SIGTERM and
+    one before it did.  tolerance: of motion, in the unit that `observe` is given.  signals: whether SIGINT, SIGTERM and
     SIGHUP put the light out before they do what they did (main thread only; one that is ignored, as SIGHUP under
-    `nohup`, stays ignored).  told: hears "on" and "off", and why.
+    `nohup`, stays ignored).  notify: is called with "on" or "off", and why.
 
     A fault latches: light stays off until the guard is left. Use::
 
         with LightGuard(lamp, lease, tolerance=0.5) as light:
-            light.look(armed=True, motion=0.0, shown=0, scheduled=0)
+            light.observe(armed=True, motion=0.0, shown=0, scheduled=0)
             light.on(0.8)
     """
+
+    lease: Lease
+    budget: Budget | None
+    tolerance: float
 
     def __init__(
         self,
@@ -64,27 +63,27 @@ class LightGuard:
         budget: Budget | None = None,
         others: Mapping[str, Switch] | None = None,
         signals: bool = True,
-        told: Callable[[str, str], None] | None = None,
+        notify: Callable[[str, str], None] | None = None,
     ) -> None:
         self.lease, self.budget, self.tolerance = lease, budget, positive("tolerance of motion", tolerance)
         self._lamp, self._others = lamp, dict(others or {})
-        self._told = told or (lambda what, why: None)
+        self._notify = notify or (lambda what, why: None)
         self._signals = signals
         self._lock = threading.RLock()
-        self._seen = Seen()
+        self._seen = Observation()
         self._lit = False
         self._entered = False
         self._fault: str | None = None
         self._outside = False
         self._before: dict[int, Any] = {}
-        self.signalled = False
+        self.signalled: bool = False
 
     # ---- as a context --------------------------------------------------------------------------------------
     def __enter__(self) -> LightGuard:
         with self._lock:
             if self._entered:
                 raise DeviceBusy("the light is held already; one holder at a time")
-            self._seen, self._entered = Seen(), True
+            self._seen, self._entered = Observation(), True
             self._fault = self._fault if self._outside else None  # somebody may have stopped it before
         self._guard_process()
         try:
@@ -122,8 +121,8 @@ class LightGuard:
             return self._fault
         return reason_dark(self._seen.change(lease=self.lease.fresh()), self.tolerance)
 
-    def look(self, **seen: object) -> None:
-        """Tell what is seen of the machines (fields of `Seen`); light that may not be on goes off at once.
+    def observe(self, **seen: object) -> None:
+        """Tell what is seen of the machines (fields of `Observation`); light that may not be on goes off at once.
 
         Raises `InterlockOpen` where it was on and had to go off.
         """
@@ -154,7 +153,7 @@ class LightGuard:
             except BaseException as error:
                 self.fail(f"the lamp failed: {error}")
                 raise
-            self._told("on", f"{power:.6g}")
+            self._notify("on", f"{power:.6g}")
 
     def spend(self, power: float, on_time: int) -> None:
         """Count light of ``on_time`` [ns]; over the budget it goes off for good. Raises `OverDose`."""
@@ -172,7 +171,7 @@ class LightGuard:
             was = self._lit
             self._dark(why)
             if was:
-                self._told("off", why)
+                self._notify("off", why)
 
     def fail(self, why: str) -> None:
         """Make it dark for good: no light before the guard is left, and no lease either."""
@@ -215,7 +214,7 @@ class LightGuard:
         mine = weakref.ref(self)
         for number in SIGNALS:
             before = signal.getsignal(number)
-            if before in (signal.SIG_IGN, None):  # the print shall outlive it, or a library of the maker's minds it
+            if before in (signal.SIG_IGN, None):  # the print shall outlive it, or a maker's library handles it
                 continue
 
             def dark_first(number: int, frame: FrameType | None, before: Any = before) -> None:
@@ -243,3 +242,36 @@ def _as_before(number: int, frame: FrameType | None, before: Any) -> None:
         before(number, frame)
     else:
         raise SystemExit(128 + number)
+
+
+class LampGate:
+    """The light behind a controller's gate. ``on`` allows it; with ``steady`` it shines at once, else row by row.
+
+    shares: of the power, for each channel.
+    """
+
+    def __init__(
+        self, controller: Controller, channels: Sequence[int] = (0,), steady: bool = False,
+        shares: Sequence[float] | None = None,
+    ) -> None:  # fmt: skip
+        self._controller, self._channels, self._steady = controller, tuple(channels), steady
+        self._shares = (1.0,) * len(channels) if shares is None else tuple(shares)
+
+    def on(self, power: float) -> None:
+        """Drive the channels at a share of full, and allow the light."""
+        for channel, share in zip(self._channels, self._shares, strict=True):
+            self._controller.power(channel, power * share)
+        self._controller.arm()
+        if self._steady:
+            self._controller.light(sum(1 << channel for channel in self._channels))
+
+    def off(self) -> None:
+        """Light off and not allowed; where that fails, everything stops."""
+        try:
+            self._controller.disarm()
+        except (DeviceError, ProtocolError):
+            self._controller.stop()
+
+    def renew(self, length: int) -> None:
+        """Let the controller keep the light for ``length`` [ns] more."""
+        self._controller.lease(length // 1_000_000)

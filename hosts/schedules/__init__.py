@@ -1,1 +1,1 @@
-"""Which picture when: exact tables of slots, and what machines can do."""
+"""Which frame when: exact tables of slots, and what machines can do."""

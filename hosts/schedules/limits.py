@@ -14,8 +14,22 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import counts
 from vamgpu.hosts.schedules.timing import SECOND, Number, every, exact, nanoseconds, numeric, whole
 
-PATTERNS = {1: 24, 2: 12, 3: 8, 4: 6, 6: 4, 7: 3, 8: 2}
-"""Bits → pictures that the 24 bits of one video frame hold."""
+
+def powers(power: float | Sequence[float], engines: int | None = None) -> tuple[float, ...]:
+    """Of each engine's light, 0 to 1; one number is that of all. engines: how many; None for as many as are given.
+
+    Raises `BadInput`.
+    """
+    given = (power,) * (engines or 1) if numeric(power) else every("power", power)
+    found = tuple(float(exact("power", value, zero=True)) for value in given)
+    if engines is not None and len(found) != engines:
+        raise BadInput(f"got {engines} engines and {len(found)} powers; expected as many of both")
+    if not found or max(found) > 1:
+        raise BadInput(f"power is {power!r}; expected 0 to 1 of each engine")
+    return found
+
+
+PATTERNS = {1: 24, 2: 12, 3: 8, 4: 6, 6: 4, 7: 3, 8: 2}  # bits → frames that the 24 bits of one video frame hold
 
 
 @dataclass(frozen=True)
@@ -37,7 +51,7 @@ class LensTiming:
         whole("baud", self.baud)
         nanoseconds("latency [s]", self.latency)
         if self.table.ndim == 2 and self.table.shape[0] != self.table.shape[1]:
-            raise BadInput(f"the table of settling has shape {self.table.shape}; wanted as many rows as columns")
+            raise BadInput(f"the table of settling has shape {self.table.shape}; expected as many rows as columns")
 
     @cached_property
     def table(self) -> np.ndarray:
@@ -47,7 +61,7 @@ class LensTiming:
         rows = [[nanoseconds("settle [s]", value) for value in every("a row of settle", row)]
                 for row in every("settle", self.settle)]  # fmt: skip
         if len({len(row) for row in rows}) != 1:
-            raise BadInput("the rows of the table of settling differ in length; wanted one row and column a plane")
+            raise BadInput("the rows of the table of settling differ in length; expected one row and column a plane")
         return np.array(rows)
 
     @property
@@ -74,17 +88,17 @@ class LensTiming:
 
 @dataclass(frozen=True)
 class MirrorTiming:
-    """Mirrors that show a picture at each trigger.
+    """Mirrors that show a frame at each trigger.
 
-    picture: bits → least seconds that a picture is shown.  pixels: columns, rows.  row_bytes: of a packed row in the
+    frame: bits → least seconds that a frame is shown.  pixels: columns, rows.  row_bytes: of a packed row in the
     mirrors' memory; None for what the columns need.  trigger_delay: seconds from trigger to light, set in the device.
-    greatest_delay: that the device allows [s].  dark: least seconds without light after a picture.  memory: bit planes
+    greatest_delay: that the device allows [s].  dark: least seconds without light after a frame.  memory: bit planes
     that fit.  link: bytes a second from the host; None where it was not measured. Raises `BadInput`.
 
     The defaults are 1080p mirrors at 266 Hz and 8 bits; inquire those of a device rather than trusting them.
     """
 
-    picture: Mapping[int, Number] = field(default_factory=lambda: {8: 1 / 266, 1: 1 / 17900})
+    frame: Mapping[int, Number] = field(default_factory=lambda: {8: 1 / 266, 1: 1 / 17900})
     pixels: tuple[int, int] = (1920, 1080)
     row_bytes: int | None = 256
     trigger_delay: Number = 0
@@ -95,10 +109,10 @@ class MirrorTiming:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", counts("pixels", self.pixels, 2))
-        if not isinstance(self.picture, Mapping) or not self.picture:
-            raise BadInput(f"picture is {self.picture!r}; wanted {{bits: least seconds}}, such as {{8: 1 / 266}}")
-        for bits, value in self.picture.items():
-            exact(f"picture time of {whole('bits of a picture', bits)} bits [s]", value)
+        if not isinstance(self.frame, Mapping) or not self.frame:
+            raise BadInput(f"frame is {self.frame!r}; expected {{bits: least seconds}}, such as {{8: 1 / 266}}")
+        for bits, value in self.frame.items():
+            exact(f"frame time of {whole('bits of a frame', bits)} bits [s]", value)
         whole("memory [bit planes]", self.memory, 0)
         if self.row_bytes is not None:
             object.__setattr__(self, "row_bytes", whole("row_bytes", self.row_bytes))
@@ -109,10 +123,10 @@ class MirrorTiming:
             exact("link [bytes/s]", self.link)
 
     def least(self, bits: int) -> int:
-        """Least time of a picture [ns]. Raises `BadInput` for a bit depth the device does not show."""
-        if bits not in self.picture:
-            raise BadInput(f"pictures have {bits} bits; the device shows {', '.join(map(str, self.picture))}")
-        return nanoseconds("picture [s]", self.picture[bits])
+        """Least time of a frame [ns]. Raises `BadInput` for a bit depth the device does not show."""
+        if bits not in self.frame:
+            raise BadInput(f"frames have {bits} bits; the device shows {', '.join(map(str, self.frame))}")
+        return nanoseconds("frame [s]", self.frame[bits])
 
     @property
     def delay(self) -> int:
@@ -121,22 +135,23 @@ class MirrorTiming:
 
     @property
     def pause(self) -> int:
-        """Least darkness after a picture [ns]."""
+        """Least darkness after a frame [ns]."""
         return nanoseconds("dark [s]", self.dark)
 
     def nbytes(self, bits: int) -> int:
-        """Bytes of a picture as it is uploaded: packed planes."""
+        """Bytes of a frame as it is uploaded: packed planes."""
         columns, rows = self.pixels
         return bits * rows * (self.row_bytes or -(-columns // 8))
 
 
 @dataclass(frozen=True)
 class HdmiTiming:
-    """Mirrors that take their pictures from a video cable, several in the 24 bits of each video frame.
+    """Mirrors that take their frames from a video cable, several in the 24 bits of each video frame.
 
-    refresh: video frames a second.  bits: of a picture; 8 gives two a video frame, 7 three, 1 twenty-four.  exposures:
-    least seconds a picture for 1 to 8 bits.  dark: seconds without light in every slot, for instance to fill with
-    black.  latency: video frames from cable to mirrors. Raises `BadInput`.
+    refresh: video frames a second.  bits: of a frame; 8 gives two a video frame, 7 three, 1 twenty-four.  exposures:
+    least seconds a frame for 1 to 8 bits.  dark: seconds without light in every slot, for instance to fill with
+    black.  latency: video frames from cable to mirrors.  slots: frames of a video frame, where it carries fewer than
+    its bits could: 1 on a projector that shows all colors at once. Raises `BadInput`.
     """
 
     refresh: Number = 60
@@ -145,6 +160,7 @@ class HdmiTiming:
     dark: Number = 0
     latency: int = 1
     pixels: tuple[int, int] = (912, 1140)
+    slots: int | None = None
 
     def __post_init__(self) -> None:
         exact("refresh [1/s]", self.refresh)
@@ -152,22 +168,22 @@ class HdmiTiming:
         object.__setattr__(self, "bits", whole("bits", self.bits))
         object.__setattr__(self, "latency", whole("latency [video frames]", self.latency, 0))
         if len(every("exposures", self.exposures)) < max(PATTERNS):
-            raise BadInput(f"exposures is {self.exposures!r}; wanted least seconds for each of 1 to 8 bits")
+            raise BadInput(f"exposures is {self.exposures!r}; expected least seconds for each of 1 to 8 bits")
         if self.bits not in PATTERNS:
-            raise BadInput(f"bits is {self.bits!r}; a video frame of 24 bits holds pictures of {list(PATTERNS)} bits")
+            raise BadInput(f"bits is {self.bits!r}; a video frame of 24 bits holds frames of {list(PATTERNS)} bits")
         least = exact("exposure [s]", self.exposures[self.bits - 1]) + exact("dark [s]", self.dark, zero=True)
         if least * self.slot_rate > 1:
             raise BadInput(
-                f"{self.patterns} pictures of {self.bits} bits a video frame at {float(self.refresh):g} Hz last "
+                f"{self.patterns} frames of {self.bits} bits a video frame at {float(self.refresh):g} Hz last "
                 f"{1e3 / float(self.slot_rate):.4g} ms; they need {1e3 * float(least):.4g} ms: take fewer bits"
             )
 
     @property
     def patterns(self) -> int:
-        """Pictures in a video frame."""
-        return PATTERNS[self.bits]
+        """Frames in a video frame."""
+        return PATTERNS[self.bits] if self.slots is None else whole("slots", self.slots)
 
     @property
     def slot_rate(self) -> Fraction:
-        """Pictures a second."""
+        """Frames a second."""
         return exact("refresh [1/s]", self.refresh) * self.patterns

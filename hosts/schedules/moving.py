@@ -11,15 +11,55 @@ import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible
 from vamgpu.geometry import Turntable
-from vamgpu.hosts.schedules.angles import FULL, closest, rising
-from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.schedules.power import powers
+from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming, powers
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, every, exact, fraction, nanoseconds, whole
 from vamgpu.printing.focus import slots
 
-SLOWEST = 3600 * SECOND
-"""Longest time of a pose [ns]."""
+FULL = 360
+NANODEGREES = 10**9  # angles are whole ones of these: what a file writes comes back exactly
+
+
+def rising(motion: Turntable) -> tuple[Fraction, ...]:
+    """Angles [deg] of a turn, the first from 0 to below 360 and each beyond the one before it.
+
+    Raises `BadInput` for poses that are lit for unequal times, and for angles that do not rise within one turn.
+    """
+    if motion.dwell is not None:
+        raise BadInput(
+            f"a schedule got {motion} angles; expected frames that are lit as long, for mirrors take one time for "
+            "all: solve for a Turntable without dwell"
+        )
+    degrees = [Fraction(round(angle * NANODEGREES), NANODEGREES) for angle in np.degrees(motion.poses).tolist()]
+    late = next((k for k in range(1, len(degrees)) if degrees[k] <= degrees[k - 1]), None)
+    if late is not None or degrees[-1] - degrees[0] >= FULL:
+        last, first = (degrees[late], degrees[late - 1]) if late else (degrees[-1], degrees[0])
+        raise BadInput(
+            f"a schedule got angles that go from {float(first):.6g}° to {float(last):.6g}°; expected them to rise "
+            "within one turn, as a vial turns forward: sort angles and frames, and drop angles that come twice"
+        )
+    return tuple(angle - degrees[0] // FULL * FULL for angle in degrees)
+
+
+def closest(angles: tuple[Fraction, ...]) -> Fraction:
+    """The least way [deg] from one angle to the next, around the turn."""
+    following = (*angles[1:], angles[0] + FULL)
+    return min(after - angle for angle, after in zip(angles, following, strict=True))
+
+
+def even_images(images: int | Turntable) -> int:
+    """How many images a turn has that are even over it. Raises `BadInput` for a turntable that has others."""
+    if not isinstance(images, Turntable):
+        return images
+    if not images.is_even:
+        raise BadInput(
+            f"a video cable got {images} angles; expected even ones over a full turn, each lit as long, for its "
+            "frames change at a fixed rate: solve for Turntable(angles=n), or print on triggered mirrors"
+        )
+    return images.angles
+
+
+SLOWEST = 3600 * SECOND  # longest time of a pose [ns]
 Engines = MirrorTiming | Sequence[MirrorTiming]
 
 
@@ -28,25 +68,25 @@ def web(
     focus: Sequence[float] = (), bits: int = 8, turning: bool = True, on: Number | None = None,
     power: float | Sequence[float] = 1.0, first: int = 0,
 ) -> Schedule:  # fmt: skip
-    """Slots of a web: at every pose one picture for each focus plane, frame pose · planes + plane.
+    """Slots of a web: at every pose one frame for each focus plane, frame pose · planes + plane.
 
     advance: of the web from pose to pose [mm].  speed: [mm/s].  engines: mirrors, or several in step: one trigger, the
     light of all at once, and the slowest rules.  lens, focus: with the power [dpt] of each plane; none for one plane.
-    turning: the order of planes turns at every pose, so the lens moves one time less.  on: seconds of light a picture;
+    turning: the order of planes turns at every pose, so the lens moves one time less.  on: seconds of light a frame;
     None for all there is, the same in every slot.  power: of each engine's light, 0 to 1.  first: pose to begin with.
 
-    The lens is told after the picture before is dark; light comes when the command is through, the driver has thought
+    The lens is told after the frame before is dark; light comes when the command is through, the driver has thought
     and the lens has settled, and no sooner than the trigger's delay allows. Raises `BadInput`, `TimingInfeasible`.
     """
     count, way = whole("poses", poses), exact("advance [mm]", advance)
     start = whole("first pose", first, 0)
-    shown = _Shown.of(engines, bits, power)
+    shown = _Engines.of(engines, bits, power)
     focus = tuple(float(fraction("focus [dpt]", each)) for each in every("focus", focus))
     planes = max(len(focus), 1)
     if lens is not None and not isinstance(lens, LensTiming):
-        raise BadInput(f"lens is {lens!r}; wanted a LensTiming, or None for no lens")
+        raise BadInput(f"lens is {lens!r}; expected a LensTiming, or None for no lens")
     if planes > 1 and lens is None:
-        raise BadInput(f"{planes} focus planes want a lens; give its LensTiming")
+        raise BadInput(f"{planes} focus planes and no lens; expected its LensTiming")
     order = slots(2, planes, turning=turning)
     pose = _Pose.of(order, lens if planes > 1 else None, shown, on)
     period = pose.period(way, exact("speed [mm/s]", speed), "mm")
@@ -79,7 +119,7 @@ def turned(
     motion = images if isinstance(images, Turntable) else None
     number = images.angles if isinstance(images, Turntable) else whole("images", images)
     times = whole("turns", turns)
-    shown, order = _Shown.of(engines, bits, power), np.zeros((2, 1), np.int64)
+    shown, order = _Engines.of(engines, bits, power), np.zeros((2, 1), np.int64)
     pose, wanted = _Pose.of(order, None, shown, on), exact("speed [deg/s]", speed)
     if motion is not None and not motion.is_even:
         return _scanned(motion, times, wanted, pose, shown)
@@ -88,7 +128,7 @@ def turned(
     return _table(Cadence(period, shown.delay), way, number * times, 0, order, pose, (), shown, None, number)
 
 
-def _scanned(motion: Turntable, turns: int, speed: Fraction, pose: _Pose, shown: _Shown) -> Schedule:
+def _scanned(motion: Turntable, turns: int, speed: Fraction, pose: _Pose, shown: _Engines) -> Schedule:
     """Slots at measured angles of a turn; the nearest two are one ``advance`` apart."""
     angles = rising(motion)
     way, count = closest(angles), len(angles) * turns
@@ -107,7 +147,7 @@ def _scanned(motion: Turntable, turns: int, speed: Fraction, pose: _Pose, shown:
 
 
 @dataclass(frozen=True)
-class _Shown:
+class _Engines:
     """Mirrors in step: the longest of their times [ns]."""
 
     least: int
@@ -117,10 +157,10 @@ class _Shown:
     power: tuple[float, ...]
 
     @classmethod
-    def of(cls, engines: Engines, bits: int, power: float | Sequence[float]) -> _Shown:
+    def of(cls, engines: Engines, bits: int, power: float | Sequence[float]) -> _Engines:
         found = (engines,) if isinstance(engines, MirrorTiming) else every("engines", engines)
         if not found or not all(isinstance(each, MirrorTiming) for each in found):
-            raise BadInput(f"engines is {engines!r}; wanted a MirrorTiming, or one for each projector")
+            raise BadInput(f"engines is {engines!r}; expected a MirrorTiming, or one for each projector")
         depth = whole("bits", bits)
         linked = (nanoseconds("upload", each.nbytes(depth) / exact("link", each.link)) for each in found if each.link)
         return cls(
@@ -135,13 +175,13 @@ class _Pose:
 
     gaps: np.ndarray
     moved: np.ndarray
-    picture: int
+    frame: int
     on: int | None
-    shown: _Shown
+    shown: _Engines
     wire: int
 
     @classmethod
-    def of(cls, order: np.ndarray, lens: LensTiming | None, shown: _Shown, on: Number | None) -> _Pose:
+    def of(cls, order: np.ndarray, lens: LensTiming | None, shown: _Engines, on: Number | None) -> _Pose:
         before = np.roll(order.ravel(), 1).reshape(order.shape)
         gaps, moved = np.full(order.shape, shown.delay, np.int64), before != order
         for place in np.argwhere(moved):
@@ -149,16 +189,16 @@ class _Pose:
             settling = lens.settling(int(before[*place]), int(order[*place]))
             gaps[*place] = lens.wire + max(settling, shown.delay)
         wanted = None if on is None else nanoseconds("on [s]", exact("on [s]", on))
-        picture = max(shown.least, wanted or 0, 1) + shown.pause  # light lasts as long as the mirrors show all planes
-        return cls(gaps, moved, picture, wanted, shown, lens.wire if lens else 0)
+        frame = max(shown.least, wanted or 0, 1) + shown.pause  # light lasts as long as the mirrors show all planes
+        return cls(gaps, moved, frame, wanted, shown, lens.wire if lens else 0)
 
     @property
     def parts(self) -> dict[str, int]:
         """What the longer pose spends its time with [ns]."""
         gaps, moved = max(zip(self.gaps, self.moved, strict=True), key=lambda each: int(each[0].sum()))
         wire = int(moved.sum()) * self.wire
-        held = len(gaps) * self.picture
-        name = "light" if self.picture > self.shown.least else "mirrors"
+        held = len(gaps) * self.frame
+        name = "light" if self.frame > self.shown.least else "mirrors"
         settling = int(gaps[moved].sum()) - wire
         return {"lens": settling, "serial line": wire, "trigger": int(gaps[~moved].sum()), name: held}
 
@@ -167,7 +207,7 @@ class _Pose:
         period = way / speed * SECOND
         if period > SLOWEST:
             seconds = float(period / SECOND)
-            raise BadInput(f"{float(speed):.4g} {unit}/s is a pose in {seconds:.4g} s; wanted an hour at most")
+            raise BadInput(f"{float(speed):.4g} {unit}/s is a pose in {seconds:.4g} s; expected an hour at most")
         parts = self.parts
         limit, need = max(parts, key=lambda name: parts[name]), sum(parts.values())
         linked = self.gaps.shape[1] * self.shown.transfer
@@ -193,7 +233,7 @@ class _Pose:
 
 def _table(
     cadence: Cadence, way: Fraction, poses: int, first: int, order: np.ndarray, pose: _Pose, focus: Sequence[float],
-    shown: _Shown, lens: LensTiming | None, repeat: int | None = None,
+    shown: _Engines, lens: LensTiming | None, repeat: int | None = None,
 ) -> Schedule:  # fmt: skip
     planes, (starts, on) = order.shape[1], pose.times(cadence.period)
     cadence = Cadence(cadence.period, cadence.start - Cadence(cadence.period).at(first))  # of pose 0, wherever it lies

@@ -1,4 +1,4 @@
-"""A schedule as the rows that a controller plays."""
+"""A schedule as the rows that a controller plays, and how fast it can step."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import isnan
 
-from vamgpu.errors import BadInput
-from vamgpu.hosts.protocols.controller import Row
+from vamgpu.errors import BadInput, TimingInfeasible
+from vamgpu.hosts.protocols.controller import FASTEST, ControllerRow
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
 
 MICRO = 1000
 
 
 @dataclass(frozen=True)
-class Rows:
+class RowTable:
     """Rows by slot. A row acts where the motion is when its lens command, or else its light, is due.
 
     microsteps: of the motion, in one unit of the schedule's positions; None where rows count microseconds.  origin: the
@@ -45,17 +45,38 @@ class Rows:
             return time // MICRO
         return round((self.origin + float(self.schedule.position_at(time))) * self.microsteps)
 
-    def row(self, slot: int, index: int) -> Row:
+    def row(self, slot: int, index: int) -> ControllerRow:
         """The row of a slot, as number ``index`` since the controller began."""
         acts, table = self.acts(slot), self.schedule
         lens = None
         if int(table.command[slot]) != NONE and self.code is not None:
             lens = self.code(float(table.focus[slot]))
         delay = (int(table.light[slot]) - acts) // MICRO
-        return Row(index, self.at(acts), lens, delay, int(table.on[slot]) // MICRO, self.channels)
+        return ControllerRow(index, self.at(acts), lens, delay, int(table.on[slot]) // MICRO, self.channels)
 
-    def dark(self, slot: int, before: int, index: int) -> Row:
-        """A row that shows a picture without light, ``before`` a slot [ns]; the lens goes to that slot's focus."""
+    def dark(self, slot: int, before: int, index: int) -> ControllerRow:
+        """A row that shows a frame without light, ``before`` a slot [ns]; the lens goes to that slot's focus."""
         focus = float(self.schedule.focus[slot])
         lens = None if self.code is None or isnan(focus) else self.code(focus)
-        return Row(index, self.at(self.acts(slot) - before), lens, 0, 0, 0)
+        return ControllerRow(index, self.at(self.acts(slot) - before), lens, 0, 0, 0)
+
+
+FINE = 1000  # microsteps of an emulated motion in a pose, where that is not too fast
+
+
+def steppable(schedule: Schedule, microsteps: float) -> None:
+    """Raise `TimingInfeasible` for a motion of more microsteps a second than the controller steps."""
+    rate = float(schedule.speed) * microsteps
+    if rate > FASTEST:
+        most, unit = FASTEST / microsteps, f"{schedule.unit}/s"
+        raise TimingInfeasible(
+            f"{float(schedule.speed):.4g} {unit} are {rate:.4g} microsteps/s, and the controller steps {FASTEST:.4g} "
+            f"at most: move at {most:.4g} {unit} at most, or set a coarser division at the motor's driver and tell it "
+            "as microsteps in [controller]",
+            "motor", most, unit,
+        )  # fmt: skip
+
+
+def emulated_microsteps(schedule: Schedule) -> int:
+    """Microsteps of an emulated motion in a pose: `FINE`, or as many as the controller can step."""
+    return max(1, min(FINE, int(FASTEST * float(schedule.advance / schedule.speed))))

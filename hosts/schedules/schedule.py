@@ -1,4 +1,4 @@
-"""The table of a print: when each picture is shown, where, through which focus, how bright and for how long. No I/O.
+"""The table of a print: when each frame is shown, where, through which focus, how bright and for how long. No I/O.
 
 Times are whole nanoseconds since the schedule begins, computed from a slot's number alone, so errors never add up. A
 slot is told to the lens at ``command``; the mirrors are triggered at ``trigger``, there is light from ``light`` to
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,7 @@ import numpy as np
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.hosts.schedules.timing import SECOND, Cadence
 
-NONE = -1
-"""In place of a time or frame: there is none."""
+NONE = -1  # in place of a time or frame: there is none
 
 COLUMNS = ("command", "trigger", "light", "dark", "on", "frame", "pose", "plane", "position", "focus")
 
@@ -46,8 +46,8 @@ class Schedule:
     """Slots in the order of time, one array each (slots,).
 
     command, trigger, light, dark: times [ns], int64; ``command`` is `NONE` where the lens stays.  on: duration of light
-    in the slot [ns], what dose follows.  frame: number of the picture to show.  pose: of the motion, running on over
-    turns.  plane: focus plane.  position: that the picture is meant for, in ``unit``.  focus: lens power [dpt], NaN
+    in the slot [ns], what dose follows.  frame: number of the frame to show.  pose: of the motion, running on over
+    turns.  plane: focus plane.  position: that the frame is meant for, in ``unit``.  focus: lens power [dpt], NaN
     without a lens.  power: of the light, 0 to 1, float (slots, engines).
 
     cadence: of the poses, and so of the motion.  advance: from pose to pose, exact; of measured angles between the
@@ -80,7 +80,7 @@ class Schedule:
                     raise ShapeMismatch(f"{entry.name} has {len(column)} slots; light has {len(self.light)}")
                 column.flags.writeable = False
         if self.unit not in ("mm", "deg"):
-            raise BadInput(f"unit is {self.unit!r}; wanted 'mm' or 'deg'")
+            raise BadInput(f"unit is {self.unit!r}; expected 'mm' or 'deg'")
 
     def __len__(self) -> int:
         return len(self.light)
@@ -131,7 +131,7 @@ class Schedule:
         """From the beginning to the last darkness [ns]."""
         return int(self.dark[-1]) if len(self) else 0
 
-    @property
+    @cached_property
     def speed(self) -> Fraction:
         """Of the motion [unit/s], exact: command this one, not the one that was asked for."""
         return self.advance * SECOND / self.cadence.period
@@ -146,7 +146,7 @@ class Schedule:
         """Share of the time from the first light on in which there is light."""
         return float(self.on.sum() / max(self.duration - int(self.light[0]), 1)) if len(self) else 0.0
 
-    @property
+    @cached_property
     def rate(self) -> float:
         """Slots a second, on average; at measured angles where they are nearest."""
         poses = int(self.pose[-1] - self.pose[0]) + 1 if len(self) else 1
@@ -154,4 +154,8 @@ class Schedule:
 
     def position_at(self, time: int) -> Fraction:
         """Where the motion is at a time [ns], in ``unit``, if it runs at ``speed`` and pose 0 is at position 0."""
-        return (time - self.cadence.start) * self.advance / self.cadence.period
+        return (time - self.cadence.start) * self._per_nanosecond
+
+    @cached_property
+    def _per_nanosecond(self) -> Fraction:
+        return self.advance / self.cadence.period

@@ -12,14 +12,10 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 
-SECOND = 10**9
-"""Nanoseconds of a second."""
-DAY = 86400 * SECOND
-"""The longest time that a machine is given [ns]."""
-FARTHEST = 2**62
-"""The last time that tables hold [ns]."""
-GREATEST = 10**30
-"""Of numbers: beyond it, and below its inverse, they are slips of the pen."""
+SECOND = 10**9  # nanoseconds of a second
+DAY = 86400 * SECOND  # the longest time that a machine is given [ns]
+FARTHEST = 2**62  # the last time that tables hold [ns]
+GREATEST = 10**30  # of numbers: beyond it, and below its inverse, they are slips of the pen
 
 Number = int | float | Fraction
 """What times and speeds are given as; a float counts as the decimal it is written as: 0.1 is a tenth."""
@@ -36,7 +32,7 @@ def fraction(name: str, value: Number) -> Fraction:
     if isinstance(value, Real) and not isinstance(value, Rational):
         number = float(value)
     if not numeric(value) or number != number or abs(number) > GREATEST:
-        raise BadInput(f"{name} is {_told(value)}; wanted a finite number")
+        raise BadInput(f"{name} is {_told(value)}; expected a finite number")
     if isinstance(number, Rational):
         return Fraction(int(number.numerator), int(number.denominator))
     return Fraction(repr(number))
@@ -46,7 +42,7 @@ def exact(name: str, value: Number, *, zero: bool = False) -> Fraction:
     """A number > 0 (≥ 0 with ``zero``) as a fraction. Raises `BadInput`."""
     number = fraction(name, value)
     if number < 0 or (number == 0 and not zero) or 0 < number * GREATEST < 1:
-        raise BadInput(f"{name} is {_told(value)}; wanted {'≥ 0' if zero else '> 0'}")
+        raise BadInput(f"{name} is {_told(value)}; expected {'≥ 0' if zero else '> 0'}")
     return number
 
 
@@ -54,7 +50,7 @@ def whole(name: str, value: Number, least: int = 1) -> int:
     """A whole number that is not below ``least``. Raises `BadInput`."""
     number = fraction(name, value)
     if number.denominator != 1 or number < least:
-        raise BadInput(f"{name} is {_told(value)}; wanted a whole number ≥ {least}")
+        raise BadInput(f"{name} is {_told(value)}; expected a whole number ≥ {least}")
     return int(number)
 
 
@@ -62,7 +58,7 @@ def nanoseconds(name: str, seconds: Number) -> int:
     """Seconds ≥ 0 as whole nanoseconds, rounded up: a machine is given its time. Raises `BadInput`."""
     time = ceil(exact(name, seconds, zero=True) * SECOND)
     if time > DAY:
-        raise BadInput(f"{name} is {_told(seconds)}; wanted a day at most")
+        raise BadInput(f"{name} is {_told(seconds)}; expected a day at most")
     return time
 
 
@@ -73,7 +69,7 @@ def every(name: str, values: Any) -> tuple[Any, ...]:
             return tuple(values)
         except TypeError:
             pass
-    raise BadInput(f"{name} is {_told(values)}; wanted a sequence")
+    raise BadInput(f"{name} is {_told(values)}; expected a sequence")
 
 
 def _told(value: object) -> str:
@@ -100,7 +96,7 @@ class Cadence:
     def __post_init__(self) -> None:
         object.__setattr__(self, "period", fraction("period [ns]", self.period))
         if self.period < 1:
-            raise BadInput(f"the period is {float(self.period):g} ns; wanted at least 1")
+            raise BadInput(f"the period is {float(self.period):g} ns; expected at least 1")
 
     def at(self, beat: int) -> int:
         """When a beat falls [ns]."""
@@ -110,7 +106,7 @@ class Cadence:
         """When beats first, first + stride, … fall [ns], int64 (count,). Raises `BadInput` beyond `FARTHEST`."""
         if max(abs(self.at(first)), abs(self.at(first + stride * count))) > FARTHEST:
             years = FARTHEST / SECOND / (365 * 86400)
-            raise BadInput(f"{count} beats from beat {first} leave the {years:.0f} years of a table; wanted fewer")
+            raise BadInput(f"{count} beats from beat {first} leave the {years:.0f} years of a table; expected fewer")
         top, bottom = self.period.numerator, self.period.denominator
         whole, rest = divmod(top, bottom)
         beats = first + stride * np.arange(count, dtype=np.int64)

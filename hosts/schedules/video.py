@@ -10,14 +10,12 @@ import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible
 from vamgpu.geometry import Turntable
-from vamgpu.hosts.schedules.angles import even_images
-from vamgpu.hosts.schedules.limits import HdmiTiming
-from vamgpu.hosts.schedules.power import powers
+from vamgpu.hosts.schedules.limits import HdmiTiming, powers
+from vamgpu.hosts.schedules.moving import even_images
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, exact, nanoseconds, whole
 
-SAME = Fraction(1, 10**9)
-"""Speeds this close are the same: what a user writes is rounded."""
+SAME = Fraction(1, 10**9)  # speeds this close are the same: what a user writes is rounded
 
 
 def vial(
@@ -30,11 +28,30 @@ def vial(
     cable. Several powers are those of engines that share the cable's clock.
     Raises `BadInput`, and `TimingInfeasible` with the greatest speed, not above the wanted one, that fits exactly.
     """
-    number, times, shares = whole("images", even_images(images)), whole("turns", turns), powers(power)
-    repeats = slots_per_image(number, speed, display)
+    number, times = whole("images", even_images(images)), whole("turns", turns)
+    return _table(number, number * times, Fraction(360, number), "deg", speed, display, power)
+
+
+def web_on_cable(
+    poses: int, *, advance: Number, speed: Number, display: HdmiTiming, power: float | Sequence[float] = 1.0
+) -> Schedule:
+    """Slots of a web: ``poses`` frames, ``advance`` [mm] apart at ``speed`` [mm/s], each in whole slots of the cable.
+
+    Raises `BadInput`, and `TimingInfeasible` with the greatest speed, not above the wanted one, that fits exactly.
+    """
+    count = whole("poses", poses)
+    return _table(count, count, exact("advance [mm]", advance), "mm", speed, display, power)
+
+
+def _table(
+    number: int, count: int, way: Fraction, unit: str, speed: Number, display: HdmiTiming,
+    power: float | Sequence[float],
+) -> Schedule:  # fmt: skip
+    """``count`` slots of ``number`` frames, one every ``way``."""
+    shares, repeats = powers(power), _slots_in(way, unit, speed, display)
     slot = SECOND / display.slot_rate
     begin = Cadence(slot * display.patterns).at(display.latency)
-    beats, count = Cadence(slot, begin), number * times
+    beats = Cadence(slot, begin)
     light, end = beats.times(0, count, repeats), beats.times(repeats, count, repeats)
     pose, pause = np.arange(count, dtype=np.int64), nanoseconds("dark [s]", display.dark)
     cable = Cadence(slot * display.patterns)
@@ -42,27 +59,35 @@ def vial(
     return Schedule(
         command=np.full(count, NONE, np.int64), trigger=received, light=light, dark=end - pause,
         on=end - light - repeats * pause, frame=pose % number, pose=pose, plane=np.zeros(count, np.int64),
-        position=pose * (360.0 / number), focus=np.full(count, nan), power=np.tile(np.array(shares), (count, 1)),
-        cadence=Cadence(slot * repeats, begin), advance=Fraction(360, number), unit="deg", delay=begin, frames=number,
+        position=pose * float(way), focus=np.full(count, nan), power=np.tile(np.array(shares), (count, 1)),
+        cadence=Cadence(slot * repeats, begin), advance=way, unit=unit, delay=begin, frames=number,
     )  # fmt: skip
 
 
 def slots_per_image(images: int, speed: Number, display: HdmiTiming) -> int:
     """Slots of the cable that every image takes. Raises `BadInput`, and `TimingInfeasible` where that is not whole."""
+    return _slots_in(Fraction(360, whole("images", images)), "deg", speed, display)
+
+
+def _slots_in(way: Fraction, unit: str, speed: Number, display: HdmiTiming) -> int:
+    """Slots of the cable that every ``way`` takes."""
     if not isinstance(display, HdmiTiming):
-        raise BadInput(f"display is {display!r}; wanted the HdmiTiming of the projector")
-    wanted = exact("speed [deg/s]", speed)
-    turn = 360 * display.slot_rate / whole("images", images)
+        raise BadInput(f"display is {display!r}; expected the HdmiTiming of the projector")
+    wanted = exact(f"speed [{unit}/s]", speed)
+    turn = way * display.slot_rate
     ratio = turn / wanted
     if ratio > 3600 * display.slot_rate:
-        raise BadInput(f"{float(wanted):.4g} deg/s is an image in more than an hour; turn faster")
+        raise BadInput(f"{float(wanted):.4g} {unit}/s is an image in more than an hour; move faster")
     slots = max(round(ratio), 1)
     if abs(ratio - slots) <= SAME * ratio:
         return slots
     most = below(turn / max(ceil(ratio), 1))
     limit = "mirrors" if ratio < 1 else "cadence"
+    each, move = (
+        (f"{360 / way} images a turn", "turn") if unit == "deg" else (f"images every {float(way):.6g} mm", "move")
+    )
     raise TimingInfeasible(
-        f"{images} images a turn at {float(wanted):.6g} deg/s take {float(ratio):.6g} slots each of "
-        f"{float(display.slot_rate):.6g} slots a second; wanted a whole number, or images jump to and fro: turn at "
-        f"{most:.6g} deg/s, or take another number of images", limit, most, "deg/s",
+        f"{each} at {float(wanted):.6g} {unit}/s take {float(ratio):.6g} slots each of "
+        f"{float(display.slot_rate):.6g} slots a second; expected a whole number, or images jump to and fro: {move} at "
+        f"{most:.6g} {unit}/s, or take another number of images", limit, most, f"{unit}/s",
     )  # fmt: skip

@@ -28,10 +28,11 @@ static void add_status(char *out, int64_t now) {
   int64_t lease = lease_end > now ? (lease_end - now) / 1000 : 0;
   int64_t rate = (int64_t)(speed * 1000 + (speed < 0 ? -0.5 : 0.5));
   int64_t room = CAPACITY - queued;
-  int64_t numbers[12] = {next_row, shown, late_rows, room, position, rate,
-                         zero, play_number, lease, light, armed, closed};
+  int64_t senses = (encoder.counts ? 1 : 0) | (marking.counts ? 2 : 0) | (home_number ? 4 : 0) | (astray ? 8 : 0);
+  int64_t numbers[15] = {next_row, shown, late_rows, room, position, rate, zero, play_number,
+                         lease, light, armed, closed, senses, measured(), marks};
   add(out, state);
-  for (uint8_t i = 0; i < 12; i++) {
+  for (uint8_t i = 0; i < 15; i++) {
     add(out, " ");
     add_number(out, numbers[i]);
   }
@@ -45,7 +46,10 @@ static void answer_hello(char *values) {
   done = steps_mode = false;
   accel = RAMP;
   fault = "none";
-  add(values, "vam-controller 2 ");
+  encoder = marking = {0, 1, 0};
+  home_number = 0;
+  mark_known = astray = false;
+  add(values, "vam-controller 3 ");
   int64_t numbers[3] = {CAPACITY, LONGEST_LEASE_MS, CHANNELS};
   for (uint8_t i = 0; i < 3; i++) {
     if (i) add(values, " ");
@@ -61,6 +65,8 @@ static const char *command_light(const char *verb, const int64_t *n, int64_t now
   } else if (!strcmp(verb, "arm")) {
     if (!closed) return "interlock";
     if (lease_end <= now) return "lease";
+    if (!encoder_agrees()) return "stall";
+    if (astray) return "index";
     armed = true;
     fault = "none";
   } else if (!strcmp(verb, "disarm")) {
@@ -79,6 +85,28 @@ static const char *command_light(const char *verb, const int64_t *n, int64_t now
   } else {
     return "verb";
   }
+  return 0;
+}
+
+// The commands of the encoder and the mark; the reason of a refusal, or 0.
+static const char *command_senses(const char *verb, const int64_t *n) {
+  if (!strcmp(verb, "home")) {
+    if (running || !marking.counts) return "state";
+    if (n[0] < 1 || n[0] > 65535 || n[1] < 1 || n[1] > FASTEST * 1000) return "range";
+    home_number = n[0];
+    wanted = n[1] / 1000.0;
+    return 0;
+  }
+  bool marked = !strcmp(verb, "index");
+  if (!marked && strcmp(verb, "encoder")) return "verb";
+  if (running) return "state";
+  int64_t size = n[0] < 0 ? -n[0] : n[0];
+  if (size > LONGEST_RATIO || n[1] < 1 || n[1] > LONGEST_RATIO || (marked && n[0] < 0)) return "range";
+  if (n[0] && (n[2] < 1 || n[2] > LONGEST_RATIO || (!marked && n[2] * size < 2 * n[1]))) return "range";
+  (marked ? marking : encoder) = {n[0], n[1], n[2]};
+  mark_known = astray = false;
+  measured_before = position;
+  counts_before = counts;
   return 0;
 }
 
@@ -103,6 +131,7 @@ static const char *command_rows(const char *verb, const int64_t *n, bool dash, c
     started = earliest = now;
   } else if (!strcmp(verb, "move")) {
     if (n[0] > FASTEST * 1000 || n[0] < -FASTEST * 1000) return "range";
+    home_number = 0;
     wanted = n[0] / 1000.0;
   } else if (!strcmp(verb, "ramp")) {
     if (n[0] < 1 || n[0] > STEEPEST) return "range";
@@ -111,12 +140,11 @@ static const char *command_rows(const char *verb, const int64_t *n, bool dash, c
     if (running) return "state";
     if (n[0] < 1 || n[0] > 65535) return "range";
     zero = n[0];
-    position = 0;
-    fraction = 0;
+    call_position(0);
   } else if (!strcmp(verb, "stop")) {
     close_light("stop", false);
     reset_rows();
-    wanted = 0;
+    wanted = home_number = 0;
   } else {
     return "verb";
   }
@@ -137,7 +165,8 @@ struct Verb {
 
 static const Verb VERBS[] = {{"hello", 0}, {"lease", 1}, {"arm", 0},   {"disarm", 0}, {"power", 2},
                              {"light", 1}, {"mode", 1},  {"row", 6},   {"end", 1},    {"go", 1},
-                             {"move", 1},  {"ramp", 1},  {"zero", 1},  {"stop", 0},   {"stat", 0}};
+                             {"move", 1},  {"ramp", 1},  {"zero", 1},  {"stop", 0},   {"stat", 0},
+                             {"encoder", 3}, {"index", 3}, {"home", 2}};
 
 static const Verb *find_verb(const char *name) {
   for (const Verb &verb : VERBS)
@@ -180,5 +209,6 @@ static const char *command(const char *name, char **words, uint8_t count, char *
     return 0;
   }
   const char *refusal = command_light(name, n, now);
-  return refusal && !strcmp(refusal, "verb") ? command_rows(name, n, dash, values, now) : refusal;
+  if (refusal && !strcmp(refusal, "verb")) refusal = command_rows(name, n, dash, values, now);
+  return refusal && !strcmp(refusal, "verb") ? command_senses(name, n) : refusal;
 }

@@ -1,7 +1,7 @@
 // Reference firmware of the controller of web, trigger, lens and light, for any 32-bit board with the Arduino core.
 //
 // It speaks the line protocol described in vamgpu.hosts.protocols.controller. Nothing here waits: loop() looks at
-// lease, interlock, steps, pulses and the line in turn, a few microseconds a turn, and hands the line no more bytes
+// lease, interlock, encoder, steps, pulses and the line in turn, a few microseconds a turn, and hands the line no more bytes
 // than it takes at once.
 //
 // Wiring that must hold when this program does not: a pull-down resistor on every GATE pin, so that the light is off
@@ -71,6 +71,11 @@ void setup() {
   pinMode(STEP_PIN, OUTPUT);
   pinMode(DIRECTION_PIN, OUTPUT);
   pinMode(INTERLOCK_PIN, INPUT_PULLUP);
+  pinMode(ENCODER_A_PIN, INPUT_PULLUP);
+  pinMode(ENCODER_B_PIN, INPUT_PULLUP);
+  pinMode(INDEX_PIN, INPUT);
+  phase = (digitalRead(ENCODER_A_PIN) == HIGH) << 1 | (digitalRead(ENCODER_B_PIN) == HIGH);
+  mark_high = digitalRead(INDEX_PIN) == HIGH;
   analogWriteResolution(16);
   for (uint8_t i = 0; i < CHANNELS; i++) analogWrite(DRIVE_PINS[i], 65535);
   HOST.begin(115200);

@@ -24,8 +24,19 @@ static Row current;
 
 static int64_t position, zero;        // microsteps, and the number of position 0
 static double speed, wanted, accel = RAMP;  // microsteps per second, and per second squared
-static double fraction;               // microsteps owed
+static double fraction;               // microsteps yet to go
 static int64_t stepped;
+
+struct Ratio {                        // of counts or marks to microsteps; none with 0 counts
+  int64_t counts, steps, limit;       // limit: the greatest error [microsteps]
+};
+
+static Ratio encoder, marking;
+static int64_t counts, counts_before, measured_before;  // of the encoder, and where it was when it was last told
+static int64_t marks, marks_since, mark_first;          // passed; since the first one, and where that was
+static int64_t home_number;                             // of the zero that the next mark becomes; 0: none
+static bool mark_known, mark_high, astray;
+static uint8_t phase;
 
 // ---- time: 64 bits of microseconds ---------------------------------------------------------------------------------
 static int64_t now_us() {
@@ -116,6 +127,72 @@ static void play(int64_t now) {
   finish();
 }
 
+// ---- where the motion is: an encoder, and a mark that comes round ----------------------------------------------------
+static int64_t measured() {
+  if (!encoder.counts) return 0;
+  return measured_before + (counts - counts_before) * encoder.steps / encoder.counts;
+}
+
+// The encoder and the mark are taken to agree with the steps here.
+static void call_position(int64_t there) {
+  mark_first += there - position;
+  position = measured_before = there;
+  counts_before = counts;
+  fraction = 0;
+  astray = false;
+}
+
+static void not_there(const char *reason) {
+  if (light || armed || running) close_light(reason, true);
+}
+
+static bool encoder_agrees() {
+  int64_t error = position - measured();
+  return !encoder.counts || (error <= encoder.limit && -error <= encoder.limit);
+}
+
+static int64_t next_mark() { return mark_first + (marks_since + 1) * marking.steps / marking.counts; }
+
+static void lose_mark() {
+  astray = true;
+  mark_known = false;
+  not_there("index");
+}
+
+static void pass_mark() {
+  marks++;
+  if (home_number) {
+    zero = home_number;
+    home_number = 0;
+    wanted = 0;
+    call_position(0);
+    mark_known = false;
+    say("home", zero, true);
+  }
+  if (!mark_known) {
+    mark_known = true;
+    mark_first = position;
+    marks_since = 0;
+    return;
+  }
+  int64_t error = position - next_mark();
+  marks_since++;
+  if (error > marking.limit || -error > marking.limit) lose_mark();
+}
+
+static void see_position() {
+  static const int8_t MOVES[16] = {0, 1, -1, 0, -1, 0, 0, 1, 1, 0, 0, -1, 0, -1, 1, 0};
+  uint8_t pins = (digitalRead(ENCODER_A_PIN) == HIGH) << 1 | (digitalRead(ENCODER_B_PIN) == HIGH);
+  counts += MOVES[phase << 2 | pins];
+  phase = pins;
+  bool high = digitalRead(INDEX_PIN) == HIGH, rose = high && !mark_high;
+  mark_high = high;
+  if (speed < 0) mark_known = false;  // it is seen at its other end
+  else if (marking.counts && rose) pass_mark();
+  else if (marking.counts && mark_known && position > next_mark() + marking.limit) lose_mark();
+  if (!encoder_agrees()) not_there("stall");
+}
+
 // ---- what may close the light at any time ----------------------------------------------------------------------------
 static void watch(int64_t now) {
   bool shut = digitalRead(INTERLOCK_PIN) == LOW;
@@ -125,6 +202,7 @@ static void watch(int64_t now) {
   }
   closed = shut;
   if ((light || armed) && lease_end >= 0 && now >= lease_end) close_light("lease", true);
+  see_position();
 }
 
 // ---- web -----------------------------------------------------------------------------------------------------------

@@ -1,0 +1,228 @@
+"""The calibrations of a rig: each measurement a folder beside the rig's file, the newest of each kind in force."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.calibration.runout import Runout
+from vamgpu.errors import BadInput, JobError, StorageError
+from vamgpu.geometry import Turntable
+from vamgpu.hosts.calibrating.report import CalibrationResult, read, save
+from vamgpu.hosts.calibrating.runout import runout_of
+from vamgpu.hosts.rigs.config import RigConfig
+from vamgpu.hosts.rigs.guarantees import driver_of
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.printing.pack import repack
+from vamgpu.storage.numpy_files import read_npz
+
+KINDS = ("gray", "flat", "axis", "focus", "mtf", "runout")
+SUFFIX = ".calibration"  # of the folder beside the rig's file
+STAMP = "%Y-%m-%dT%H%M%S"
+NAME = re.compile(rf"({'|'.join(KINDS)})-(\d{{4}}-\d\d-\d\dT\d{{6}})(?:-\d+)?")
+DAY = 86400.0
+NONE = "none"  # in [calibration]: do not apply this kind
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One measurement of a rig. kind: one of `KINDS`.  taken: when, local time.  path: of its folder."""
+
+    kind: str
+    taken: datetime
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """Of its folder, by which a rig's file may choose it."""
+        return self.path.name
+
+    def days(self, now: datetime | None = None) -> float:
+        """Since it was taken [days]."""
+        return ((now or datetime.now()) - self.taken).total_seconds() / DAY
+
+    def tables(self) -> dict[str, Any]:
+        """All that it found. Raises `StorageError`, `BadInput` where its file is damaged."""
+        return read(self.path, self.kind)
+
+
+def folder_of(rig: RigConfig) -> Path | None:
+    """Where a rig's calibrations are; None for a rig that has no file."""
+    return Path(rig.source).with_suffix(SUFFIX) if Path(rig.source).suffix == ".toml" else None
+
+
+def place_of(rig: RigConfig) -> Path:
+    """Where a rig's calibrations are. Raises `BadInput` for a rig that has no file."""
+    if (place := folder_of(rig)) is None:
+        raise BadInput(
+            f"the rig {rig.source!r} is no file ending in .toml, beside which its calibrations would be; give such a "
+            "file, or --out for a result of its own"
+        )
+    return place
+
+
+def taken_of(rig: RigConfig) -> tuple[Calibration, ...]:
+    """All calibrations of a rig, the newest first; what has another name in their folder is none."""
+    place = folder_of(rig)
+    if place is None or not place.is_dir():
+        return ()
+    found = [
+        Calibration(match[1], datetime.strptime(match[2], STAMP), entry)
+        for entry in place.iterdir()
+        if (match := NAME.fullmatch(entry.name)) and (entry / "result.toml").is_file()
+    ]
+    return tuple(sorted(found, key=lambda each: (each.taken, each.name), reverse=True))
+
+
+def keep(found: CalibrationResult, rig: RigConfig, now: datetime | None = None) -> Calibration:
+    """Add a measurement to those of a rig; none is ever replaced. Raises `BadInput` for a rig without a file."""
+    place = place_of(rig)
+    taken = (now or datetime.now()).replace(microsecond=0)
+    name, again = f"{found.kind}-{taken.strftime(STAMP)}", 1
+    while (place / name).exists():
+        again += 1
+        name = f"{found.kind}-{taken.strftime(STAMP)}-{again}"
+    place.mkdir(parents=True, exist_ok=True)
+    return Calibration(found.kind, taken, save(found, place / name, rig.text, taken=taken))
+
+
+def in_force(rig: RigConfig) -> dict[str, Calibration]:
+    """Kind → the calibration that is applied: the newest, or the one that the rig's table ``[calibration]`` names.
+
+    Raises `JobError` for one that is not there.
+    """
+    chosen: dict[str, Calibration] = {}
+    taken, section = taken_of(rig), rig.setup.calibration
+    for kind in KINDS:
+        own = [each for each in taken if each.kind == kind]
+        wish = getattr(section, kind)
+        if wish is not None and wish != NONE:
+            own = [each for each in own if each.name.removeprefix(f"{kind}-").startswith(wish)]
+            if not own:
+                raise JobError(
+                    f'calibration.{kind} is "{wish}", and {str(folder_of(rig))!r} has none of that date; expected a '
+                    f'date that `vam calibrate list` shows, or "{NONE}"'
+                )
+        if own and wish != NONE:
+            chosen[kind] = own[0]
+    return chosen
+
+
+@dataclass(frozen=True)
+class MeasuredRunout:
+    """A vial's runout, with the projector and the number of its columns that it was measured with."""
+
+    found: Runout
+    projector: int
+    columns: int
+
+    def shift(self, frames: Frames) -> float:
+        """Columns along r by which frames move, so that their axis is where the turntable's is."""
+        off = self.found.axis - 0.5 * (self.columns - 1)
+        return -off if frames.settings.flip_r else off
+
+    def moves(self, frames: Frames, turning: bool) -> np.ndarray:
+        """Columns [frame, row] by which rows move besides."""
+        count, rows, _ = frames.shape
+        angles = Turntable(count).poses if frames.motion is None else frames.motion.poses
+        return self.found.columns(np.tile(angles, count // angles.size), rows, turning=turning)
+
+
+@dataclass(frozen=True, eq=False)
+class MachineCalibration:
+    """What a rig's calibrations say of its projectors, as prints apply it.
+
+    gray, flat: of each projector, None where it was not measured.  shift: of the axis [columns].  runout: of vials,
+    and the projector and mirrors that saw it.  turning: whether prints know the turntable's angle.  lens: power on the
+    axis [dpt] and way of the focus per power [mm/dpt].  used: kind → name of what is applied.  notes: what a person
+    should know, such as measurements that are old.
+    """
+
+    gray: tuple[GrayCurve | None, ...] = ()
+    flat: tuple[np.ndarray | None, ...] = ()
+    shift: float | None = None
+    lens: tuple[float, float] | None = None
+    runout: MeasuredRunout | None = None
+    turning: bool = False
+    used: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.used)
+
+    def frames(self, frames: Frames, projector: int = 0, *, vial: bool = True) -> Frames:
+        """The light of a job's frames as a projector of this machine shows it. Raises `BadInput`, `ShapeMismatch`."""
+        seen = self.runout if vial and self.runout is not None and self.runout.projector == projector else None
+        gray = self.gray[projector] if projector < len(self.gray) else None
+        flat = self.flat[projector] if projector < len(self.flat) else None
+        across = self.shift if self.shift is not None or seen is None else seen.shift(frames)
+        if gray is None and flat is None and across is None:
+            return frames
+        shift = None if across is None else (across, frames.settings.shift[1])
+        moves = None if seen is None else seen.moves(frames, self.turning)
+        flat = None if flat is None else _middle(flat, frames)
+        return repack(frames, gray=gray, flat_field=flat, shift=shift, moves=moves)
+
+
+def calibration_of(rig: RigConfig, now: datetime | None = None) -> MachineCalibration:
+    """What is applied to every job on a rig. Raises `JobError`, `StorageError`, `BadInput` for damaged results."""
+    chosen = in_force(rig)
+    tables = {kind: each.tables() for kind, each in chosen.items()}
+    count, limit = len(rig.setup.projector), rig.setup.calibration.warn_after / DAY
+    notes = [
+        f"the calibration {each.name} is {each.days(now):.0f} days old; expected {limit:.0f} at most: measure again, "
+        "or raise warn_after in [calibration]"
+        for each in chosen.values() if each.days(now) > limit
+    ]  # fmt: skip
+    gray: list[GrayCurve | None] = [None] * count
+    flat: list[np.ndarray | None] = [None] * count
+    for projector in range(count):
+        if table := tables.get("gray", {}).get("gray" if projector == 0 else f"gray_{projector}"):
+            gray[projector] = GrayCurve.parse(table)
+        if "flat" in chosen:
+            flat[projector] = _flat(chosen["flat"], projector)
+    measured = {kind: each["measured"] for kind, each in tables.items()}
+    lens = (measured["focus"]["axis_dpt"], measured["focus"]["slope_mm_dpt"]) if "focus" in measured else None
+    shift = measured["axis"]["shift_columns"] if "axis" in measured else None
+    used = {kind: each.name for kind, each in chosen.items()}
+    turning = driver_of(rig.setup.clock) == "stage"
+    runout = _runout(chosen["runout"], measured["runout"]) if "runout" in measured else None
+    if runout is not None and not turning:
+        notes.append(
+            f"the runout {chosen['runout'].name} is applied as far as it is the same at every angle; prints on this "
+            "clock do not know the turntable's angle, so that the pin's eccentricity of "
+            f'{runout.found.eccentricity:.2g} columns stays: center the vial, or take [clock] driver = "stage"'
+        )
+    return MachineCalibration(tuple(gray), tuple(flat), shift, lens, runout, turning, used, tuple(notes))
+
+
+def _runout(found: Calibration, numbers: Mapping[str, Any]) -> MeasuredRunout:
+    try:
+        return MeasuredRunout(runout_of(dict(numbers)), int(numbers["projector"]), int(numbers["columns"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise StorageError(f"{str(found.path)!r} garbles its numbers: {error}; measure the runout again") from error
+
+
+def _flat(found: Calibration, projector: int) -> np.ndarray | None:
+    """The flat field [row, column] of a projector's mirrors; None where it was not measured."""
+    field = read_npz(found.path / "readings.npz").get(f"flat_{projector}")
+    return None if field is None else np.asarray(field, np.float64)
+
+
+def _middle(flat: np.ndarray, frames: Frames) -> np.ndarray:
+    """The part of a projector's flat field that frames in its middle lie on."""
+    rows, columns = frames.shape[1:]
+    top, left = (flat.shape[0] - rows) // 2, (flat.shape[1] - columns) // 2
+    if top < 0 or left < 0:
+        raise BadInput(
+            f"the flat field has {flat.shape[0]} × {flat.shape[1]} mirrors, the job's frames {rows} × {columns}; "
+            "measure it on this projector again"
+        )
+    return flat[top : top + rows, left : left + columns]

@@ -1,0 +1,183 @@
+"""The LightCrafter 4500 on USB: its pattern mode for video frames, and its LEDs as light."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any, Self
+
+from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, DeviceRefused
+from vamgpu.hosts.drivers.projector import HdmiProjector, SlotLayout, Window
+from vamgpu.hosts.protocols import dlpc350
+from vamgpu.hosts.run_all import Closing, close_all
+
+log: logging.Logger = logging.getLogger(__name__)
+
+
+class LightCrafter(Closing):
+    """The projector's controller: patterns from the video cable, LEDs off until `on`.
+
+    ``device`` has ``write``, ``read(size, timeout_ms)`` and ``close`` of hidapi's device.
+    """
+
+    def __init__(
+        self, device: Any, timeout_s: float = 1.0, pause: Callable[[float], None] = time.sleep, wait_s: float = 5.0
+    ) -> None:
+        self._device, self._timeout, self._pause, self._wait = device, round(timeout_s * 1000), pause, wait_s
+        self._number, self._lit, self._open = 0, False, True
+        try:
+            self.off()
+        except BaseException:
+            device.close()
+            raise
+
+    @classmethod
+    def open(cls, serial: str | None = None, timeout_s: float = 1.0) -> Self:
+        """Open the projector; its LEDs are off after.
+
+        Args:
+            serial: Its serial number; None takes the first.
+            timeout_s: How long an answer may take [s].
+
+        Returns:
+            The projector.
+
+        Raises:
+            DeviceNotFound: There is none, another program holds it, or the package is missing.
+        """
+        try:
+            import hid  # type: ignore[import-not-found]
+        except ImportError as error:
+            raise DeviceNotFound('LightCrafters need hidapi: pip install "vamgpu[lightcrafter]"') from error
+        device = hid.device()
+        try:
+            device.open(dlpc350.VENDOR, dlpc350.PRODUCT, serial)
+        except (OSError, ValueError) as error:
+            raise DeviceNotFound(
+                f"LightCrafter {serial or ''} does not open ({error}); check plug, power and permissions, and close "
+                "other programs that use it"
+            ) from error
+        return cls(device, timeout_s)
+
+    def _ask(self, command: int, data: bytes, what: str, read: bool = False) -> bytes:
+        self._number = (self._number + 1) % 256
+        raw = dlpc350.frame(command, data, self._number, read)
+        try:
+            for start in range(0, len(raw), dlpc350.REPORT):
+                if self._device.write(b"\0" + raw[start : start + dlpc350.REPORT]) < 0:
+                    raise OSError("the report was not taken")
+            answer = bytes(self._device.read(dlpc350.REPORT, self._timeout))
+        except (OSError, ValueError) as error:
+            raise DeviceLost(f"the projector is gone ({error}); check its plug and its power") from error
+        if not answer:
+            raise DeviceLost(f"the projector does not answer {what}; check its plug and its power")
+        return dlpc350.parse_reply(answer, self._number, what)
+
+    def show_video(
+        self,
+        channels: tuple[int, ...],
+        bits: int,
+        exposure_us: int,
+        period_us: int,
+        leds: str | tuple[str, ...],
+        refresh_hz: float = 60.0,
+    ) -> None:
+        """Show patterns of each video frame in turn, checked by the projector before they start.
+
+        Args:
+            channels: The channel (0 red, 1 green, 2 blue) of each pattern, in the order they are shown.
+            bits: Bits of a pattern, 7 or 8.
+            exposure_us: How long each is lit [us].
+            period_us: From pattern to pattern [us]; equal to the exposure, or at least 230 us more.
+            leds: Which LEDs light them: ``red``, ``green``, ``blue``.
+            refresh_hz: Video frames a second.
+
+        Raises:
+            BadInput: The patterns do not fit a video frame.
+            DeviceRefused: The projector finds the settings invalid; the message says which.
+        """
+        chosen = (leds,) if isinstance(leds, str) else leds
+        if not chosen or not set(chosen) <= set(dlpc350.COLORS):
+            raise BadInput(f"LEDs {chosen}; expected some of {', '.join(dlpc350.COLORS)}")
+        times = dlpc350.times(bits, len(channels), exposure_us, period_us, int(1e6 / refresh_hz))
+        table = dlpc350.patterns(channels, bits, sum(1 << dlpc350.COLORS.index(name) for name in set(chosen)))
+        for command, data, what in (
+            (dlpc350.DISPLAY, b"\0", "the stop"),
+            (dlpc350.DISPLAY_MODE, b"\1", "the pattern mode"),
+            (dlpc350.SOURCE, b"\0", "patterns from video"),
+            (dlpc350.SEQUENCE, dlpc350.sequence(len(channels)), "the number of patterns"),
+            (dlpc350.TRIGGER_MODE, b"\0", "the trigger by vertical blanking"),
+            (dlpc350.TIMES, times, "exposure and period"),
+            (dlpc350.MAILBOX, b"\2", "the table's opening"),
+            (dlpc350.MAILBOX_PLACE, b"\0", "the table's place"),
+            (dlpc350.MAILBOX_DATA, table, "the table"),
+            (dlpc350.MAILBOX, b"\0", "the table's closing"),
+            (dlpc350.VALIDATE, b"", "the check"),
+        ):
+            self._ask(command, data, what)
+        if found := dlpc350.faults(self._checked()):
+            raise DeviceRefused(f"the projector finds its patterns invalid: {', '.join(found)}", "validate")
+        self._ask(dlpc350.DISPLAY, b"\2", "the start")
+
+    def _checked(self) -> int:
+        waited = 0.0
+        while (status := self._byte(dlpc350.VALIDATE, "the check's result")) & dlpc350.BUSY:
+            if waited > self._wait:
+                raise DeviceLost(f"the projector still checks after {self._wait} s; turn it off and on")
+            self._pause(0.05)
+            waited += 0.05
+        return status
+
+    def _byte(self, command: int, what: str) -> int:
+        if not (data := self._ask(command, b"", what, read=True)):
+            raise DeviceRefused(f"the projector has no answer to {what}", "empty")
+        return data[0]
+
+    def drive(self, red: float = 0.0, green: float = 0.0, blue: float = 0.0) -> None:
+        """Set the LEDs' currents as fractions of their greatest; 0..1 each.
+
+        The code of a current falls as the current grows, as the projector's LED drivers expect it.
+        """
+        if not all(0 <= each <= 1 for each in (red, green, blue)):
+            raise BadInput(f"LEDs cannot be driven at {red}, {green}, {blue} of their greatest current; give 0..1")
+        codes = bytes(255 - round(each * 255) for each in (red, green, blue))
+        self._ask(dlpc350.LED_CURRENTS, codes, "the LEDs' currents")
+
+    def on(self, power: float = 1.0) -> None:
+        """Light: the patterns' LEDs follow the patterns; again does no harm."""
+        self._ask(dlpc350.LED_ENABLE, bytes([0b1000]), "light on")
+        self._lit = True
+
+    def off(self) -> None:
+        """Dark: no LED is enabled; again does no harm."""
+        self._ask(dlpc350.LED_ENABLE, b"\0", "light off")
+        self._lit = False
+
+    def is_on(self) -> bool:
+        """Whether the projector says that its LEDs are enabled."""
+        return self._byte(dlpc350.LED_ENABLE, "the LEDs' state") != 0
+
+    def close(self) -> None:
+        """Dark, stop, and let go; more than once does no harm."""
+        if not self._open:
+            return
+        self._open = False
+        try:
+            self.off()
+            self._ask(dlpc350.DISPLAY, b"\0", "the stop")
+        except DeviceError as error:
+            log.warning("closing the projector: %s", error)
+        self._device.close()
+
+
+class LightCrafterScreen(HdmiProjector):
+    """A screen that a LightCrafter shows. lamp: the LightCrafter, whose LEDs are the light; it is let go of too."""
+
+    def __init__(self, window: Window, layout: SlotLayout, latency_refreshes: int, lamp: LightCrafter) -> None:
+        super().__init__(window, layout, latency_refreshes)
+        self.lamp = lamp
+
+    def close(self) -> None:
+        """LEDs off, black, and away; more than once does no harm."""
+        close_all([super().close, self.lamp.close])

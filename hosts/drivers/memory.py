@@ -1,0 +1,204 @@
+"""The mirrors' memory: sequences in turn, filled by one thread while another asks, so that frames never run out."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from vamgpu.errors import BadInput, DeviceError
+from vamgpu.hosts.drivers import alp
+from vamgpu.hosts.drivers.dmd import Dmd, PlaneSequence, SequenceLimits, SlotTiming
+
+PIECE = 2**21  # bytes of one call that uploads: some milliseconds of a wire
+
+
+class FairLock:
+    """A lock that is handed on in the order of asking: who takes it again and again holds nobody up."""
+
+    def __init__(self) -> None:
+        self._lock, self._held = threading.Lock(), False
+        self._waiting: deque[threading.Lock] = deque()
+
+    def __enter__(self) -> None:
+        ticket = threading.Lock()
+        ticket.acquire()
+        joined = False
+        try:
+            with self._lock:
+                joined = True
+                if not self._held:
+                    self._held = True
+                    return
+                self._waiting.append(ticket)
+            ticket.acquire()
+        except BaseException:  # a signal that ends the program
+            if joined:
+                self._leave(ticket)
+            raise
+
+    def _leave(self, ticket: threading.Lock) -> None:
+        """Wait no more; a turn that was given meanwhile goes to the next."""
+        with self._lock:
+            waits = ticket in self._waiting
+            if waits:
+                self._waiting.remove(ticket)
+        if not waits:
+            self.__exit__()
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            if self._waiting:
+                self._waiting.popleft().release()
+            else:
+                self._held = False
+
+
+@dataclass(eq=False)
+class _Held:
+    """A sequence of the device. home: where it waits for its next use, those first that were shown longest ago.
+
+    name: of the frames in it, where they may be shown again.  promised: how often they will be.
+    """
+
+    sequence: PlaneSequence
+    home: deque[_Held]
+    name: bytes | None = None
+    promised: int = 0
+
+
+class MirrorMemory:
+    """Sequences in turn: one is shown while others are filled.
+
+    length: frames of a sequence.  sequences: how many there are; enough for all frames make them resident.  spares:
+    sequences of one frame, for those that are to be shown alone.  Frames that are put with a name may be queued again
+    without an upload, see `keep`.  The device is asked how many places its queue has.  ``shown`` counts frames by the
+    device's own progress, so it is right whatever the host's time does. Whether a frame counts when it begins or when
+    it ends is the device's to say: compare with the count of triggers before there is light.
+
+    One thread may put while another asks: uploads go in pieces of `PIECE` bytes, and nobody waits longer than for one.
+    """
+
+    dmd: Dmd
+    length: int
+    bits: int
+
+    def __init__(
+        self, dmd: Dmd, length: int, bits: int, timing: SlotTiming = SlotTiming(), sequences: int = 2, spares: int = 0
+    ) -> None:
+        if sequences < 2:
+            raise BadInput(f"{sequences} sequences; expected 2 or more, one to show and one to fill")
+        self.dmd, self.length, self.bits = dmd, length, bits
+        self._free: deque[_Held] = deque()
+        self._spare: deque[_Held] = deque()
+        for home, count, frames in ((self._free, sequences, length), (self._spare, spares, 1)):
+            home.extend(_Held(dmd.sequence(frames, bits, timing), home) for _ in range(count))
+        self._all = (*self._free, *self._spare)
+        self._queue: deque[tuple[_Held, int]] = deque()  # and how many of its frames are shown
+        self.queued: int = 0
+        self._turns = FairLock()
+        self._piece = max(1, PIECE // (bits * dmd.height * dmd.row_bytes))
+        self._ceased = False
+
+    def limits(self) -> SequenceLimits:
+        """What the device allows for these frames."""
+        with self._turns:
+            return self._all[0].sequence.limits()
+
+    def room(self, frames: int = 2, name: bytes | None = None) -> bool:
+        """Whether so many frames can be put now, or those of a name that was kept be shown again."""
+        with self._turns:
+            self._progress()
+            return (self._idle(frames) if name is None else self._named(name, idle=True)) is not None and self._place()
+
+    def _idle(self, frames: int) -> _Held | None:
+        """A sequence for so many frames, none of which is to be shown again."""
+        home = self._spare if frames == 1 and self._spare else self._free
+        return next((held for held in home if not held.promised), None)
+
+    def _named(self, name: bytes, idle: bool = False) -> _Held | None:
+        """The sequence that begins with the frames of a name."""
+        among = self._free if idle else self._all
+        return next((held for held in among if held.name is not None and held.name.startswith(name)), None)
+
+    def _place(self) -> bool:
+        return self.dmd.queue_places() > 0
+
+    def keep(self, name: bytes) -> bool:
+        """Promise to show the frames of a name again; False where they are not at the mirrors any more."""
+        with self._turns:
+            held = self._named(name)
+            if held is not None:
+                held.promised += 1
+            return held is not None
+
+    def again(self, name: bytes, frames: int) -> None:
+        """Queue the frames of a name that was kept; they are not uploaded. Needs `room` for the name."""
+        with self._turns:
+            held = self._named(name, idle=True)
+            if held is None or not held.promised:
+                raise DeviceError("these frames were not kept, or are being shown; wait for room() before showing them")
+            held.promised -= 1
+            held.home.remove(held)
+            self._show(held, frames)
+
+    def put(self, planes: np.ndarray, name: bytes | None = None) -> None:
+        """Upload up to ``length`` frames ``[frame, plane, row, byte]`` and queue them; none once it ceased.
+
+        name: by which they may be shown again: a few bytes a frame, so that what a name begins with names the first of
+        them.
+        """
+        with self._turns:
+            self._progress()
+            held = self._idle(len(planes))
+            if held is None or not self._place():
+                raise DeviceError("all sequences are in the queue; wait for room() before the next frames")
+            held.home.remove(held)
+            held.name = None
+        for first in range(0, len(planes), self._piece):
+            with self._turns:
+                if not self._ceased:
+                    held.sequence.put(planes[first : first + self._piece], first)
+        with self._turns:
+            if self._ceased:
+                held.home.append(held)
+                return
+            held.name = name
+            self._show(held, len(planes))
+
+    def _show(self, held: _Held, frames: int) -> None:
+        held.sequence.start(frames)
+        self._queue.append((held, frames))
+        self.queued += frames
+
+    def shown(self) -> int:
+        """How many frames have begun to show since the start."""
+        with self._turns:
+            return self._progress()
+
+    def _progress(self) -> int:
+        progress = self.dmd.progress()
+        idle = bool(progress.flags & alp.FLAG_QUEUE_IDLE)
+        while len(self._queue) > (0 if idle else 1 + progress.waiting):
+            done, _ = self._queue.popleft()
+            done.home.append(done)
+        waiting = sum(frames for _, frames in list(self._queue)[1:])
+        return self.queued - waiting - (0 if idle else progress.frames_left)
+
+    def cease(self) -> None:
+        """Upload no further piece, so that who uploads may end soon; waits for nobody."""
+        self._ceased = True
+
+    def close(self, hung: bool = False) -> None:
+        """Halt, and give the memory back; not where an upload hangs in it."""
+        self.dmd.halt()
+        if hung:
+            return
+        for held in self._all:
+            held.sequence.free()
+        self._all = ()
+        self._free.clear()
+        self._spare.clear()
+        self._queue.clear()

@@ -1,0 +1,205 @@
+"""Stages and cameras of Micro-Manager's device adapters, through the ``pymmcore-plus`` package."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, DeviceRefused, WrongDevice
+from vamgpu.hosts.run_all import Closing
+
+log: logging.Logger = logging.getLogger(__name__)
+UM_IN_MM = 1000.0
+
+
+def open_core(configuration: str | Path) -> Any:
+    """A core with the devices of a configuration file, as Micro-Manager's wizard writes it.
+
+    Args:
+        configuration: The ``.cfg`` file.
+
+    Returns:
+        The ``CMMCorePlus``.
+
+    Raises:
+        DeviceNotFound: The package, its adapters, the file or a device is missing.
+    """
+    try:
+        from pymmcore_plus import CMMCorePlus
+    except ImportError as error:
+        raise DeviceNotFound('Micro-Manager devices need pymmcore-plus: pip install "vamgpu[micromanager]"') from error
+    if not Path(configuration).is_file():
+        raise DeviceNotFound(f"there is no configuration {configuration}; write one with Micro-Manager's wizard")
+    core = CMMCorePlus()
+    try:
+        core.loadSystemConfiguration(str(configuration))
+    except Exception as error:
+        raise DeviceNotFound(
+            f"the devices of {configuration} do not start ({error}); check plugs and power, and that the adapters "
+            "are there: mmcore install"
+        ) from error
+    return core
+
+
+class _Device(Closing):
+    """One device of a core, by its label; ``owned`` unloads the core's devices at the end."""
+
+    label: str
+
+    def __init__(self, core: Any, label: str, kind: str, owned: bool) -> None:
+        self._core, self.label, self._owned = core, label, owned
+        labels = list(core.getLoadedDevices())
+        if label not in labels:
+            self._let_go()
+            raise DeviceNotFound(f"there is no device {label!r} among {', '.join(labels)}; correct its label")
+        if (found := core.getDeviceType(label).name) != kind:
+            self._let_go()
+            raise WrongDevice(f"the device {label!r} is of the kind {found}, expected {kind}; correct its label")
+
+    def _call(self, name: str, *arguments: Any, lost: type[DeviceError] = DeviceRefused) -> Any:
+        try:
+            return getattr(self._core, name)(*arguments)
+        except Exception as error:
+            raise lost(f"{self.label} failed in {name} ({error}); check its plug, its power and the value") from error
+
+    def _let_go(self) -> None:
+        owned, self._owned = self._owned, False
+        if owned:
+            self._core.unloadAllDevices()
+
+
+class MicroManagerStage(_Device):
+    """A stage of one axis of length; it moves at the speed of its property ``speed_property``, if it has one.
+
+    Micro-Manager has no motion for good: `run` is refused, so such a stage homes and goes to places.
+    """
+
+    unit = "mm"
+    measured = True
+
+    def __init__(
+        self,
+        core: Any,
+        label: str,
+        speed_property: str | None = None,
+        patience_s: float = 60.0,
+        pause: Callable[[float], None] = time.sleep,
+        owned: bool = False,
+    ) -> None:
+        super().__init__(core, label, "StageDevice", owned)
+        self._speed_property, self._patience, self._pause = speed_property, patience_s, pause
+
+    @classmethod
+    def open(cls, configuration: str | Path, label: str, speed_property: str | None = None) -> Self:
+        """Open the stage.
+
+        Args:
+            configuration: The ``.cfg`` file.
+            label: The stage's label in it.
+            speed_property: The property that holds its speed [mm/s]; None moves at the stage's own speed.
+
+        Returns:
+            The stage.
+
+        Raises:
+            DeviceNotFound: The package, the file, or the device is missing.
+            WrongDevice: The label is of another kind of device.
+        """
+        return cls(open_core(configuration), label, speed_property, owned=True)
+
+    def position(self) -> float:
+        """Where the axis says it is [mm]."""
+        return self._call("getPosition", self.label, lost=DeviceLost) / UM_IN_MM
+
+    def home(self) -> None:
+        """Find the axis's zero; returns when it has."""
+        self._call("home", self.label)
+        self.wait()
+
+    def move(self, position: float, speed: float) -> None:
+        """Begin to move to a position [mm]."""
+        if not speed > 0:
+            raise BadInput(f"a move needs a speed above 0, not {speed}")
+        if self._speed_property is not None:
+            self._call("setProperty", self.label, self._speed_property, speed)
+        self._call("setPosition", self.label, position * UM_IN_MM)
+
+    def run(self, speed: float) -> None:
+        """Come to rest at speed 0; any other is refused."""
+        if speed != 0:
+            raise DeviceRefused(
+                f"{self.label} cannot run at {speed} mm/s: Micro-Manager knows moves to places only; use a driver of "
+                "the stage's maker for motion at a speed",
+                "run",
+            )
+        self.stop()
+
+    def wait(self) -> None:
+        """Return when the axis rests; DeviceError if it does not within the stage's patience."""
+        waited = 0.0
+        while self._call("deviceBusy", self.label, lost=DeviceLost):
+            if waited > self._patience:
+                raise DeviceError(f"{self.label} still moves after {self._patience} s; check what it should do")
+            self._pause(0.02)
+            waited += 0.02
+
+    def stop(self) -> None:
+        """Begin to come to rest."""
+        self._call("stop", self.label)
+
+    def close(self) -> None:
+        """Stop, and let go of the core; more than once does no harm."""
+        try:
+            self.stop()
+        except DeviceError as error:
+            log.warning("closing a stage: %s", error)
+        self._let_go()
+
+
+class MicroManagerCamera(_Device):
+    """A camera of Micro-Manager."""
+
+    def __init__(self, core: Any, label: str, owned: bool = False) -> None:
+        super().__init__(core, label, "CameraDevice", owned)
+        self._call("setCameraDevice", label)
+
+    @classmethod
+    def open(cls, configuration: str | Path, label: str) -> Self:
+        """Open the camera.
+
+        Args:
+            configuration: The ``.cfg`` file.
+            label: The camera's label in it.
+
+        Returns:
+            The camera.
+
+        Raises:
+            DeviceNotFound: The package, the file, or the device is missing.
+            WrongDevice: The label is of another kind of device.
+        """
+        return cls(open_core(configuration), label, owned=True)
+
+    def expose(self, exposure_us: float) -> None:
+        """Set the time of exposure [us]; DeviceRefused where the camera keeps another, more than 2 % off."""
+        self._call("setExposure", self.label, exposure_us / 1000)
+        found = self._call("getExposure", self.label) * 1000
+        if abs(found - exposure_us) > 0.02 * exposure_us:
+            raise DeviceRefused(f"{self.label} exposes {found:g} us after {exposure_us:g} us were set", "exposure")
+
+    def grab(self) -> np.ndarray:
+        """Take an image."""
+        self._call("snapImage", lost=DeviceLost)
+        image = np.array(self._call("getImage", lost=DeviceLost))
+        if image.ndim != 2:
+            raise DeviceRefused(f"{self.label} gives images of shape {list(image.shape)}; set it to gray", "pixels")
+        return image
+
+    def close(self) -> None:
+        """Let go of the core; more than once does no harm."""
+        self._let_go()

@@ -1,0 +1,384 @@
+"""Stages of one axis: Zaber's and Standa's (8SMC5), through their makers' packages ``zaber-motion`` and ``libximc``."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+import types
+from collections.abc import Callable
+from typing import Any, Protocol, Self, runtime_checkable
+
+from vamgpu.errors import BadInput, DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, ProtocolError, WrongDevice
+from vamgpu.hosts.drivers.wire import Wire
+from vamgpu.hosts.protocols import zaber
+from vamgpu.hosts.run_all import Closing
+
+
+@runtime_checkable
+class Stage(Protocol):
+    """One axis; positions in its ``unit``, ``mm`` or ``deg``, and speeds in that a second."""
+
+    unit: str
+    measured: bool  # whether the position is read from the device; a stage that only counts its steps says False
+
+    def position(self) -> float: ...  # where the axis says it is
+    def home(self) -> None: ...  # find the axis's zero; returns when it has
+    def move(self, position: float, speed: float) -> None: ...  # begin to move to a position
+    def run(self, speed: float) -> None: ...  # begin to move at a speed, for good; 0 brings the axis to rest
+    def wait(self) -> None: ...  # return when the axis rests
+    def stop(self) -> None: ...  # begin to come to rest
+    def close(self) -> None: ...  # stop, and let go of the axis
+
+
+log: logging.Logger = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class Triggering(Protocol):
+    """A stage with an output that follows its position."""
+
+    def trigger_every(self, distance: float, output: int = 1) -> None: ...  # a rising edge each distance; 0 ends it
+
+
+class ZaberLink(Protocol):
+    """How commands reach Zaber devices: through the maker's package, or by lines."""
+
+    name: str
+
+    # send a command and return the reply; ``axis`` 0 means the device
+    def exchange(self, device: int, axis: int, text: str) -> zaber.Message: ...
+    def close(self) -> None: ...  # let go of the port
+
+
+class ZaberLines:
+    """Zaber's commands as lines on a wire, on whose clock they wait: the link of emulated stages."""
+
+    name: str
+
+    def __init__(self, wire: Wire) -> None:
+        self._wire, self.name, self._number = wire, wire.name, 0
+        wire.drain()
+
+    def exchange(self, device: int, axis: int, text: str) -> zaber.Message:
+        """Send a command and return the reply."""
+        with self._wire.lock:
+            self._number = (self._number + 1) % 96
+            self._wire.send(zaber.command(device, axis, self._number, text))
+            while line := self._wire.line():
+                message = zaber.parse(line)
+                if message.kind == "@" and message.device == device and message.number == self._number:
+                    return message
+                log.info("stage says %s", message)
+        raise DeviceLost(f"{self.name} does not answer {text!r}; check its power and its number")
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._wire.close()
+
+
+class ZaberConnection:
+    """Zaber's commands through the maker's package, at a serial port or at ``socket://host:port``."""
+
+    name: str
+
+    def __init__(self, url: str, name: str, timeout_s: float = 0.5) -> None:
+        try:
+            import zaber_motion
+            from zaber_motion.ascii import Connection
+        except ImportError as error:
+            raise DeviceNotFound('Zaber stages need zaber-motion: pip install "vamgpu[zaber]"') from error
+        self.name, self._library, self._timeout = f"{name} at {url}", zaber_motion, round(timeout_s * 1000)
+        try:
+            if url.startswith("socket://"):
+                host, _, port = url.removeprefix("socket://").rpartition(":")
+                self._connection = Connection.open_tcp(host, int(port))
+            else:
+                self._connection = Connection.open_serial_port(url)
+        except ValueError as error:
+            raise BadInput(f"{url!r} is no address of {name}; give a serial port or socket://host:port") from error
+        except zaber_motion.SerialPortBusyException as error:
+            raise DeviceBusy(f"{self.name} is used by another program ({error.message}); close that program") from error
+        except zaber_motion.MotionLibException as error:
+            raise DeviceNotFound(
+                f"{name} is not at {url} ({error.message}); check the address, the plug, the power and permissions"
+            ) from error
+
+    def exchange(self, device: int, axis: int, text: str) -> zaber.Message:
+        """Send a command and return the reply."""
+        try:
+            found = self._connection.generic_command(text, device, axis, check_errors=False, timeout=self._timeout)
+        except self._library.RequestTimeoutException as error:
+            raise DeviceLost(f"{self.name} does not answer {text!r}; check its power and its number") from error
+        except (self._library.ConnectionFailedException, self._library.ConnectionClosedException) as error:
+            raise DeviceLost(f"{self.name} is gone ({error.message}); check its plug and power") from error
+        except self._library.MotionLibException as error:
+            raise ProtocolError(f"{self.name} answered {text!r} wrongly ({error.message}); check the port") from error
+        accepted, busy = found.reply_flag == "OK", found.status == "BUSY"
+        return zaber.Message("@", device, axis, None, accepted, busy, found.warning_flag, found.data)
+
+    def close(self) -> None:
+        """Let go of the port; more than once does no harm."""
+        self._connection.close()
+
+
+class ZaberStage(Closing):
+    """One axis of one device; ``microsteps`` is how many make a unit, ``unit`` is ``mm`` or ``deg``.
+
+    ``pause`` waits a number of seconds between questions about motion.
+    """
+
+    microsteps: float
+    measured = True
+
+    def __init__(
+        self,
+        link: Wire | ZaberLink,
+        microsteps: float,
+        unit: str = "deg",
+        device: int = 1,
+        axis: int = 1,
+        patience_s: float = 60.0,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:
+        if not microsteps > 0 or unit not in ("mm", "deg"):
+            link.close()
+            raise BadInput(f"{microsteps} microsteps a {unit!r} are no stage; give what its gear makes, in mm or deg")
+        self._wire, self.microsteps, self.unit = link, microsteps, unit
+        self._device, self._axis, self._patience, self._pause = device, axis, patience_s, pause
+        try:
+            self._link = ZaberLines(link) if isinstance(link, Wire) else link
+            self.kind: int = self._start()
+        except BaseException:
+            link.close()
+            raise
+
+    @classmethod
+    def open(
+        cls, url: str, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1, timeout_s: float = 0.5
+    ) -> Self:
+        """Open a stage through the maker's package.
+
+        Args:
+            url: The serial port, or ``socket://host:port``.
+            microsteps: How many make a unit.
+            unit: ``mm`` or ``deg``.
+            device: The device's number in its chain.
+            axis: The axis's number on its device.
+            timeout_s: How long an answer may take [s].
+
+        Returns:
+            The stage.
+
+        Raises:
+            DeviceNotFound: Nothing is at the address, or the package is missing.
+            DeviceBusy: Another program uses the port.
+            WrongDevice: What answers is no Zaber device.
+        """
+        return cls(ZaberConnection(url, f"stage {device}", timeout_s), microsteps, unit, device, axis)
+
+    def _start(self) -> int:
+        try:
+            return self._whole("get deviceid")
+        except (ProtocolError, DeviceLost) as error:
+            raise WrongDevice(f"{self._link.name} does not answer as a Zaber device: {error}") from error
+
+    def ask(self, text: str) -> str:
+        """Send a command to the axis and return the data of its reply."""
+        return zaber.accept(self._exchange(text), text)
+
+    def _whole(self, text: str) -> int:
+        """The whole number a question is answered with."""
+        data = self.ask(text)
+        try:
+            return int(data)
+        except ValueError:
+            raise ProtocolError(
+                f"{self._link.name} answered {data!r} to {text!r}, a number was expected; check the number of its axis"
+            ) from None
+
+    def _exchange(self, text: str, axis: int | None = None) -> zaber.Message:
+        return self._link.exchange(self._device, self._axis if axis is None else axis, text)
+
+    def position(self) -> float:
+        """Where the axis says it is."""
+        return self._whole("get pos") / self.microsteps
+
+    def home(self) -> None:
+        """Find the axis's zero; returns when it has."""
+        self.ask("home")
+        self.wait()
+
+    def move(self, position: float, speed: float) -> None:
+        """Begin to move to a position at most at a speed."""
+        if not speed > 0:
+            raise BadInput(f"a move needs a speed above 0, not {speed}")
+        self.ask(f"set maxspeed {self._speed(speed)}")
+        self.ask(f"move abs {round(position * self.microsteps)}")
+
+    def run(self, speed: float) -> None:
+        """Begin to move at a speed, for good."""
+        self.ask("stop" if speed == 0 else f"move vel {self._speed(speed)}")
+
+    def _speed(self, speed: float) -> int:
+        return round(speed * self.microsteps * zaber.SPEED_UNITS)
+
+    def true_speed(self, speed: float) -> float:
+        """The speed the device will run at when asked for one: whole numbers of its own unit."""
+        return self._speed(speed) / zaber.SPEED_UNITS / self.microsteps
+
+    def busy(self) -> bool:
+        """Whether the axis moves."""
+        message = self._exchange("")
+        zaber.accept(message, "")
+        return message.busy
+
+    def wait(self) -> None:
+        """Return when the axis rests; DeviceError if it does not within the stage's patience."""
+        waited = 0.0
+        while self.busy():
+            if waited > self._patience:
+                raise DeviceError(f"stage {self._device} still moves after {self._patience} s; check what it should do")
+            self._pause(0.02)
+            waited += 0.02
+
+    def stop(self) -> None:
+        """Begin to come to rest."""
+        self.ask("stop")
+
+    def trigger_every(self, distance: float, output: int = 1) -> None:
+        """Give a rising edge on a digital output each time the axis has travelled a distance.
+
+        The device toggles the output each half distance, from low: the first edge comes after half a distance.
+
+        Args:
+            distance: From edge to edge, in the stage's unit; 0 ends the edges.
+            output: The number of the digital output; the trigger of the same number is used.
+
+        Raises:
+            BadInput: The distance is below two microsteps.
+            DeviceRefused: The device has no such output or trigger.
+        """
+        half = round(distance * self.microsteps / 2)
+        if distance != 0 and half < 1:
+            raise BadInput(
+                f"a trigger each {distance} {self.unit} is finer than two microsteps; give a longer distance"
+            )
+        if abs(distance * self.microsteps / 2 - half) > 1e-6:
+            raise BadInput(
+                f"{distance} {self.unit} are {distance * self.microsteps:g} microsteps, which drifts; expected an even "
+                "whole number, so that each edge keeps its place"
+            )
+        texts = [f"trigger {output} disable", f"io set do {output} 0"]
+        if half:
+            texts.append(f"trigger {output} when {self._axis} dist {half}")
+            texts.append(f"trigger {output} action a io set do {output} t")
+            texts.append(f"trigger {output} enable")
+        for text in texts:
+            zaber.accept(self._exchange(text, axis=0), text)
+
+    def close(self) -> None:
+        """Stop, and let go of the line."""
+        try:
+            self.stop()
+        except DeviceError as error:
+            log.warning("closing a stage: %s", error)
+        self._link.close()
+
+
+def _axis(uri: str) -> Any:
+    """The maker's axis at an address such as ``xi-com:///dev/ttyACM0``."""
+    stands_in = sys.platform != "win32" and "winreg" not in sys.modules
+    if stands_in:  # some releases of the package import this Windows module everywhere, and use it on Windows alone
+        sys.modules["winreg"] = types.ModuleType("winreg")
+    try:
+        from libximc import highlevel  # type: ignore[import-not-found]
+    except ImportError as error:
+        raise DeviceNotFound('Standa stages need libximc: pip install "vamgpu[standa]"') from error
+    finally:
+        if stands_in:  # the standard library asks whether there is one
+            del sys.modules["winreg"]
+    return highlevel.Axis(uri)
+
+
+class StandaStage(Closing):
+    """One axis; ``steps`` is how many full steps make a ``unit``, ``fraction`` the microsteps of a step.
+
+    ``axis`` has the methods of libximc's ``highlevel.Axis``.
+    """
+
+    steps: float
+    measured = True
+
+    def __init__(self, axis: Any, steps: float, unit: str = "deg", fraction: int = 256) -> None:
+        if not steps > 0 or unit not in ("mm", "deg"):
+            raise BadInput(f"{steps} steps a {unit!r} are no stage; give what screw or gear make, in mm or deg")
+        self._axis, self.steps, self.unit, self._fraction = axis, steps, unit, fraction
+        self._call("open_device")
+        self._open = True
+
+    @classmethod
+    def open(cls, uri: str, steps: float, unit: str = "deg", fraction: int = 256) -> Self:
+        """Open the axis at an address."""
+        return cls(_axis(uri), steps, unit, fraction)
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        try:
+            return getattr(self._axis, name)(*arguments)
+        except Exception as error:
+            kind = DeviceNotFound if name == "open_device" else DeviceError
+            raise kind(f"the Standa stage failed in {name} ({error}); check address, plug and power") from error
+
+    def _split(self, value: float) -> tuple[int, int]:
+        """Whole steps, and microsteps of the same sign."""
+        micro = round(value * self.steps * self._fraction)
+        whole = abs(micro) // self._fraction * (1 if micro >= 0 else -1)
+        return whole, micro - whole * self._fraction
+
+    def _speed(self, speed: float) -> None:
+        settings = self._call("get_move_settings")
+        settings.Speed, settings.uSpeed = self._split(abs(speed))
+        self._call("set_move_settings", settings)
+
+    def position(self) -> float:
+        """Where the axis says it is."""
+        found = self._call("get_position")
+        return (found.Position + found.uPosition / self._fraction) / self.steps
+
+    def home(self) -> None:
+        """Find the axis's zero; returns when it has."""
+        self._call("command_homezero")
+
+    def move(self, position: float, speed: float) -> None:
+        """Begin to move to a position."""
+        if not speed > 0:
+            raise BadInput(f"a move needs a speed above 0, not {speed}")
+        self._speed(speed)
+        self._call("command_move", *self._split(position))
+
+    def run(self, speed: float) -> None:
+        """Begin to move at a speed, for good."""
+        if speed == 0:
+            self.stop()
+            return
+        self._speed(speed)
+        self._call("command_right" if speed > 0 else "command_left")
+
+    def wait(self) -> None:
+        """Return when the axis rests."""
+        self._call("command_wait_for_stop", 10)
+
+    def stop(self) -> None:
+        """Begin to come to rest."""
+        self._call("command_sstp")
+
+    def close(self) -> None:
+        """Stop, and let go of the axis; more than once does no harm."""
+        if not self._open:
+            return
+        self._open = False
+        for name in ("command_sstp", "close_device"):
+            try:
+                self._call(name)
+            except DeviceError as error:
+                log.warning("closing a stage: %s", error)

@@ -1,0 +1,195 @@
+"""Stages on a motion cube by Thorlabs (K-Cube, T-Cube), in APT messages by the package ``thorlabs-apt-protocol``."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple, Self
+
+from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, WrongDevice
+from vamgpu.hosts.drivers.wire import Wire, open_wire
+from vamgpu.hosts.run_all import Closing
+
+log: logging.Logger = logging.getLogger(__name__)
+UNIT, HOST, CHANNEL = 0x50, 0x01, 1
+FORWARD, REVERSE, PROFILED = 1, 2, 2
+MOST = 50  # messages that may come before an answer
+LARGEST = 2**31 - 1  # of a position or speed
+ENDED = ("mot_move_completed", "mot_move_stopped", "mot_move_homed")
+MOVING = ("moving_forward", "moving_reverse", "jogging_forward", "jogging_reverse", "homing")
+
+
+class Cube(NamedTuple):
+    """A family of cubes. speed: units of its speed in a count a second.  encoder: whether it counts one."""
+
+    speed: float
+    encoder: bool
+
+
+SERVO, BRUSHLESS, STEPPER = Cube(65536 * 2048 / 6e6, True), Cube(65536 * 102.4e-6, True), Cube(2**29 / 1e7, False)
+CUBES = {"KDC": SERVO, "TDC": SERVO, "KBD": BRUSHLESS, "TBD": BRUSHLESS, "KST": STEPPER, "TST": STEPPER}
+
+
+class _Reader:
+    """A wire as a file of bytes."""
+
+    def __init__(self, wire: Wire) -> None:
+        self._wire = wire
+
+    def read(self, size: int) -> bytes:
+        return self._wire.receive(size)
+
+
+class ThorlabsStage(Closing):
+    """One axis; ``counts`` is how many make a ``unit``: of the encoder, or microsteps on a stepper's cube.
+
+    ``measured`` follows from the cube. ``pause`` waits a number of seconds between questions about motion.
+    """
+
+    counts: float
+    unit: str
+    measured: bool
+
+    def __init__(
+        self, wire: Wire, counts: float, unit: str = "deg", patience_s: float = 60.0,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:  # fmt: skip
+        self._wire, self.counts, self.unit, self._patience, self._pause = wire, counts, unit, patience_s, pause
+        self._ended = True
+        try:
+            if not counts > 0 or unit not in ("mm", "deg"):
+                raise BadInput(f"{counts} counts a {unit!r} are no stage; give what its maker says, in mm or deg")
+            self._start()
+        except BaseException:
+            wire.close()
+            raise
+
+    @classmethod
+    def open(cls, port: str, counts: float, unit: str = "deg", timeout_s: float = 0.5) -> Self:
+        """Open a stage.
+
+        Args:
+            port: The serial port of the cube.
+            counts: How many make a unit: a PRM1-Z8 has 1919.6418578623391 a degree.
+            unit: ``mm`` or ``deg``.
+            timeout_s: How long an answer may take [s].
+
+        Returns:
+            The stage, its motor enabled.
+
+        Raises:
+            DeviceNotFound: Nothing is at the port, or the package is missing.
+            DeviceBusy: Another program uses the port.
+            WrongDevice: What answers is no motion cube by Thorlabs.
+        """
+        wire = open_wire(port, "the Thorlabs stage", 115200, timeout_s)
+        wire.port.rtscts = True  # type: ignore[attr-defined]  # cubes hold bytes back by that line
+        return cls(wire, counts, unit)
+
+    def _start(self) -> None:
+        try:
+            import thorlabs_apt_protocol as apt  # type: ignore[import-untyped]
+        except ImportError as error:
+            raise DeviceNotFound(
+                'Thorlabs stages need thorlabs-apt-protocol: pip install "vamgpu[thorlabs]"'
+            ) from error
+        self._apt: Any = apt
+        self._messages = apt.Unpacker(_Reader(self._wire))
+        self._wire.drain()
+        try:
+            said = self._ask("hw_req_info", "hw_get_info")
+        except DeviceLost as error:
+            raise WrongDevice(f"{self._wire.name} does not answer as a Thorlabs cube: {error}") from error
+        self.kind: str = bytes(said.model_number).rstrip(b"\0 ").decode("ascii", "replace")
+        cube = CUBES.get(self.kind[:3])
+        if cube is None:
+            raise WrongDevice(f"{self._wire.name} is a {self.kind}; expected a motion cube: {', '.join(CUBES)}")
+        self._cube, self.measured = cube, cube.encoder
+        self._send("mod_set_chanenablestate", CHANNEL, 1)
+
+    def _send(self, name: str, *arguments: int) -> None:
+        self._wire.send(getattr(self._apt, name)(UNIT, HOST, *arguments))
+
+    def _ask(self, question: str, answer: str, *arguments: int) -> Any:
+        """Ask, and take messages up to the answer: a cube says by itself that a move has ended."""
+        with self._wire.lock:
+            self._send(question, *arguments)
+            for _, message in zip(range(MOST), self._messages, strict=False):
+                if message.msg in ENDED:
+                    self._ended = True
+                elif message.msg == answer:
+                    return message
+        raise DeviceLost(f"{self._wire.name} does not answer {question}; check its power and its plug")
+
+    def _status(self) -> Any:
+        kind = "dcstatusupdate" if self._cube.encoder else "statusupdate"
+        return self._ask(f"mot_req_{kind}", f"mot_get_{kind}", CHANNEL)
+
+    def position(self) -> float:
+        """Where the axis says it is."""
+        return self._status().position / self.counts
+
+    def home(self) -> None:
+        """Find the axis's zero; returns when it has."""
+        self._ended = False
+        self._send("mot_move_home", CHANNEL)
+        self.wait()
+
+    def _speed(self, speed: float) -> None:
+        """Set the greatest speed, and leave the rest of its profile."""
+        wanted = self._whole(abs(speed) * self._cube.speed, "speed", speed)
+        if wanted == 0:
+            raise BadInput(f"a speed of {speed:g} {self.unit}/s is below what the {self.kind} tells apart; go faster")
+        profile = self._ask("mot_req_velparams", "mot_get_velparams", CHANNEL)
+        self._send("mot_set_velparams", CHANNEL, profile.min_velocity, profile.acceleration, wanted)
+
+    def _whole(self, units: float, what: str, value: float) -> int:
+        found = round(units * self.counts)
+        if abs(found) > LARGEST:
+            raise BadInput(f"a {what} of {value:g} {self.unit} is {found} units; the {self.kind} counts to {LARGEST}")
+        return found
+
+    def move(self, position: float, speed: float) -> None:
+        """Begin to move to a position at most at a speed."""
+        if not speed > 0:
+            raise BadInput(f"a move needs a speed above 0, not {speed}")
+        goal = self._whole(position, "position", position)
+        self._speed(speed)
+        self._ended = False
+        self._send("mot_move_absolute", CHANNEL, goal)
+
+    def run(self, speed: float) -> None:
+        """Begin to move at a speed, for good."""
+        if speed == 0:
+            return self.stop()
+        self._speed(speed)
+        self._ended = True
+        self._send("mot_move_velocity", CHANNEL, FORWARD if speed > 0 else REVERSE)
+
+    def busy(self) -> bool:
+        """Whether the axis moves."""
+        said = self._status()
+        return not self._ended or any(getattr(said, name) for name in MOVING)
+
+    def wait(self) -> None:
+        """Return when the axis rests; DeviceError if it does not within the stage's patience."""
+        waited = 0.0
+        while self.busy():
+            if waited > self._patience:
+                raise DeviceError(f"the {self.kind} still moves after {self._patience} s; check what it should do")
+            self._pause(0.02)
+            waited += 0.02
+
+    def stop(self) -> None:
+        """Begin to come to rest."""
+        self._ended = True
+        self._send("mot_move_stop", CHANNEL, PROFILED)
+
+    def close(self) -> None:
+        """Stop, and let go of the port."""
+        try:
+            self.stop()
+        except DeviceError as error:
+            log.warning("closing a stage: %s", error)
+        self._wire.close()

@@ -1,0 +1,307 @@
+"""A mirror array behind the ALP library's own functions: memory of bit planes, limits, a queue, triggers and light.
+
+``EmulatedAlp.library`` has real C functions, made with declarations of their own, so the driver crosses a true C
+border: wrong widths of integers or bad pointers fail here as they would there. ``on_shown`` hears of each frame when it
+is over.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from vamgpu.hosts.emulators.array import MICRO, ArrayModel, EmulatedArray, Queued, Stored
+from vamgpu.hosts.emulators.clock import VirtualClock
+
+INVALID, FULL, IN_USE = 1005, 1007, 1008
+
+
+class EmulatedSequences(EmulatedArray):
+    """The memory: sequences by their numbers, with limits, times and data."""
+
+    def __init__(self, clock: VirtualClock, model: ArrayModel = ArrayModel()) -> None:
+        super().__init__(clock, model)
+        self._stored: dict[int, Stored] = {}
+        self._next_id = 1
+
+    def free_planes(self) -> int:
+        """How many bit planes fit now."""
+        return self.model.planes - sum(stored.bits * stored.count for stored in self._stored.values())
+
+    def _AlpSeqAlloc(self, _: int, bits: int, count: int, answer: Any) -> int:  # noqa: N802
+        if not 1 <= bits <= 8 or count < 1:
+            return INVALID
+        if bits * count > self.free_planes():
+            return FULL
+        self._stored[self._next_id] = Stored(bits, count, bits, count - 1)
+        answer[0] = self._next_id
+        self._next_id += 1
+        return 0
+
+    def _in_use(self, sequence: int) -> bool:
+        return any(entry.sequence == sequence for entry in self._queue)
+
+    def _AlpSeqFree(self, _: int, sequence: int) -> int:  # noqa: N802
+        if sequence not in self._stored:
+            return INVALID
+        if self._in_use(sequence):
+            return IN_USE
+        del self._stored[sequence]
+        return 0
+
+    def _AlpSeqControl(self, _: int, sequence: int, kind: int, value: int) -> int:  # noqa: N802
+        stored = self._stored.get(sequence)
+        if stored is None:
+            return INVALID
+        if self._in_use(sequence):
+            return IN_USE
+        if kind == 2100 and value >= 1:
+            stored.repeat = value
+        elif kind == 2102 and 0 <= value < stored.count:
+            stored.last = value
+        elif kind == 2103 and 1 <= value <= stored.bits:
+            stored.shown_bits = value
+        elif kind == 2104 and value in (2105, 2106) and stored.shown_bits == 1:
+            stored.uninterrupted = value == 2106
+        elif kind == 2110 and value in (0, 2):
+            stored.format = value
+        else:
+            return INVALID
+        return 0
+
+    def _AlpSeqTiming(self, _: int, sequence: int, lit: int, frame: int, *rest: int) -> int:  # noqa: N802
+        stored = self._stored.get(sequence)
+        if stored is None or min(lit, frame, *rest) < 0:
+            return INVALID
+        if self._in_use(sequence):
+            return IN_USE
+        least = self.model.least_picture_us(stored.shown_bits)
+        if frame == 0:
+            frame = max(lit + 1, least) if lit else max(33334, least)
+        if lit == 0:
+            lit = frame
+        if frame < least or lit > frame or lit < least - 1 or frame > 10_000_000 or rest[2] > 130_000:
+            return INVALID
+        stored.picture_us, stored.illuminate_us, stored.delay_us = frame, lit, rest[2]
+        return 0
+
+    def _AlpSeqInquire(self, _: int, sequence: int, kind: int, answer: Any) -> int:  # noqa: N802
+        stored = self._stored.get(sequence)
+        if stored is None:
+            return INVALID
+        least = self.model.least_picture_us(stored.shown_bits)
+        lit_us = self._lit_ns(stored) // MICRO
+        known = {2200: stored.bits, 2201: stored.count, 2203: stored.picture_us, 2204: stored.illuminate_us}
+        known |= {2207: stored.delay_us, 2210: 130_000, 2211: least, 2212: max(least - 1, 1), 2213: 10_000_000}
+        known |= {2214: lit_us, 2215: stored.picture_us - lit_us, 2103: stored.shown_bits}
+        if kind not in known:
+            return INVALID
+        answer[0] = known[kind]
+        return 0
+
+    def _AlpSeqPut(self, _: int, sequence: int, first: int, count: int, address: int) -> int:  # noqa: N802
+        stored = self._stored.get(sequence)
+        if stored is None or first < 0 or first + count > stored.count or not address:
+            return INVALID
+        if self._in_use(sequence):
+            return IN_USE
+        rows, row_bytes = self.model.height, self.model.row_bytes
+        size = rows * (row_bytes * stored.bits if stored.format == 2 else self.model.width)
+        raw = np.frombuffer(ctypes.string_at(address, size * count), np.uint8)
+        for i, data in enumerate(raw.reshape(count, size)):
+            stored.frames[first + i] = self._planes(data, stored)
+        self.counts["uploaded"] += count
+        self.counts["upload_bytes"] += size * count
+        if self.model.bytes_per_s:
+            self.clock.sleep(round(size * count / self.model.bytes_per_s * 1e9))
+        return 0
+
+    def _planes(self, data: np.ndarray, stored: Stored) -> np.ndarray:
+        """Bit planes, the most significant first, of one frame as it was sent."""
+        rows, row_bytes = self.model.height, self.model.row_bytes
+        if stored.format == 2:
+            return data.reshape(stored.bits, rows, row_bytes)
+        planes = np.zeros((stored.bits, rows, row_bytes), np.uint8)
+        for plane in range(stored.bits):
+            lit = np.packbits(data.reshape(rows, -1) >> (7 - plane) & 1, axis=-1)
+            planes[plane, :, : lit.shape[1]] = lit
+        return planes
+
+
+N, U, P = ctypes.c_int32, ctypes.c_uint32, ctypes.c_void_p
+LONGS, IDS = ctypes.POINTER(N), ctypes.POINTER(U)
+ENTRIES: dict[str, tuple[Any, ...]] = {
+    "AlpDevAlloc": (N, N, IDS),
+    "AlpDevInquire": (U, N, LONGS),
+    "AlpDevControl": (U, N, N),
+    "AlpDevHalt": (U,),
+    "AlpDevFree": (U,),
+    "AlpSeqAlloc": (U, N, N, IDS),
+    "AlpSeqFree": (U, U),
+    "AlpSeqControl": (U, U, N, N),
+    "AlpSeqTiming": (U, U, N, N, N, N, N),
+    "AlpSeqInquire": (U, U, N, LONGS),
+    "AlpSeqPut": (U, U, N, N, P),
+    "AlpProjStart": (U, U),
+    "AlpProjStartCont": (U, U),
+    "AlpProjHalt": (U,),
+    "AlpProjControl": (U, N, N),
+    "AlpProjInquire": (U, N, LONGS),
+    "AlpProjInquireEx": (U, N, P),
+}
+NOT_ONLINE, NOT_IDLE, NOT_READY = 1001, 1002, 1004
+FAILED, REMOVED = 1011, 1012
+
+
+class EmulatedAlp(EmulatedSequences):
+    """The device; ``library`` is what a driver is given in place of the maker's library.
+
+    ``removed`` set to True is a plug pulled: every call fails from then on, and triggers do nothing. ``crash`` keeps
+    what went wrong in Python during a call.
+    """
+
+    allocated: bool
+    floating: bool
+
+    def __init__(self, clock: VirtualClock, model: ArrayModel = ArrayModel()) -> None:
+        super().__init__(clock, model)
+        self.allocated = self.floating = False
+        self.rising: bool = True
+        self.crash: BaseException | None = None
+        self._next_queue = 1
+        self.library: SimpleNamespace = SimpleNamespace(
+            **{name: self._entry(name, types) for name, types in ENTRIES.items()}
+        )
+
+    def _entry(self, name: str, types: tuple[Any, ...]) -> Any:
+        """A C function that calls the method of its name."""
+        method = getattr(self, "_" + name)
+
+        def called(*arguments: Any) -> int:
+            if self.removed:
+                return REMOVED
+            if name != "AlpDevAlloc" and not self.allocated:
+                return NOT_ONLINE
+            try:
+                with self.clock.lock:
+                    self.advance(self.clock.now())
+                    return method(*arguments) or 0
+            except BaseException as error:  # C code cannot pass it on, a key that was pressed as little
+                self.crash = error
+                return FAILED
+
+        return ctypes.CFUNCTYPE(N, *types)(called)
+
+    # the library: devices
+
+    def forsake(self) -> None:
+        """The process that held it is gone, and the system took it back: dark, and all frames forgotten."""
+        with self.clock.lock:
+            self.advance(self.clock.now())
+            self._queue.clear()
+            self._stored.clear()
+            self.allocated = False
+
+    def _AlpDevAlloc(self, number: int, _: int, answer: Any) -> int:  # noqa: N802
+        if number not in (0, self.model.serial):
+            return NOT_ONLINE
+        if self.allocated:
+            return NOT_READY
+        self.allocated = True
+        answer[0] = 77
+        return 0
+
+    def _AlpDevInquire(self, _: int, kind: int, answer: Any) -> int:  # noqa: N802
+        known = {2000: self.model.serial, 2003: self.free_planes(), 2057: self.model.height, 2021: 3}
+        known |= {2058: self.model.width, 2005: 2009 if self.rising else 2008, 2064: int(self.floating)}
+        if kind not in known:
+            return INVALID
+        answer[0] = known[kind]
+        return 0
+
+    def _AlpDevControl(self, _: int, kind: int, value: int) -> int:  # noqa: N802
+        if kind == 2005 and value in (2008, 2009):
+            self.rising = value == 2009
+        elif kind == 2014 and value in (0, 1):
+            self.time_out: bool = value == 0
+        elif kind == 2064 and value in (0, 1):
+            if self._queue:
+                return NOT_IDLE
+            self.floating = value == 1
+        else:
+            return INVALID
+        return 0
+
+    def _AlpDevHalt(self, _: int) -> None:  # noqa: N802
+        self._cut()
+
+    def _AlpDevFree(self, _: int) -> int:  # noqa: N802
+        if self._queue:
+            return NOT_IDLE
+        self.allocated = False
+        self._stored.clear()
+        return 0
+
+    # projection
+
+    def _start(self, sequence: int, forever: bool) -> int:
+        stored = self._stored.get(sequence)
+        if stored is None or self.floating:
+            return INVALID
+        if not self.queueing and self._queue:
+            return NOT_IDLE
+        if len(self._queue) >= 256:
+            return NOT_READY
+        iterations = None if forever else stored.repeat
+        self._queue.append(Queued(self._next_queue, sequence, stored, iterations, stored.last + 1))
+        self._next_queue += 1
+        now = self.clock.now()
+        if len(self._queue) == 1:
+            self._last_trigger = now
+            if not self.slave and self._current is None:
+                self._show(now)
+        return 0
+
+    def _AlpProjStart(self, _: int, sequence: int) -> int:  # noqa: N802
+        return self._start(sequence, forever=False)
+
+    def _AlpProjStartCont(self, _: int, sequence: int) -> int:  # noqa: N802
+        return self._start(sequence, forever=True)
+
+    def _AlpProjHalt(self, _: int) -> None:  # noqa: N802
+        self._cut()
+
+    def _AlpProjControl(self, _: int, kind: int, value: int) -> int:  # noqa: N802
+        if self._queue:
+            return NOT_IDLE
+        if kind == 2300 and value in (2301, 2302):
+            self.slave: bool = value == 2302
+        elif kind == 2314 and value in (0, 1):
+            self.queueing: bool = value == 1
+        elif kind != 2319:
+            return INVALID
+        return 0
+
+    def _AlpProjInquire(self, _: int, kind: int, answer: Any) -> int:  # noqa: N802
+        known = {2300: 2302 if self.slave else 2301, 2400: 1200 if self._queue else 1201, 2314: int(self.queueing)}
+        known |= {2317: 256 - len(self._queue), 2315: self._next_queue - 1}
+        if kind not in known:
+            return INVALID
+        answer[0] = known[kind]
+        return 0
+
+    def _AlpProjInquireEx(self, _: int, kind: int, address: int) -> int:  # noqa: N802
+        if kind != 2318 or not address:
+            return INVALID
+        words = (0,) * 8 + (1,)
+        if self._queue:
+            head = self._queue[0]
+            left = 0 if head.iterations == 0 else head.frames - head.next
+            words = (head.queue_id, head.sequence, len(self._queue) - 1, head.iterations or 0, 0, left,
+                     head.stored.picture_us, head.frames, 4 if head.iterations is None else 0)  # fmt: skip
+        ctypes.memmove(address, struct.pack("=9I", *words), 36)
+        return 0

@@ -1,0 +1,321 @@
+"""An emulated rig for calibrations: mirrors, lens, lamp, a camera on a stage, and a photodiode, on one clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.dmd import Dmd
+from vamgpu.hosts.drivers.lens import LensDriver
+from vamgpu.hosts.drivers.scpi import PowerMeter
+from vamgpu.hosts.drivers.stages import ZaberStage
+from vamgpu.hosts.drivers.wire import Wire
+from vamgpu.hosts.emulators.alp import EmulatedAlp
+from vamgpu.hosts.emulators.array import ArrayModel, DisplayedFrame
+from vamgpu.hosts.emulators.camera import EmulatedCamera, Sensor
+from vamgpu.hosts.emulators.clock import VirtualClock
+from vamgpu.hosts.emulators.controller import EmulatedController
+from vamgpu.hosts.emulators.instruments import EmulatedMeter
+from vamgpu.hosts.emulators.lens import EmulatedLens
+from vamgpu.hosts.emulators.line import plug
+from vamgpu.hosts.emulators.stage import EmulatedStage
+
+if TYPE_CHECKING:
+    from vamgpu.hosts.rigs.config import RigFile
+
+MICRO = 1000
+FAINT = 1e-15
+PARTS = 4  # of a column that a pin shades, each evenly
+
+
+@dataclass(frozen=True)
+class Optics:
+    """The truth that calibrations look for.
+
+    slope, middle: focus at middle + slope · power [mm/dpt], [mm], from the middle of the camera's stage.  waist: blur
+    in focus, a standard deviation [mm].  depth: from where to where it is √2 times as wide [mm].  mirrors: rows and
+    columns.  pitch: of a mirror in the image [mm].  view: rows and columns of the camera.  electrons: a pixel and
+    second in full light.  axis, radius, shadow: of the roller, and its edges' blur [columns].  leak: light of a mirror
+    that is off, over one that is on.  turn: dark time at the begin of each plane [us].  full: light of all mirrors on
+    the photodiode [mW].  pin: half the width of a pin on the turntable [columns], 0 for none; at the
+    axis ± ``across`` · (cos, sin) of its angle [columns], and with the slope ``lean`` ± ``wobble`` · (cos, sin)
+    [columns a row].  tilt, falloff: how much dimmer mirrors at the right edge, and in the corners, are than in the
+    middle.  ambient, noise: on it [mW].  seed: of all noise.
+    """
+
+    slope: float = -40.6
+    middle: float = 0.35
+    waist: float = 0.0138
+    depth: float = 3.8
+    mirrors: tuple[int, int] = (96, 192)
+    pitch: float = 0.0144
+    view: tuple[int, int] = (104, 208)
+    electrons: float = 4.0e6
+    axis: float = 98.3
+    radius: float = 55.2
+    shadow: float = 1.3
+    leak: float = 0.002
+    turn: float = 4.0
+    full: float = 20.0
+    pin: float = 0.0
+    across: tuple[float, float] = (2.4, -1.3)
+    lean: float = 0.006
+    wobble: tuple[float, float] = (0.010, 0.014)
+    tilt: float = 0.0
+    falloff: float = 0.0
+    ambient: float = 0.02
+    noise: float = 0.001
+    seed: int = 0
+
+    def blur(self, position: float, power: float) -> float:
+        """Standard deviation [mm] of the blur at a camera's position [mm] and a lens power [dpt]."""
+        off = position - self.middle - self.slope * power
+        return self.waist * float(np.hypot(1.0, 2.0 * off / self.depth))
+
+    def modulation(self, frequency: np.ndarray, position: float, power: float, pixel: float) -> np.ndarray:
+        """Modulation at frequencies [1/mm]: of the blur, the mirrors and the camera's pixels."""
+        gauss = np.exp(-2.0 * (np.pi * self.blur(position, power) * frequency) ** 2)
+        return gauss * np.sinc(frequency * self.pitch) * np.sinc(frequency * pixel)
+
+    def gray(self, level: int, lit: int) -> float:
+        """Light of a gray level over that of mirrors that always are on; ``lit``: time of a frame [us]."""
+        planes = [lit * (1 << bit) / 255.0 - self.turn for bit in range(8) if level >> bit & 1]
+        return self.leak + (1.0 - self.leak) * sum(planes) / lit
+
+    def flat(self) -> np.ndarray:
+        """Light of full-on mirrors [row, column] over that of one in the middle."""
+        down, across = (np.linspace(-1.0, 1.0, length) for length in self.mirrors)
+        return 1.0 - self.tilt * across[None, :] - 0.5 * self.falloff * (down[:, None] ** 2 + across[None, :] ** 2)
+
+    def passes(self) -> np.ndarray:
+        """Share of a column's light that the roller lets by."""
+        from scipy.special import ndtr
+
+        column = np.arange(self.mirrors[1])
+        left = ndtr((self.axis - self.radius - column) / self.shadow)
+        return left + ndtr((column - self.axis - self.radius) / self.shadow)
+
+    def pinned(self, light: np.ndarray, angle: float) -> np.ndarray:
+        """Light [row, part of a column], each column in `PARTS`, that a pin lets by at the turntable's angle [rad]."""
+        wave = np.array([np.cos(angle), np.sin(angle)])
+        row = np.arange(light.shape[0]) - 0.5 * (light.shape[0] - 1)
+        center = self.axis + wave @ self.across + (self.lean + wave @ self.wobble) * row
+        edge = np.arange(light.shape[1] * PARTS + 1) / PARTS - 0.5
+        covered = np.diff(np.clip(edge - center[:, None], -self.pin, self.pin), axis=1) * PARTS
+        return np.repeat(light, PARTS, axis=1) * (1.0 - covered)
+
+    def spread(self, mirrors: int, pixels: int, pixel: float, blur: float, parts: int = 1) -> np.ndarray:
+        """Weights [pixel, mirror] of one axis: a mirror's width, blurred, as a pixel's width sees it; exact."""
+        edge = (np.arange(mirrors + 1) - 0.5 * mirrors) * self.pitch / parts
+        border = (np.arange(pixels + 1) - 0.5 * pixels) * pixel
+        area = _ramp((border[:, None] - edge[None, :]) / blur) * blur
+        weights = -np.diff(np.diff(area, axis=0), axis=1) / pixel
+        return np.where(weights > FAINT, weights, 0.0)  # subnormal numbers would cost more than all others
+
+    def image(self, light: np.ndarray, pixel: float, blur: float, angle: float = 0.0) -> np.ndarray:
+        """What the camera sees of light on the mirrors [row, column], past the pin at an angle [rad]: electrons a
+        second."""
+        parts = PARTS if self.pin else 1
+        light = self.pinned(light, angle) if self.pin else light
+        down = self.spread(light.shape[0], self.view[0], pixel, blur)
+        across = self.spread(light.shape[1], self.view[1], pixel, blur, parts)
+        return self.electrons * (down @ light @ across.T)
+
+
+def _ramp(u: np.ndarray) -> np.ndarray:
+    """Integral of the normal distribution up to u."""
+    from scipy.special import ndtr
+
+    return u * ndtr(u) + np.exp(-0.5 * u**2) / np.sqrt(2.0 * np.pi)
+
+
+def box(share: np.ndarray) -> np.ndarray:
+    """Weight, up to a share of an exposure, of what comes in it: all the same."""
+    return share
+
+
+def smooth(share: np.ndarray) -> np.ndarray:
+    """Weight, up to a share of its memory, of what a slow meter has seen: rising and falling softly."""
+    return share - np.sin(2.0 * np.pi * share) / (2.0 * np.pi)
+
+
+MEMORY = 100_000_000  # how far back the photodiode's reading reaches [ns]
+TRAVEL = 60.0  # of the camera's stage [mm]
+
+
+class RecordingAlp(EmulatedAlp):
+    """Mirrors that remember when each frame was shown, the one on show included."""
+
+    def __init__(self, clock: VirtualClock, model: ArrayModel) -> None:
+        super().__init__(clock, model)
+        self.seen: deque[DisplayedFrame] = deque(maxlen=512)
+        self.on_shown: Callable[[DisplayedFrame], None] | None = self._over
+
+    def _show(self, start: int) -> None:
+        super()._show(start)
+        if self._current is not None:
+            self.seen.append(self._current[0])
+
+    def _over(self, shown: DisplayedFrame) -> None:
+        """A frame is over, perhaps before its time."""
+        if self.seen and self.seen[-1].number == shown.number:
+            self.seen[-1] = shown
+
+
+class ProjectedLight:
+    """The light of mirrors over a time: of one projector, behind one channel of the lamp."""
+
+    alp: RecordingAlp
+    channel: int
+    optics: Optics
+
+    def __init__(self, alp: RecordingAlp, channel: int, optics: Optics) -> None:
+        self.alp, self.channel, self.optics = alp, channel, optics
+        self._lamp: deque[tuple[int, float]] = deque([(0, 0.0)], maxlen=4096)
+
+    def lamp(self, channels: int, powers: Iterable[int], now: int) -> None:
+        """The lamp changes."""
+        drive = list(powers)[self.channel] / 65535.0
+        self._lamp.append((now, drive if channels >> self.channel & 1 else 0.0))
+
+    def light(self, start: int, end: int, weight: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Mean light of each mirror [row, column] over a time [ns], 1 for one that is on; ``weight`` cumulates to 1."""
+        optics = self.optics
+        held: dict[tuple[int, int, int], tuple[DisplayedFrame, float]] = {}
+        for shown in reversed(self.alp.seen):
+            if shown.ends[-1] < start:
+                break
+            for plane, (begin, stop) in enumerate(zip(shown.starts, shown.ends, strict=True)):
+                lit = self._lit(begin + round(optics.turn * MICRO), stop, start, end, weight)
+                key = (shown.sequence, shown.frame, plane)
+                held[key] = (shown, held.get(key, (shown, 0.0))[1] + lit)
+        total = np.zeros(optics.mirrors)
+        for (_, _, plane), (shown, lit) in held.items():
+            if lit:
+                total += lit * shown.mirrors(plane, optics.mirrors[1])
+        dark = optics.leak * self._lit(start, end, start, end, weight)
+        return optics.flat() * (dark + (1.0 - optics.leak) * total)
+
+    def _lit(self, begin: int, stop: int, start: int, end: int, weight: Callable[[np.ndarray], np.ndarray]) -> float:
+        """Drive of the lamp from ``begin`` to ``stop``, weighted within start..end."""
+        low, high = max(begin, start), min(stop, end)
+        if high <= low:
+            return 0.0
+        times = [at for at, _ in self._lamp]
+        total = 0.0
+        for number, (at, drive) in enumerate(self._lamp):
+            after = times[number + 1] if number + 1 < len(times) else high
+            first, last = max(low, at), min(high, after)
+            if drive and last > first:
+                ends = weight((np.array([first, last]) - start) / (end - start))
+                total += drive * float(ends[1] - ends[0])
+        return total
+
+
+class RigCamera(EmulatedCamera):
+    """A camera on a stage, that looks into the projector's light."""
+
+    emulated: EmulatedCalibrationRig
+    pixel: float
+    grabbed: int
+
+    def __init__(self, emulated: EmulatedCalibrationRig, sensor: Sensor, pixel: float) -> None:
+        super().__init__(emulated.clock, lambda now: np.zeros(emulated.optics.view), sensor,
+                         seed=emulated.optics.seed)  # fmt: skip
+        self.emulated, self.pixel = emulated, pixel
+
+    def grab(self) -> np.ndarray:
+        """Take an image [row, column]; the clock passes the exposure."""
+        start = self.clock.now()
+        end = start + round(self.exposure_us * MICRO)
+        self.clock.sleep_until(end)
+        light = sum(sight.light(start, end, box) for sight in self.emulated.sights)
+        blur, angle = self.emulated.blur((start + end) // 2), self.emulated.angle(end)
+        self.grabbed += 1
+        return self._digitize(
+            self.emulated.optics.image(np.asarray(light), self.pixel, blur, angle) * (end - start) * 1e-9
+        )
+
+
+class EmulatedCalibrationRig:
+    """All machines, and the optics between them; each method opens the driver of one. numbers: lamps of projectors."""
+
+    optics: Optics
+    rig: RigFile
+    clock: VirtualClock
+
+    def __init__(self, optics: Optics, rig: RigFile, numbers: tuple[int, ...] = (0,)) -> None:
+        self.optics, self.rig, self.clock = optics, rig, VirtualClock()
+        rows, columns = optics.mirrors
+        model = ArrayModel(height=rows, width=columns)
+        self.box: EmulatedController = EmulatedController(channels=max(2, *(number + 1 for number in numbers)))
+        self.alps: list[RecordingAlp] = [RecordingAlp(self.clock, model) for _ in numbers]
+        self.sights: list[ProjectedLight] = [
+            ProjectedLight(alp, number, optics) for alp, number in zip(self.alps, numbers, strict=True)
+        ]
+        self.glass: EmulatedLens = EmulatedLens()
+        self.axis: EmulatedStage = EmulatedStage(limit=round(TRAVEL * self._microsteps()))
+        self.box.on_light = self._lamp
+
+    def _microsteps(self) -> float:
+        section = self.rig.camera_stage
+        return 1000.0 if section is None else section.microsteps
+
+    def _lamp(self, channels: int, now: int) -> None:
+        for sight in self.sights:
+            sight.lamp(channels, self.box.powers, now)
+
+    def blur(self, now: int) -> float:
+        """Of what the camera sees at a time [mm]."""
+        section = self.rig.camera_stage
+        middle = 0.0 if section is None else section.middle
+        position = self.axis.true_position(now) / self._microsteps() - middle
+        return self.optics.blur(position, self.glass.power(now))
+
+    def angle(self, now: int) -> float:
+        """Of the turntable at a time [rad]."""
+        return float(np.radians(self.box.web.position(now) / self.rig.motion.microsteps))
+
+    def controller(self) -> Controller:
+        """The controller."""
+        return Controller(Wire(plug(self.box, self.clock, 0.02), "the controller"), self.rig.motion.microsteps)
+
+    def mirrors(self) -> list[Dmd]:
+        """The mirrors of each projector."""
+        return [Dmd(alp.library) for alp in self.alps]
+
+    def lens(self) -> LensDriver:
+        """The lens, in focal power mode."""
+        lens = LensDriver(Wire(plug(self.glass, self.clock, 0.25, 115200), "the lens driver"))
+        lens.focal_power_mode()
+        return lens
+
+    def stage(self) -> ZaberStage:
+        """The camera's stage."""
+        wire = Wire(plug(self.axis, self.clock, 0.5), "the camera's stage")
+        return ZaberStage(wire, self._microsteps(), "mm", pause=lambda seconds: self.clock.sleep(round(seconds * 1e9)))
+
+    def camera(self) -> RigCamera:
+        """The camera; without a size of its pixels that is the optics' mirrors' half."""
+        section = self.rig.camera
+        bits, pixel = (8, None) if section is None else (section.bits, section.pixel)
+        camera = RigCamera(self, Sensor(bits=bits), pixel or 0.5 * self.optics.pitch)
+        camera.expose(1e4 if section is None else 1e6 * section.exposure)
+        return camera
+
+    def meter(self) -> PowerMeter:
+        """The photodiode."""
+        optics = self.optics
+        passes = optics.passes()
+
+        def light(now: int) -> float:
+            seen = sum(sight.light(max(now - MEMORY, 0), max(now, 1), smooth) for sight in self.sights)
+            return optics.ambient + optics.full * float((np.asarray(seen).mean(axis=0) * passes).mean())
+
+        meter = EmulatedMeter(light, optics.noise, seed=optics.seed)
+        return PowerMeter(Wire(plug(meter, self.clock, 1.0), "the photodiode"))

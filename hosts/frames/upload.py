@@ -1,0 +1,353 @@
+"""Where frames go: a queue that packs and uploads them to the mirrors' memory, in order, ahead of their time."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from vamgpu.errors import BadInput, ShapeMismatch, Underrun, VamError
+from vamgpu.hosts.clock import Clock
+from vamgpu.hosts.frames.buffers import Batch, BufferRing, pinned_buffers
+from vamgpu.hosts.frames.late import Action, LatePolicy, WebLatePolicy
+from vamgpu.hosts.frames.packer import PlanePacker
+from vamgpu.hosts.frames.versions import Boundaries
+from vamgpu.hosts.schedules.schedule import NONE
+
+log: logging.Logger = logging.getLogger(__name__)
+NAP = 2_000_000  # how long a thread sleeps when mirrors have no room [ns]
+BUFFERS = 2  # of frames made ahead, each as long as a sequence of the mirrors
+GUARD = 0.06  # how far ahead of the counter [s] a missing frame is given up: three polls of the print
+HELD = 2**28  # bytes of a sequence at rates so high that a second's frames are more than a host should hold
+
+
+def guard(rate: float) -> int:
+    """How many frames ahead of the counter a missing one is given up, at so many a second."""
+    return max(2, math.ceil(GUARD * rate))
+
+
+def length(rate: float, nbytes: int) -> int:
+    """Frames of ``nbytes`` in a sequence of mirrors, at so many a second: a second's, or what `HELD` bytes hold."""
+    return max(guard(rate), min(round(rate), HELD // nbytes))
+
+
+class FrameMemory(Protocol):
+    """Mirrors that take frames ahead of their time and show one a trigger."""
+
+    # whether ``put`` of so many would not have to wait; with a name, ``again``
+    def room(self, frames: int = 2, name: bytes | None = None) -> bool: ...
+    # take frames [frame, …] after those taken before; returns once their buffer may be used again
+    def put(self, planes: np.ndarray, name: bytes | None = None) -> None: ...
+    def shown(self) -> int: ...  # how many frames were triggered so far
+
+    def keep(self, name: bytes) -> bool:
+        """Promise to show the frames of a name again; False where they are not there."""
+        return False
+
+    def again(self, name: bytes, frames: int) -> None:
+        """Show the frames of a name that was kept, after those taken before."""
+
+    def cease(self) -> None:
+        """Let an upload that is on its way end soon; waits for nobody."""
+
+    def close(self, hung: bool = False) -> None:
+        """Give the memory back; all but that where an upload hangs in it."""
+
+
+@dataclass(frozen=True)
+class LateFrame:
+    """A frame that came too late and was black. slot, frame: which.  missed: when it was given up [ns].  ready: when
+    it was there after all [ns]; None while it is not."""
+
+    slot: int
+    frame: int
+    missed: int
+    ready: int | None = None
+
+
+class UploadQueue:
+    """Brings the frames of one projector to its mirrors, through a ring of buffers made beforehand.
+
+    order: number of the frame in each slot.  batch: frames a buffer.  depth: buffers.  poses: of each slot, by default
+    its number.  policy: decides on frames that are late.  guard: how many frames ahead of the counter a missing one is
+    given up.  preroll: black frames before the first slot.  turn: slots after which frames come round again, where the
+    mirrors hold so many: they are uploaded once and shown as often as they come.  boundaries: where frames may be
+    replaced: none is packed together with those beyond. Raises `BadInput`, `ShapeMismatch`.
+
+    Call ``pump`` as often as there is time, which on a clock that a program sets is exactly repeatable, or ``start``
+    two threads that do the same: one packs frames, one uploads.
+    """
+
+    batch: int
+    uploaded: int
+    made: int
+    ahead: int
+    share: float
+
+    def __init__(
+        self, packer: PlanePacker, order: np.ndarray, memory: FrameMemory, clock: Clock, *, batch: int = 8,
+        depth: int = 8, poses: np.ndarray | None = None, policy: LatePolicy | None = None, guard: int = 2,
+        preroll: int = 0, turn: int | None = None, boundaries: Boundaries | None = None,
+    ) -> None:  # fmt: skip
+        if order.ndim != 1 or order.dtype.kind != "i":
+            raise ShapeMismatch(f"order is {order.dtype}{list(order.shape)}; expected whole numbers, one a slot")
+        if order.size and not NONE <= order.min() <= order.max() < packer.frames:
+            raise BadInput(f"order asks for frames {order.min()} to {order.max()}; the source has {packer.frames}")
+        self._order = np.concatenate([np.full(preroll, NONE, order.dtype), order])
+        self._packer, self._memory, self._clock = packer, memory, clock
+        self._poses = np.arange(len(order)) if poses is None else poses
+        self._policy, self._guard, self._preroll = policy or WebLatePolicy(), guard, preroll
+        self._turn, self._boundaries = turn, boundaries
+        self._taken, self._packing = 0, threading.Lock()
+        self._limit = len(self._order)
+        self._look_ahead(0)
+        self.ring: BufferRing = BufferRing(pinned_buffers(depth, (batch, *packer.shape), packer.device))
+        self.batch, self.uploaded, self.made, self.ahead, self.share = batch, 0, 0, 0, 0.0
+        self.arrived: np.ndarray = np.full(len(self._order), NONE, np.int64)
+        self.late: dict[int, LateFrame] = {}
+        self._black = pinned_buffers(1, (1, *packer.shape), packer.device)[0]
+        self._sending, self._stop = threading.RLock(), threading.Event()
+        self._threads: tuple[threading.Thread, ...] = ()
+        self._error: BaseException | None = None
+
+    def __len__(self) -> int:
+        return len(self._order)
+
+    @property
+    def done(self) -> bool:
+        """Whether everything is at the mirrors."""
+        return self.uploaded >= len(self)
+
+    @property
+    def primed(self) -> bool:
+        """Whether mirrors and ring hold all they can, so that the light may open."""
+        if not self._sending.acquire(blocking=False):  # frames on their way are still in the ring too
+            return False
+        try:
+            full = self.ring.fill == self.ring.capacity or self.made >= self._limit
+            head = self.ring.head()
+            return self.uploaded >= self._limit or (full and head is not None and not self._room(head))
+        finally:
+            self._sending.release()
+
+    # ---- one step of each side -----------------------------------------------------------------------------
+    def make(self, timeout: float = 0.0) -> bool:
+        """Pack the next frames if a buffer is free within ``timeout`` seconds."""
+        if self.made >= self._limit or (buffer := self.ring.claim(timeout)) is None:
+            return False
+        first = self.made
+        with self._packing:
+            frames = self._order[first : self._end(first)].copy()
+            self._taken = first + len(frames)
+        if not self._kept(first, buffer[: len(frames)]):
+            self._packer.read(frames, buffer)
+            self.ring.commit(Batch(first, buffer[: len(frames)], self._clock.now()))
+        self.made = first + len(frames)
+        return True
+
+    def _end(self, first: int) -> int:
+        """Where frames that begin at a slot end: those of turns at the same places each time."""
+        turn = self._turn if self._boundaries is None else self._boundaries.turn
+        if turn is None:
+            return first + self.batch
+        if first < self._preroll:
+            return min(self._preroll, first + self.batch)
+        beyond = self._place(first, turn)
+        return first - beyond + min(turn, (beyond // self.batch + 1) * self.batch)
+
+    def _place(self, slot: int, turn: int) -> int:
+        """Where in a turn a slot is: of the print where frames may be replaced, else of the queue."""
+        return (slot - self._preroll + (0 if self._boundaries is None else self._boundaries.first)) % turn
+
+    def _look_ahead(self, shown: int) -> None:
+        """What may be packed, once so many were shown."""
+        if (ends := self._boundaries) is not None:
+            begin = ends.first - self._preroll
+            self._limit = min(len(self), ends.horizon(begin + shown) - begin)
+
+    def _name(self, first: int, count: int) -> bytes | None:
+        """What frames are called at the mirrors, where they come round: their place in the turn, and their numbers.
+
+        The same black frames at two places are two names: one sequence cannot wait in the queue twice.
+        """
+        if self._turn is None:
+            return None
+        turn = self._turn if self._boundaries is None else self._boundaries.turn
+        place = np.int64(self._place(first, turn) if first >= self._preroll else NONE)
+        return place.tobytes() + self._order[first : first + count].tobytes()
+
+    def _kept(self, first: int, buffer: np.ndarray) -> bool:
+        """Hand on frames that the mirrors have, if they do; nobody shows black in their place meanwhile."""
+        name = self._name(first, len(buffer))
+        if name is None:
+            return False
+        with self._sending:
+            if self.uploaded > first or not self._memory.keep(name):
+                return False
+            self.ring.commit(Batch(first, buffer, self._clock.now(), kept=True))
+            return True
+
+    def _room(self, batch: Batch) -> bool:
+        return self._memory.room(name=self._name(batch.first, len(batch.frames))) if batch.kept else self._memory.room()
+
+    def upload(self, timeout: float = 0.0) -> bool:
+        """Upload the oldest frames if there are any within ``timeout`` seconds and the mirrors have room."""
+        batch = self.ring.head(timeout)
+        if batch is None:
+            return False
+        with self._sending:
+            if not self._room(batch):
+                return False
+            behind = self.uploaded - batch.first
+            for slot in range(batch.first, min(batch.end, self.uploaded)):  # those were black
+                if slot in self.late and self.late[slot].ready is None:
+                    self.late[slot] = replace(self.late[slot], ready=batch.ready)
+            if behind < len(batch.frames):
+                self._put(batch.frames[behind:], batch.kept)
+            self.ring.release()
+        return True
+
+    def black(self) -> int | None:
+        """Show black in the next slot in place of a frame that is not there; returns the slot, the preroll counted.
+
+        None where frames are ready, are being uploaded, or have no room: this waits for nobody.
+        """
+        if not self._sending.acquire(blocking=False):
+            return None
+        try:
+            if self.ring.fill or not self._memory.room(1):
+                return None
+            slot = self.uploaded
+            self._put(self._black)
+            self.late[slot] = LateFrame(slot, int(self._order[slot]), self._clock.now())
+            return slot
+        finally:
+            self._sending.release()
+
+    def _put(self, planes: np.ndarray, kept: bool = False) -> None:
+        name = self._name(self.uploaded, len(planes))
+        if name is None:
+            self._memory.put(planes)
+        elif kept:
+            self._memory.again(name, len(planes))
+        else:
+            self._memory.put(planes, name)
+        self.arrived[self.uploaded : self.uploaded + len(planes)] = self._clock.now()
+        self.uploaded += len(planes)
+
+    def pump(self) -> int:
+        """Pack and upload until neither can go on; returns how many frames went to the mirrors."""
+        before = self.uploaded
+        while self.upload() or self.make():
+            pass
+        return self.uploaded - before
+
+    # ---- in a print ----------------------------------------------------------------------------------------
+    def prime(self) -> None:
+        """Raise what a thread raised; without threads, pack and upload what there is room for."""
+        self.check()
+        if self._boundaries is not None:
+            self._look_ahead(self._memory.shown())
+        if not self._threads:
+            self.pump()
+        self.ahead = self.uploaded - self._memory.shown()
+        self.share = min(1.0, self.ahead / (2 * self.batch))
+
+    def feed(self) -> None:
+        """Where nothing is ready and time is short, show black and ask the policy. Raises `Underrun`."""
+        self.prime()
+        while self.ahead < self._guard and not self.done:
+            slot = self.black()
+            if slot is None:
+                return
+            self.prime()
+            if self._order[slot] == NONE:  # black was right
+                continue
+            pose = int(self._poses[slot - self._preroll])
+            log.warning("pose %d is black: its frame is not there", pose)
+            if self._policy.drop(pose) is Action.STOP:
+                raise Underrun(
+                    f"{self._policy.stopped}, the last at pose {pose}: the light is off; print slower, or make "
+                    "frames faster"
+                )
+
+    @contextmanager
+    def replaceable(self, slot: int) -> Iterator[bool]:
+        """Whether nothing of a slot and those after it is packed, nor black for them, while this is held."""
+        with self._packing:
+            yield max(self._taken, self.uploaded) <= slot + self._preroll
+
+    def replace(self, slot: int, order: np.ndarray) -> None:
+        """Take other frames from a slot on, that `replaceable` holds."""
+        self._order[slot + self._preroll :] = order
+
+    def arrival(self, slot: int) -> int:
+        """When the frame of a slot was at the mirrors [ns]."""
+        return int(self.arrived[slot + self._preroll])
+
+    def was_black(self, slot: int) -> bool:
+        """Whether the frame of a slot was late, and black instead."""
+        return slot + self._preroll in self.late
+
+    def shown(self) -> int:
+        """Frames since the run segment began, black ones before the first slot included."""
+        return self._memory.shown()
+
+    def undo_drops(self, slot: int) -> None:
+        """Tell the policy that black from a slot on never came: the run segment ends before it."""
+        for number in sorted(self.late, reverse=True):
+            if number >= slot + self._preroll and self._order[number] != NONE:
+                self._policy.undo_drop(int(self._poses[number - self._preroll]))
+
+    def close(self) -> None:
+        """Pack no more frames and give the mirrors' memory back, unless an upload hangs in it."""
+        self._memory.cease()
+        self._memory.close(hung=not self.stop())
+
+    # ---- threads -------------------------------------------------------------------------------------------
+    def start(self) -> None:
+        """Begin to pack and upload in threads of their own."""
+        jobs = {"pack": self._making, "upload": self._uploading}
+        self._threads = tuple(threading.Thread(target=self._guarded, args=(job,), name=f"frames {name}", daemon=True)
+                              for name, job in jobs.items())  # fmt: skip
+        for thread in self._threads:
+            thread.start()
+
+    def check(self) -> None:
+        """Raise what a thread failed with."""
+        if self._error is not None:
+            raise self._error
+
+    def stop(self, timeout: float = 1.0) -> bool:
+        """End the threads; False where one hangs in a driver and is left behind."""
+        self._stop.set()
+        self.ring.close()
+        for thread in self._threads:
+            thread.join(timeout)
+        return not any(thread.is_alive() for thread in self._threads)
+
+    def _guarded(self, job: Callable[[], None]) -> None:
+        try:
+            job()
+        except BaseException as error:  # it is raised where the print is run
+            self._error = (
+                error if isinstance(error, VamError) else VamError(f"packing or uploading frames failed: {error!r}")
+            )
+            if not isinstance(error, VamError):
+                self._error.__cause__ = error
+
+    def _making(self) -> None:
+        while not self._stop.is_set() and self.made < len(self):
+            if not self.make(0.1) and self.made >= self._limit:
+                self._clock.sleep_until(self._clock.now() + NAP)
+
+    def _uploading(self) -> None:
+        while not self._stop.is_set() and not self.done:
+            if not self.upload(0.1) and self.ring.fill:
+                self._clock.sleep_until(self._clock.now() + NAP)

@@ -1,0 +1,342 @@
+"""Frames in versions: those of coming turns of a vial, or segments of a web, may be replaced where one begins, never
+inside.
+
+In the order of a queue, frame ``n`` of version ``v`` is number ``v * frames + n``. Nothing beyond the next boundary is
+packed until a lead before it, so a version may come late; one that comes later is dropped, and the frames
+before it go on.
+"""
+
+from __future__ import annotations
+
+import threading
+from bisect import bisect_right
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+from vamgpu.hosts.frames.packer import DevicePacker, PlanePacker
+from vamgpu.hosts.frames.sources import FrameSource
+from vamgpu.hosts.schedules.schedule import NONE
+from vamgpu.hosts.schedules.timing import whole
+
+ROUNDING = 1e-6  # share of all light that is rounding
+
+
+@dataclass(frozen=True)
+class Boundaries:
+    """Where the frames of a queue may be replaced: where turns of a vial, or segments of a web, begin.
+
+    turn: slots of one.  first: slot of the print that the queue begins with.  lead: how many slots ahead of a
+    boundary what is beyond it may be packed.
+    """
+
+    turn: int
+    first: int
+    lead: int
+
+    def horizon(self, slot: int) -> int:
+        """The slot up to which frames may be packed while one is about to be shown."""
+        return ((max(slot, self.first) + self.lead) // self.turn + 1) * self.turn
+
+
+@dataclass(frozen=True, eq=False)
+class FrameVersion:
+    """Frames from the beginning of a turn of a vial, or of a segment of a web, on.
+
+    number: 1, 2, …; 0 are the job's.  sources: of each projector.  turn: the first turn, or segment, that shows them.
+    stop: the one before which the light ends; None for none.  light: of a turn, over that of the job's frames.
+    until: the one from which on all is as it was before; None for none.
+    """
+
+    number: int
+    sources: tuple[FrameSource, ...]
+    turn: int
+    stop: int | None = None
+    light: float = 1.0
+    until: int | None = None
+
+    def facts(self) -> dict[str, Any]:
+        """What a run's folder keeps of it, beside the frames."""
+        told = {"version": self.number, "turn": self.turn, "stop": self.stop, "light": self.light}
+        return told if self.until is None else told | {"until": self.until}
+
+
+class FramePlans:
+    """The versions of the frames of a print: which there are, and which slot shows which.
+
+    sources: the job's frames, of each projector.  count: slots of a turn, or of a segment.  turns: of the print, or its
+    segments.  allowance: light that versions may add, over that of all the job's turns; each version of a web, whose
+    segments light other resin, over that of the segments that it replaces.  unit: "turn", whose frames come round
+    again, or "segment".  slots: of the print; a web's last segment may be shorter.
+
+    Any thread may `swap`; the printing thread takes what is offered, and commits or drops it. Raises `BadInput`.
+    """
+
+    count: int
+    turns: int
+    allowance: float
+    unit: str
+    slots: int
+    frames: int
+
+    def __init__(
+        self, sources: Sequence[FrameSource], count: int, turns: int, *, allowance: float = 0.0,
+        unit: Literal["turn", "segment"] = "turn", slots: int | None = None,
+    ) -> None:  # fmt: skip
+        self.count, self.turns = whole("count", count), whole("turns", turns)
+        self.unit, self.slots = unit, self.count * self.turns if slots is None else whole("slots", slots)
+        self.frames = self.count if unit == "turn" else self.slots  # in the numbers of a version
+        self.allowance = positive("allowance of light", allowance, zero=True)
+        self._lock = threading.Lock()
+        self._versions = {0: FrameVersion(0, tuple(sources), 0)}
+        self._light = {0: 1.0}
+        self._table = [(0, 0)]  # first slots of committed versions, rising, and their numbers
+        self._offered: FrameVersion | None = None
+        self._refused: list[tuple[int, str]] = []
+        self.last: int = 0
+        self.stop: int | None = None
+        self.sources: tuple[VersionedFrames, ...] = tuple(VersionedFrames(self, k) for k in range(len(sources)))
+
+    # ---- from any thread -------------------------------------------------------------------------------------
+    def swap(
+        self, sources: Sequence[FrameSource], turn: int, *, light: float = 1.0, stop: int | None = None,
+        number: int | None = None, until: int | None = None,
+    ) -> int:  # fmt: skip
+        """Offer frames from the beginning of a turn, or of a segment, on.
+
+        Args:
+            sources: Frames of each projector, numbered and of as many bits as the job's.
+            turn: The first turn, or segment, that is to show them, counted from 0.
+            light: Light of a turn, or of the segments that are replaced, over that of the job's frames.
+            stop: The one before which the light ends; None shows all of the print.
+            until: The one from which on all is as it was decided before; None for none.
+            number: Of the version, above those before; None takes the next.
+
+        Returns:
+            The number of the version. The printing thread drops it where it comes too late.
+
+        Raises:
+            BadInput: They are no frames of this print, or more light than is allowed.
+        """
+        job = self._versions[0].sources
+        if len(sources) != len(job) or any(new.bits != old.bits for new, old in zip(sources, job, strict=True)):
+            raise BadInput(
+                f"got frames of {[each.bits for each in sources]} bits; expected {[each.bits for each in job]}, one "
+                "for each projector of the job: pack them as its own"
+            )
+        light = self.check(turn, light, stop, until)
+        with self._lock:
+            version = FrameVersion(
+                self.last + 1 if number is None else number, tuple(sources), turn, stop, light, until
+            )
+            if version.number <= self.last:
+                raise BadInput(f"version {version.number} comes after version {self.last}; expected a greater number")
+            for source in self.sources:
+                source.prepare(version)
+            self.last = version.number
+            if self._offered is not None:
+                self._refuse(self._offered, f"version {version.number} came before it was shown")
+            self._offered = self._versions[version.number] = version
+        return version.number
+
+    def check(self, turn: int, light: float, stop: int | None = None, until: int | None = None) -> float:
+        """Raise `BadInput` for a version that is not of this print, or has too much light; see `swap`."""
+        ends = [end for end in (stop, until) if end is not None]
+        if not 0 < whole(self.unit, turn, 0) < self.turns or not all(turn < end <= self.turns for end in ends):
+            raise BadInput(
+                f"{self.unit}s {turn} to {stop if until is None else until} of {self.turns}; expected a {self.unit} to "
+                "come, and an end after it"
+            )
+        light = positive("light of a version", light, zero=True)
+        if self.unit == "segment":
+            if light > (1 + self.allowance) * (1 + ROUNDING):
+                raise BadInput(
+                    f"the version has {light:.4g} times the light of the segments that it replaces; "
+                    f"{1 + self.allowance:.4g} are allowed: allow more light"
+                )
+            return light
+        with self._lock:
+            before = sum(self._light[self.at(earlier * self.count)] for earlier in range(turn))
+            after = sum(self._light[self.at(later * self.count)] for later in range(until or self.turns, self.turns))
+        total = before + light * (min(stop or self.turns, until or self.turns) - turn) + after
+        most = self.turns * (1 + self.allowance)
+        if total > most * (1 + ROUNDING):
+            raise BadInput(
+                f"the print would have {total:.4g} times the light of a turn; {most:.4g} are allowed: allow more "
+                "light, or end sooner"
+            )
+        return light
+
+    def at(self, slot: int) -> int:
+        """The version that a slot shows, as far as is decided."""
+        return self._table[bisect_right(self._table, (slot, self.last)) - 1][1]
+
+    def source(self, number: int, engine: int) -> FrameSource:
+        """Frames of a version. Raises `BadInput` where they are not there any more."""
+        version = self._versions.get(number)
+        if version is None:
+            raise BadInput(f"the frames of version {number} are not there; there are {sorted(self._versions)}")
+        return version.sources[engine]
+
+    # ---- the printing thread -----------------------------------------------------------------------------------
+    @property
+    def end(self) -> int:
+        """The slot before which the light ends, turns that are added aside."""
+        return min((self.stop or self.turns) * self.count, self.slots)
+
+    def facts(self) -> dict[str, Any]:
+        """What a run's folder keeps with each swap: where frames may be replaced."""
+        told: dict[str, Any] = {"turns": self.turns}
+        return told if self.unit == "turn" else told | {"unit": self.unit, "count": self.count}
+
+    def take(self) -> FrameVersion | None:
+        """The version that was offered last, which is now committed or dropped."""
+        with self._lock:
+            taken, self._offered = self._offered, None
+            return taken
+
+    def commit(self, version: FrameVersion) -> None:
+        """From its turn on, the slots show a version."""
+        with self._lock:
+            begin, rest = version.turn * self.count, []
+            if version.until is not None and (end := version.until * self.count) < self.slots:
+                rest = [(end, self.at(end)), *(row for row in self._table if row[0] > end)]
+            self._table = [row for row in self._table if row[0] < begin] + [(begin, version.number), *rest]
+            self._light[version.number], self.stop = version.light, version.stop
+
+    def drop(self, version: FrameVersion, why: str) -> None:
+        """A version is not shown."""
+        with self._lock:
+            self._refuse(version, why)
+
+    def _refuse(self, version: FrameVersion, why: str) -> None:
+        self._refused.append((version.number, why))
+        self._versions.pop(version.number, None)
+
+    def refused(self) -> list[tuple[int, str]]:
+        """Versions that were dropped since this was asked, and why."""
+        with self._lock:
+            told, self._refused = self._refused, []
+        return told
+
+    def restore(self, version: FrameVersion) -> None:
+        """Take up a version that an earlier host committed."""
+        with self._lock:
+            self._versions[version.number], self.last = version, max(self.last, version.number)
+        self.commit(version)
+
+    def supply(self, number: int, sources: Sequence[FrameSource]) -> None:
+        """Give the frames of a version that was taken up without them."""
+        with self._lock:
+            self._versions[number] = replace(self._versions[number], sources=tuple(sources))
+
+    def forget(self, slot: int, missed: Collection[int] = ()) -> None:
+        """Let go of frames that no slot from a turn before ``slot`` on shows, but for the job's and those missed."""
+        with self._lock:
+            offered = () if self._offered is None else (self._offered.number,)
+            before = max(slot - self.count, 0)  # a packer that is behind may still ask
+            after = (number for begin, number in self._table if begin >= before)
+            wanted = {0, self.at(before), *after, *missed, *offered}
+            self._versions = {number: each for number, each in self._versions.items() if number in wanted}
+            for source in self.sources:
+                source.forget(wanted)
+
+    # ---- numbers -----------------------------------------------------------------------------------------------
+    def numbers(self, frames: np.ndarray, version: int) -> np.ndarray:
+        """Numbers in a queue of frames of a version; `NONE` stays."""
+        return np.where(frames == NONE, NONE, frames + version * self.frames)
+
+    def told_apart(self, number: int) -> tuple[int, int]:
+        """Version and frame of a number in a queue."""
+        return (0, number) if number == NONE else divmod(number, self.frames)
+
+    def order(self, frames: np.ndarray) -> np.ndarray:
+        """Numbers of the frames of all slots, as far as is decided; black after the stop."""
+        order, planned = frames.copy(), self.slots
+        for begin, number in self._table:
+            order[begin:planned] = self.numbers(frames[begin:planned], number)
+        order[self.end : planned] = NONE
+        return order
+
+
+class VersionedFrames:
+    """The frames of one projector by their numbers in a queue; a `FrameSource`."""
+
+    bits: int
+
+    def __init__(self, plans: FramePlans, engine: int) -> None:
+        self._plans, self._engine = plans, engine
+        self.bits = plans.source(0, engine).bits
+        self._packer: VersionedPacker | None = None
+
+    def planes(self, numbers: np.ndarray) -> np.ndarray:
+        """See `FrameSource`."""
+        versions, frames = np.divmod(np.asarray(numbers), self._plans.frames)
+        found = {
+            number: iter(self._plans.source(number, self._engine).planes(frames[versions == number]))
+            for number in dict.fromkeys(versions.tolist())
+        }
+        return np.stack([next(found[number]) for number in versions.tolist()])
+
+    def frame(self, number: int) -> np.ndarray:
+        """See `FrameSource`."""
+        version, frame = divmod(int(number), self._plans.frames)
+        return self._plans.source(version, self._engine).frame(frame)
+
+    def packer(self, batch: int) -> VersionedPacker | None:
+        """The frames as a device packs them; None where it does not."""
+        packs = getattr(self._plans.source(0, self._engine), "packer", None)
+        made = None if packs is None else packs(batch)
+        self._packer = None if made is None else VersionedPacker(self._plans, self._engine, made)
+        return self._packer
+
+    def prepare(self, version: FrameVersion) -> None:
+        """Make ready, in the thread that has a version, what packs it. Raises `BadInput`."""
+        if self._packer is not None:
+            self._packer.prepare(version.number, version.sources[self._engine])
+
+    def forget(self, wanted: Collection[int]) -> None:
+        """Keep what packs these versions alone."""
+        if self._packer is not None:
+            self._packer.forget(wanted)
+
+
+class VersionedPacker(PlanePacker):
+    """Packs the frames of all versions, each by its own packer; those of one call are of one version.
+
+    made: packs the job's.
+    """
+
+    device: Device
+
+    def __init__(self, plans: FramePlans, engine: int, made: DevicePacker) -> None:
+        super().__init__(None, made.shape, np.iinfo(np.int64).max)
+        self._plans, self._engine, self._made = plans, engine, {0: made}
+        self.device, self._batch = made.device, made.batch
+
+    def prepare(self, number: int, source: FrameSource) -> None:
+        """Make what packs a version. Raises `BadInput` for frames of another shape."""
+        packs = getattr(source, "packer", None)
+        made = None if packs is None else packs(self._batch)
+        if made is None or made.shape != self.shape:
+            raise BadInput(
+                f"the frames of version {number} are no frames of {self.shape} for the job's device: put them there"
+            )
+        self._made[number] = made
+
+    def forget(self, wanted: Collection[int]) -> None:
+        """Keep what packs these versions alone."""
+        self._made = {number: made for number, made in self._made.items() if number in wanted}
+
+    def read(self, frames: np.ndarray, out: np.ndarray) -> None:
+        """See `PlanePacker`."""
+        lit = frames != NONE
+        number = int(frames[lit][0]) // self._plans.frames if lit.any() else 0
+        if number not in self._made:  # a run segment began since
+            self.prepare(number, self._plans.source(number, self._engine))
+        self._made[number].read(np.where(lit, frames - number * self._plans.frames, NONE), out)

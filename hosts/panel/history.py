@@ -1,0 +1,77 @@
+"""Prints of the past: the run folders that stand beside one another."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from vamgpu.storage.reading import open_file, parse_json, read_text
+
+NEWEST = 50  # prints that are listed
+LAST = 4096  # bytes of a file's end in which its last line is looked for
+LARGEST = 1 << 20  # bytes of a file that are read at most
+REPORT = re.compile(r"report(-\d+)?\.html")
+
+
+def past(place: Path) -> list[dict[str, Any]]:
+    """The prints in a folder, newest first: name, job, state, message, when it began [s since 1970], duration [s],
+    dark frames, reports. What cannot be read is left out. No record of frames is read, however long.
+    """
+    found = []
+    try:
+        folders = [(each.stat().st_mtime, each.parent) for each in place.glob("*/state.json")]
+    except OSError:
+        return []
+    for _, folder in sorted(folders, reverse=True)[:NEWEST]:
+        try:
+            found.append(_told(folder))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            continue
+    return found
+
+
+def report(place: Path, run: str, name: str) -> Path | None:
+    """A report of a listed print; None where there is none, or for a path that leads elsewhere."""
+    listed = next((each for each in place.glob("*/state.json") if each.parent.name == run), None)
+    if listed is None or not REPORT.fullmatch(name):
+        return None
+    page = listed.parent / name
+    return page if page.is_file() and not page.is_symlink() else None
+
+
+def _told(folder: Path) -> dict[str, Any]:
+    state, asked = _json(folder / "state.json"), _json(folder / "run.json")
+    timing = _json(folder / "timing.json") if (folder / "timing.json").is_file() else {}
+    began, last = _walls(folder / "events.jsonl")
+    end = float(state["wall"])
+    return {
+        "name": folder.name,
+        "job": ", ".join(Path(str(each)).name for each in asked["jobs"]),
+        "state": str(state["state"]),
+        "message": str(state["message"]),
+        "began": end if began is None else began,
+        "seconds": 0.0 if began is None else max(end, last or end) - began,
+        "dark": timing.get("dark"),
+        "reports": sorted(each.name for each in folder.glob("report*.html") if REPORT.fullmatch(each.name)),
+    }
+
+
+def _json(path: Path) -> dict[str, Any]:
+    return dict(parse_json(read_text(path, LARGEST)))
+
+
+def _walls(path: Path) -> tuple[float | None, float | None]:
+    """The time of the first and of the last event [s since 1970]."""
+    with open_file(path) as file:
+        first = file.readline(LAST)
+        file.seek(max(0, path.stat().st_size - LAST))
+        lines = file.read(LAST).split(b"\n")
+    return _wall(first), next(filter(None, map(_wall, reversed(lines))), None)
+
+
+def _wall(line: bytes) -> float | None:
+    try:
+        return float(parse_json(line)["wall"])
+    except (ValueError, KeyError, TypeError):
+        return None

@@ -1,0 +1,151 @@
+"""What the server answers: the page, what it shows, and its buttons."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Awaitable, Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from anyio import CapacityLimiter, to_thread
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route
+
+from vamgpu.errors import VamError
+from vamgpu.hosts.panel.history import past, report
+from vamgpu.hosts.panel.view import Pictures, curve, described, images, refusal, told
+from vamgpu.hosts.state import Board
+from vamgpu.storage.reading import read_bytes
+
+PERIOD = 0.25  # between two looks of a page [s]
+LOOKS = 40.0  # of all pages together in a second; more pages look less often, so that the print keeps its processor
+LONGEST = 5.0  # between two looks of a page, however many there are: what it shows is older by as much [s]
+FRESH = 5.0  # for how long a history that was read is told again [s]
+STOPS = 1000  # stops at a time; a line that hangs in one does not keep the next from putting out the light
+# Reports draw with their own script, which is let out of this page's reach: no cookie, no origin, no network.
+SANDBOX = (
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
+    "img-src data: blob:; font-src data:; frame-ancestors 'none'"
+)
+FILES = {
+    "/": ("page.html", "text/html"),
+    "/page.css": ("page.css", "text/css"),
+    "/page.js": ("page.js", "text/javascript"),
+}
+
+
+class Pace:
+    """How long a page waits until it looks again [s], by how many looks there were in the last second."""
+
+    wait: float
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._since, self._looks, self.wait = clock, clock(), 0, PERIOD
+
+    def look(self) -> float:
+        """Count a look of a page. Programs are not counted: one that asks without a pause would blind the pages."""
+        now = self._clock()
+        self._looks += 1
+        if (passed := now - self._since) >= 1.0:
+            self.wait = min(LONGEST, max(PERIOD, self.wait * self._looks / passed / LOOKS))
+            self._since, self._looks = now, 0
+        return self.wait
+
+
+def served(board: Board, page: bool, runs: Path | None, run: str | None) -> Starlette:
+    """The application. Programs use ``GET /state``, ``POST /stop`` and ``POST /press/NAME``, with a page or without."""
+    answers = _Answers(board, runs, run)
+    routes = [
+        Route("/state", answers.state),
+        Route("/stop", answers.stop, methods=["POST"]),
+        Route("/press/{name}", answers.press, methods=["POST"]),
+        Route("/picture/{name}", answers.picture),
+        Route("/scatter", answers.scatter),
+        Route("/history", answers.history),
+        Route("/runs/{run}/{name}", answers.report),
+    ]
+    shown = [Route(path, _file(name, kind)) for path, (name, kind) in FILES.items()] if page else []
+    return Starlette(routes=[*shown, *routes])
+
+
+def _file(name: str, kind: str) -> Callable[[Request], Awaitable[Response]]:
+    content = files("vamgpu.hosts.panel").joinpath("static", name).read_bytes()
+
+    async def answer(_: Request) -> Response:
+        return Response(content, media_type=kind)
+
+    return answer
+
+
+class _Answers:
+    """One server's answers. Those that touch no disk and no line run in its loop, others in threads."""
+
+    def __init__(self, board: Board, runs: Path | None, run: str | None) -> None:
+        self._board, self._runs, self._run = board, runs, run
+        self._pictures, self._pace = Pictures(), Pace()
+        self._stops: CapacityLimiter | None = None
+        self._disk: CapacityLimiter | None = None
+        self._past: tuple[float, list[dict[str, Any]]] = (-FRESH, [])
+
+    async def state(self, request: Request) -> Response:
+        """What the page shows."""
+        wait = self._pace.look() if "page" in request.query_params else self._pace.wait
+        return JSONResponse(told(self._board, self._pictures) | {"wait": wait, "run": self._run})
+
+    async def stop(self, _: Request) -> Response:
+        """Emergency stop: it is dark when this answers. Waits behind nothing else that the server does."""
+        self._stops = self._stops or CapacityLimiter(STOPS)
+        try:
+            await to_thread.run_sync(self._board.stop, "emergency stop at the panel", limiter=self._stops)
+        except Exception as error:  # the others were called all the same
+            return PlainTextResponse(f"not every machine took the stop: {error}", 500)
+        return JSONResponse(described(self._board.now))
+
+    async def press(self, request: Request) -> Response:
+        """A button."""
+        name = request.path_params["name"]
+        press = self._board.buttons.get(name)
+        if press is None:
+            return PlainTextResponse(f"there is no button {name!r}", 404)
+        if (why := refusal(self._board.now, name)) is not None:
+            return PlainTextResponse(why, 409)
+        try:
+            await to_thread.run_sync(press)
+        except VamError as error:
+            return PlainTextResponse(str(error), 409)
+        return JSONResponse(described(self._board.now))
+
+    async def picture(self, request: Request) -> Response:
+        """A projector's frame, or the camera's image."""
+        name = request.path_params["name"]
+        image = images(self._board.now).get(name)
+        if image is None:
+            return PlainTextResponse(f"there is no picture {name!r} now", 404)
+        return Response(await to_thread.run_sync(self._pictures.png, name, image), media_type="image/png")
+
+    async def scatter(self, _: Request) -> Response:
+        """How much the resin scatters."""
+        return JSONResponse(curve(self._board.now))
+
+    async def history(self, _: Request) -> Response:
+        """Prints of the past, this one among them."""
+        if self._runs is None:
+            return JSONResponse([])
+        self._disk = self._disk or CapacityLimiter(1)
+        async with self._disk:  # a disk that hangs holds one thread
+            if time.monotonic() - self._past[0] >= FRESH:
+                found = await to_thread.run_sync(past, self._runs)
+                self._past = (time.monotonic(), found)
+        return JSONResponse(self._past[1])
+
+    async def report(self, request: Request) -> Response:
+        """The report of a print."""
+        run, name = request.path_params["run"], request.path_params["name"]
+        page = None if self._runs is None else await to_thread.run_sync(report, self._runs, run, name)
+        if page is None:
+            return PlainTextResponse("there is no such report", 404)
+        content = await to_thread.run_sync(read_bytes, page)
+        return Response(content, media_type="text/html", headers={"content-security-policy": SANDBOX})

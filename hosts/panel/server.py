@@ -1,0 +1,134 @@
+"""The web server of a page, in a thread of the process that prints."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import socket
+import threading
+import time
+from pathlib import Path
+from typing import Any, Self
+
+from vamgpu.errors import BadInput, DeviceError
+from vamgpu.hosts.panel.door import Doorkeeper, loopback
+from vamgpu.hosts.schedules.timing import whole
+from vamgpu.hosts.state import Board
+
+STARTING = 10.0  # longest wait for the web server [s]; before it is up, nobody could stop a print at the page
+PORTS = 65535
+
+
+class Panel:
+    """A server of the page in a thread of its own; a context manager, which may stay open after the print.
+
+    Args:
+        board: What is shown and stopped.
+        host: The address to serve at; beyond this machine only with a token.
+        port: Of the server; 0 finds a free one.
+        token: What a browser must bring, 16 characters or more; made up for hosts beyond this machine.
+        page: False serves programs alone.
+        runs: The folder whose run folders are the history; None shows none.
+        run: The name of this print's run folder.
+
+    Raises:
+        BadInput: An argument is none of these.
+        DeviceError: The extra is missing, the port is taken, or the server does not start.
+    """
+
+    board: Board
+    host: str
+    page: bool
+    runs: Path | None
+    run: str | None
+
+    def __init__(
+        self, board: Board, host: str = "127.0.0.1", port: int = 0, token: str | None = None, page: bool = True, *,
+        runs: str | Path | None = None, run: str | None = None,
+    ) -> None:  # fmt: skip
+        if not isinstance(board, Board):
+            raise BadInput(f"the panel's board is {board!r}; expected the Board of a print")
+        if not isinstance(host, str):
+            raise BadInput(f"the panel's host is {host!r}; expected a name or address, such as '127.0.0.1'")
+        if whole("the panel's port", port, 0) > PORTS:
+            raise BadInput(f"the panel's port is {port!r}; expected {PORTS} at most: choose another host or port")
+        if token is not None and (not isinstance(token, str) or len(token) < 16):
+            raise BadInput("the panel's token is no text of 16 characters or more; leave it out to have one made")
+        self.board, self.host, self.page = board, host, page
+        self.runs, self.run = None if runs is None else Path(runs), run
+        self.token: str | None = token if token is not None or loopback(host) else secrets.token_urlsafe(24)
+        self._server, self._thread = None, None
+        self._failed: BaseException | None = None
+        self._socket = _listening(host, int(port))
+        self.port: int = int(self._socket.getsockname()[1])
+
+    @property
+    def url(self) -> str:
+        """Where the page is, with what lets one in."""
+        name = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{name}:{self.port}/" + ("" if self.token is None else f"?token={self.token}")
+
+    def __enter__(self) -> Self:
+        try:
+            self._server = self._made()
+            self._thread = threading.Thread(target=self._serve, args=(self._server,), name="panel", daemon=True)
+            self._thread.start()
+            self._wait(self._server, self._thread)
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def _made(self) -> Any:
+        """The web server with all that it serves."""
+        try:
+            import uvicorn
+
+            from vamgpu.hosts.panel.routes import served
+
+            app = served(self.board, self.page, self.runs, self.run)
+        except ImportError as error:
+            raise DeviceError('the panel needs a web server: pip install "vamgpu[panel]"') from error
+        guarded = Doorkeeper(app, self.token, self.host, self.port)
+        config = uvicorn.Config(guarded, log_level="warning", access_log=False, lifespan="off", server_header=False)
+        return uvicorn.Server(config)
+
+    def _serve(self, server: Any) -> None:
+        try:
+            server.run(sockets=[self._socket])
+        except BaseException as error:  # a server that cannot start exits, which a thread keeps to itself
+            self._failed = error
+            logging.getLogger(__name__).error("the panel's web server ended: %s", error)
+
+    def _wait(self, server: Any, thread: threading.Thread) -> None:
+        """Return when the server is up. Raises `DeviceError`."""
+        end = time.monotonic() + STARTING
+        while not server.started:
+            if not thread.is_alive():
+                why = "" if self._failed is None else f": {self._failed!r}"
+                raise DeviceError(f"the panel's web server ended before it was up{why}; see the log, or do without it")
+            if time.monotonic() > end:
+                raise DeviceError(f"the panel's web server is not up after {STARTING:g} s; try again, or do without it")
+            thread.join(0.01)
+
+    def __exit__(self, *_: object) -> None:
+        if self._server is not None and self._thread is not None:
+            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # it reports connections that are cut
+            self._server.should_exit = True
+            self._server.force_exit = True  # browsers keep their connection as long as they are let
+            self._thread.join(timeout=5.0)
+        self._socket.close()
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    server = socket.socket(family, socket.SOCK_STREAM)
+    server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        server.bind((host, port))
+    except (OSError, ValueError, TypeError) as error:  # taken, no address of this machine, or no name at all
+        server.close()
+        told = f"the panel cannot be served at {host}:{port}: {error}; choose another host or port"
+        raise DeviceError(told) from error
+    server.listen(32)
+    return server

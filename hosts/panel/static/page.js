@@ -1,0 +1,246 @@
+"use strict";
+const PATIENCE = 2000; // longest wait for an answer [ms]
+const SILENT = 1.0; // age of the last look at the machines from which a print that has light is silent [s]
+const SHAPES = {
+  standby: "M12 3a9 9 0 1 0 .01 0zm0 3a6 6 0 1 1-.01 0z",
+  starting: "M12 3a9 9 0 1 0 .01 0zm0 3a6 6 0 1 1-.01 0zm-2 2l5 4-5 4z",
+  printing: "M5 3l16 9-16 9z",
+  paused: "M5 3h5v18H5zm9 0h5v18h-5z",
+  held: "M12 1l11 11-11 11L1 12zm-1.5 5v8h3V6zm0 10v3h3v-3z",
+  complete: "M2 13l3-3 5 5L20 4l3 3-13 14z",
+  incomplete: "M12 2a10 10 0 0 0 0 20zm1 0a10 10 0 0 1 0 20v-2a8 8 0 0 0 0-16z",
+  cancelled: "M4 4h16v16H4z",
+  error: "M12 1l11.5 21H.5zm-1.5 7v7h3V8zm0 9v3h3v-3z",
+  lost: "M3 5l2-2 7 7 7-7 2 2-7 7 7 7-2 2-7-7-7 7-2-2 7-7z",
+};
+const at = (id) => document.getElementById(id);
+const values = {}, pictures = {}, buttons = {};
+let heard = 0, wait = 0.25, lost = true, name = "lost", last = null, readings = -1, ended = null, pastDue = 0, prints = [], explained = null;
+let timer = 0, looking = false, again = false;
+
+function made(tag, parent, text, type) {
+  const element = document.createElement(tag);
+  if (text !== undefined) element.textContent = text;
+  if (type) element.className = type;
+  parent.append(element);
+  return element;
+}
+
+function drawn(tag, parent, attributes) {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  parent.append(element);
+  return element;
+}
+
+function time(seconds) {
+  if (seconds === null || seconds === undefined) return "—";
+  const whole = Math.max(0, Math.round(seconds)), hours = Math.floor(whole / 3600);
+  const minutes = String(Math.floor(whole / 60) % 60), rest = String(whole % 60).padStart(2, "0");
+  if (whole < 60) return `${whole} s`;
+  return hours ? `${hours} h ${minutes.padStart(2, "0")} min` : `${minutes} min ${rest} s`;
+}
+
+function rows(now) {
+  const ms = (seconds) => (seconds < 1 ? `${Math.round(1000 * seconds)} ms` : `${seconds.toFixed(1)} s`);
+  const fixed = (value, digits) => (value === null ? "—" : value.toFixed(digits));
+  const age = now.renewed === null ? null : now.renewed + now.ago, silent = now.light && now.ago > SILENT;
+  const told = {
+    light: [now.light ? `ON at ${100 * now.power} %`.replace(/(\.\d)\d+/, "$1") : "off", now.light ? "lit" : ""],
+    "time left": [now.ended ? "none: the print has ended" : time(now.left) + (now.waits === null ? "" : " of light"), ""],
+    dose: [`${fixed(100 * now.spent, 1)} % of the plan`, ""],
+    frame: [now.frame < 0 ? "none yet" : `${now.frame} (slot ${now.slot + 1}${now.slots ? ` of ${now.slots}` : ""})`, ""],
+    position: [`${fixed(now.position, 3)} ${now.unit}`, ""],
+    interlock: now.light ? ["closed", ""] : now.ended ? ["not asked any more", ""]
+      : now.interlock_closed === null ? [now.state === "standby" ? "not asked yet" : "not known", ""] : now.interlock_closed ? ["closed", ""] : ["OPEN: close the enclosure", "warn"],
+    lease: !now.light || age === null ? ["light is off", ""]
+      : age > now.lease ? [`not renewed for ${ms(age)}: the controller has closed the light`, "warn"]
+      : [`light closes ${ms(now.lease - age)} after the host falls silent; last renewal ${ms(age)} ago`, silent ? "warn" : ""],
+  };
+  if (now.focus !== null) told.lens = [`${now.focus > 0 ? "+" : ""}${now.focus.toFixed(3)} dpt`, ""];
+  if (now.lens_temperature !== null) told["lens temperature"] = [`${now.lens_temperature.toFixed(1)} °C, as told in the dark`, ""];
+  if (now.light) told.buffer = [`${Math.round(100 * now.fill)} % full, frames ready ${ms(now.margin / 1e9)} early`, ""];
+  if (now.plan || now.live) told.plan = [`version ${now.plan}, ${now.stop === null ? "all turns" : `until turn ${now.stop}`}${now.live ? `; ${now.live}` : ""}`, now.live ? "warn" : ""];
+  for (const each of now.parameters) told[each.name] = [`${each.value.toPrecision(4)} ± ${each.error.toPrecision(2)}`, ""];
+  told["shown black"] = [`${now.dark} frames`, now.dark ? "warn" : ""];
+  if (silent) told.light = [`last known ON, no look at the machines for ${time(now.ago)}`, "warn"];
+  return told;
+}
+
+function show(now) {
+  const begun = now.state === "standby" && "pause" in now.buttons && !("start" in now.buttons);
+  const state = begun || now.resuming ? "starting" : now.state;
+  name = state;
+  document.body.dataset.state = state;
+  at("shape").firstElementChild.setAttribute("d", SHAPES[state] || SHAPES.held);
+  at("state").textContent = state;
+  at("job").textContent = now.job;
+  document.title = `${state} · ${now.job || "vamgpu"}`;
+  const left = now.slots - now.slot - 1;
+  const none = state === "complete" || !now.slots || (left === 0 && now.frame >= 0);
+  const missing = none ? "" : `${now.frame < 0 ? now.slots : left} of ${now.slots} slots were not shown. `;
+  const black = now.dark ? `${now.dark} frames were shown black. ` : "";
+  const waits = now.waits !== null && state !== "starting", open = now.interlock_closed === false;
+  const todo = state === "starting" ? "Frames are loaded and the motion runs up; the light comes by itself. "
+    : !waits || !(now.waits > 0) ? "" : open ? "Close the enclosure, then press resume. "
+    : state === "held" ? "When the cause is gone, press resume. " : "Press resume to go on. ";
+  explain((now.message && !now.resuming ? `${now.message}. ` : "") + todo + (now.ended ? missing + black : ""), now);
+  at("waits").hidden = !waits;
+  at("waits").textContent = !waits ? "" : now.waits > 0 ? `can go on for ${time(now.waits)}` : "can go on no longer: begin anew with fresh resin";
+  at("bar").style.width = now.slots ? `${(100 * (now.frame < 0 ? 0 : now.slot + 1)) / now.slots}%` : "0";
+  const told = rows(now);
+  if (Object.keys(values).join() !== Object.keys(told).join()) { // their order stays the same
+    at("values").replaceChildren();
+    for (const key of Object.keys(values)) delete values[key];
+  }
+  for (const [key, [text, type]] of Object.entries(told)) {
+    if (!values[key]) {
+      made("dt", at("values"), key);
+      values[key] = made("dd", at("values"));
+      values[key].dataset.testid = key;
+    }
+    if (values[key].textContent !== text) values[key].textContent = text;
+    values[key].className = type;
+  }
+  for (const [key, why] of Object.entries(now.buttons)) {
+    if (!buttons[key]) {
+      buttons[key] = made("button", at("buttons"), key);
+      buttons[key].type = "button";
+      buttons[key].dataset.testid = key;
+      buttons[key].addEventListener("click", () => (key === "cancel" ? at("ask").showModal() : press(`press/${key}`)));
+    }
+    buttons[key].disabled = why !== null;
+    buttons[key].title = why || "";
+  }
+  if (now.ended && at("ask").open) at("ask").close();
+  for (const [key, number] of Object.entries(now.pictures)) {
+    picture(key, number);
+    const text = now.light || key === "camera" ? key : `${key}: last frame; the light is off`;
+    if (pictures[key].caption.textContent !== text) pictures[key].caption.textContent = text;
+  }
+  for (const key of Object.keys(pictures)) if (!(key in now.pictures)) { pictures[key].figure.remove(); delete pictures[key]; }
+  if (now.readings !== readings) { readings = now.readings; scatter(); }
+  const changed = now.ended !== ended; // at first the server may still tell what it read before the end
+  if (changed || Date.now() > pastDue) { ended = now.ended; pastDue = Date.now() + (changed ? 6000 : 15000); past(); }
+}
+
+function explain(text, now) {
+  const own = now.ended && prints.find((each) => each.name === now.run), pages = own ? own.reports : [];
+  const key = text + pages.join();
+  if (key === explained) return; // a link that is replaced between press and release is never followed
+  explained = key;
+  at("message").textContent = text;
+  at("message").hidden = !key;
+  for (const each of pages) made("a", at("message"), "report ").href = `runs/${encodeURIComponent(own.name)}/${each}`;
+}
+
+function picture(key, number) {
+  if (!pictures[key]) {
+    const figure = made("figure", at("pictures")), image = made("img", figure);
+    image.alt = `frame of ${key}`;
+    image.dataset.testid = key;
+    pictures[key] = { figure, image, caption: made("figcaption", figure), number: 0, loading: false };
+    image.onload = image.onerror = () => { pictures[key] && (pictures[key].loading = false); };
+  }
+  const kept = pictures[key];
+  if (kept.number === number || kept.loading) return; // a slow reader skips frames
+  kept.number = number;
+  kept.loading = true;
+  kept.image.src = `picture/${encodeURIComponent(key)}?${number}`;
+}
+
+async function scatter() {
+  const told = readings > 0 ? await asked("scatter") : null;
+  at("curve").hidden = !told || !told.points.length;
+  if (at("curve").hidden) return;
+  const plot = at("plot"), stop = told.threshold, [end, density] = told.points[told.points.length - 1];
+  const start = told.points[0][0], most = 1.1 * Math.max(stop || 0, 1e-9, ...told.points.map((point) => point[1]));
+  const x = (value) => 34 + (276 * (value - start)) / Math.max(end - start, 1e-9);
+  const y = (value) => 130 - (120 * Math.max(value, 0)) / most;
+  plot.replaceChildren();
+  drawn("path", plot, { class: "axis", d: "M34 10V130H310", fill: "none" });
+  if (stop) {
+    drawn("line", plot, { class: "stop", x1: 34, x2: 310, y1: y(stop), y2: y(stop) });
+    drawn("text", plot, { x: 38, y: y(stop) - 3 }).textContent = `stops at ${stop}`;
+  }
+  drawn("polyline", plot, { class: "curve", points: told.points.map(([s, d]) => `${x(s)},${y(d)}`).join(" ") });
+  drawn("text", plot, { x: 310, y: 144, "text-anchor": "end" }).textContent = `${end.toFixed(0)} s`;
+  drawn("text", plot, { x: 30, y: 133, "text-anchor": "end" }).textContent = "0";
+  drawn("text", plot, { x: 30, y: 16, "text-anchor": "end" }).textContent = most.toPrecision(2);
+  at("reading").textContent = `${density.toPrecision(3)} gray levels/voxel after ${end.toFixed(1)} s`;
+}
+
+async function past() {
+  prints = (await asked("history")) || [];
+  at("past").hidden = !prints.length;
+  at("history").replaceChildren();
+  for (const each of prints) {
+    const item = made("li", at("history"));
+    item.dataset.state = each.state;
+    drawn("path", drawn("svg", item, { viewBox: "0 0 24 24" }), { d: SHAPES[each.state] || SHAPES.held });
+    const now = last && each.name === last.run && !last.ended;
+    const gone = ["standby", "printing", "paused", "held"].includes(each.state) && !now;
+    made("strong", item, `${each.job || each.name}: ${each.state}${now ? " (this print)" : gone ? ", left by its host" : ""} `);
+    made("small", item, `${new Date(1000 * each.began).toLocaleString("sv")} · ${time(each.seconds)} · ${each.name} `);
+    for (const page of each.reports) made("a", item, "report ").href = `runs/${encodeURIComponent(each.name)}/${page}`;
+    if (each.message) { made("br", item); made("small", item, each.message); }
+  }
+}
+
+async function asked(path, options = {}) {
+  try {
+    const answer = await fetch(path, { signal: AbortSignal.timeout(PATIENCE), ...options });
+    return answer.ok ? await answer.json() : null;
+  } catch { return null; }
+}
+
+async function press(path) {
+  let said = "";
+  try {
+    const answer = await fetch(path, { method: "POST", keepalive: true, signal: AbortSignal.timeout(10000) });
+    if (!answer.ok) said = await answer.text();
+  } catch { said = "no answer"; }
+  if (said && path === "stop") said = `THE STOP WAS NOT CONFIRMED (${said}): use the switch at the machine`;
+  at("notice").textContent = said;
+  at("notice").hidden = !said;
+  look(); // who pressed wants to see what came of it
+}
+
+function connection() {
+  const age = (Date.now() - heard) / 1000;
+  if (!lost && age < wait + PATIENCE / 1000 + 0.5) return;
+  lost = true;
+  document.body.dataset.state = "lost";
+  document.body.classList.add("stale");
+  at("shape").firstElementChild.setAttribute("d", SHAPES.lost);
+  at("state").textContent = "connection lost";
+  document.title = "connection lost";
+  const closes = last && last.lease ? ` The controller closes the light ${Math.round(1000 * last.lease)} ms after its host falls silent.` : "";
+  at("lost").textContent = heard ? `Nothing heard for ${time(Math.max(1, age))}; what stands below is old (${name}).${closes} A stop may not get through: use the switch at the machine.` : "Nothing heard yet.";
+  at("lost").hidden = false;
+  for (const button of Object.values(buttons)) { button.disabled = true; button.title = "connection lost"; }
+}
+
+async function look() {
+  if (looking) { again = true; return; }
+  clearTimeout(timer);
+  [looking, again] = [true, false];
+  const now = await asked("state?page");
+  looking = false;
+  try {
+    if (now) {
+      [heard, wait, last, lost] = [Date.now(), now.wait, now, false];
+      document.body.classList.remove("stale");
+      at("lost").hidden = true;
+      show(now);
+    } else lost = true;
+    connection();
+  } finally { timer = setTimeout(look, again ? 0 : lost ? 500 : 1000 * wait); }
+}
+
+at("stop").addEventListener("click", () => press("stop"));
+at("keep").addEventListener("click", () => at("ask").close());
+at("cancel").addEventListener("click", () => { at("ask").close(); press("press/cancel"); });
+document.addEventListener("visibilitychange", look); // a phone that was asleep
+setInterval(connection, 250);
+look();

@@ -1,0 +1,152 @@
+"""What a run printed: the light of its record through the simulation of the job that it was made from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, StorageError, VamError
+from vamgpu.hosts.account import LightAccount, account
+from vamgpu.hosts.plans import kept_frames
+from vamgpu.hosts.record import RunRecord, read_run
+from vamgpu.hosts.resume import digest
+from vamgpu.printing.simulate import simulate
+
+if TYPE_CHECKING:
+    from vamgpu.backend.array import DeviceArray
+    from vamgpu.backend.device import Device
+    from vamgpu.jobs.run import Proven
+    from vamgpu.printing.frames import Frames
+    from vamgpu.printing.proof import Proof
+
+
+@dataclass(frozen=True, eq=False)
+class ShownFrames:
+    """Frames as a run showed them.
+
+    Attributes:
+        frames: What was to be shown.
+        share: Of its light that each frame got, (frames,).
+        versions: What reads the frames that were shown in their place, and the share of the light of all turns that
+            each got.
+    """
+
+    frames: Frames
+    share: np.ndarray
+    versions: tuple[tuple[Callable[[], Frames], np.ndarray], ...] = ()
+
+    @property
+    def scale(self) -> float:
+        """Light of a full-on pixel."""
+        return self.frames.scale
+
+    @property
+    def motion(self) -> Any:
+        """The angles that the frames are for."""
+        return self.frames.motion
+
+    def irradiance(self, device: Device) -> DeviceArray:
+        """Light [angle, r, z] that the run gave, per turn of the plan."""
+        light = self.frames.irradiance(device).numpy() * self.share[:, None, None]
+        for frames, share in self.versions:  # one by one: there may be many
+            light += frames().irradiance(device).numpy() * share[:, None, None]
+        return device.upload(light.astype(np.float32))
+
+
+def _jobs(run: RunRecord, given: Sequence[str | Path]) -> list[Path]:
+    """Of each projector. Raises `BadInput` for others than were printed, `StorageError` where one is gone."""
+    printed, moved = run.asked["digests"], {digest(Path(each)): Path(each) for each in given}
+    if others := [str(place) for known, place in moved.items() if known not in printed]:
+        raise BadInput(f"the job {others[0]!r} is another one than was printed; give the one that was (--job)")
+    found = []
+    for path, known in zip(run.asked["jobs"], printed, strict=True):
+        places = [moved[known]] if known in moved else [Path(path), run.path.parent / Path(path).name]
+        place = next((each for each in places if each.exists()), None)
+        if place is None:
+            raise StorageError(f"the job {path!r} of this run is not there any more; say where it is (--job)")
+        if digest(place) != known:
+            raise BadInput(f"the job {str(place)!r} was changed since it was printed; give the one that was (--job)")
+        found.append(place)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class RunProof:
+    """What one projector of a run printed.
+
+    Attributes:
+        run: The record.
+        light: The light of all views.
+        planned: The proof of the job itself.
+        least, most: Proofs of what was shown, with none and with all of the light that nobody knows of.
+    """
+
+    run: RunRecord
+    light: LightAccount
+    planned: Proven
+    least: Proof
+    most: Proof
+
+
+def prove_run(
+    path: str | Path, device: str | None = None, job: str | Path | Sequence[str | Path] = ()
+) -> tuple[RunProof, ...]:
+    """Prove what a run of a vial printed, by the light in its record.
+
+    Args:
+        path: The run folder.
+        device: Where to compute; the best device here by default.
+        job: Folders of jobs that were moved since, in any order; without, they are looked for where they were, and
+            beside the run.
+
+    Returns:
+        A proof for each projector.
+
+    Raises:
+        BadInput: The run is no vial's, has no light, or its job was changed since.
+        StorageError: The run or its job cannot be read.
+    """
+    from vamgpu.jobs.run import prove
+
+    run = read_run(path)
+    try:
+        light = account(run)
+        jobs = _jobs(run, (job,) if isinstance(job, (str, Path)) else job)
+    except VamError:
+        raise
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise StorageError(f"the record of {str(path)!r} is garbled: {error!r}; its folder was changed") from error
+    if light is None or run.asked.get("kind") != "vial":
+        raise BadInput(f"{str(path)!r} does not hold the light of a vial's views; only runs of vials can be proved")
+    if not light.sure.any():
+        raise BadInput(f"{str(path)!r} has shown nothing; there is no light to prove")
+    found = []
+    for engine, place in enumerate(jobs):
+        planned = prove(place, device)
+        proof = planned.proof
+        shown = (_shown(run, light, proof.frames, engine, unsure) for unsure in (0.0, 1.0))
+        least, most = (simulate(proof.operator, frames, proof.target) for frames in shown)
+        found.append(RunProof(run, light, planned, least, most))
+    return tuple(found)
+
+
+def _shown(run: RunRecord, light: LightAccount, job: Frames, engine: int, unsure: float) -> ShownFrames:
+    """What a projector showed: the job's frames, and those of the versions that took their place."""
+    if not light.versions:
+        return ShownFrames(job, light.share(unsure)[engine])
+    planned = account(run, versions=False)
+    assert planned is not None
+    share = {number: _of(each, planned, engine, unsure) for number, each in light.versions.items()}
+    others = ((partial(kept_frames, run.path, number, engine, job.device), share[number]) for number in share if number)
+    return ShownFrames(job, share.get(0, np.zeros(job.shape[0])), tuple(others))
+
+
+def _of(version: LightAccount, planned: LightAccount, engine: int, unsure: float) -> np.ndarray:
+    """Light of a version's frames, over that of all turns of the plan."""
+    got = version.sure[engine] + unsure * version.unsure[engine]
+    return got / np.maximum(planned.wanted[engine], 1)

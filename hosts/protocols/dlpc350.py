@@ -1,0 +1,113 @@
+"""Messages of TI's DLPC350, the controller of a LightCrafter 4500, over USB HID: reports of 64 bytes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
+
+VENDOR, PRODUCT = 0x0451, 0x6401
+REPORT = 64
+READ, REPLY, REFUSED = 0x80, 0x40, 0x20
+DISPLAY_MODE, SOURCE, TRIGGER_MODE, DISPLAY = 0x1A1B, 0x1A22, 0x1A23, 0x1A24
+TIMES, SEQUENCE, MAILBOX_PLACE, MAILBOX, MAILBOX_DATA = 0x1A29, 0x1A31, 0x1A32, 0x1A33, 0x1A34
+VALIDATE, LED_ENABLE, LED_CURRENTS, MAIN_STATUS = 0x1A1A, 0x1A07, 0x0B01, 0x1A0C
+SHORTEST_US = {1: 235, 2: 700, 3: 1570, 4: 1700, 5: 2000, 6: 2500, 7: 4500, 8: 8333}  # by bits
+DARK_US = 230  # between exposure and period, unless they are equal
+COLORS = ("red", "green", "blue")  # bits 0..2 of a choice of LEDs
+CHANNELS = {1: 0, 0: 1, 2: 2}  # the channel of a video frame (0 red, 1 green, 2 blue) to its place among patterns
+BUSY = 0x80
+INVALID = (
+    "exposure or period",
+    "number of a pattern",
+    "trigger out while it is already high",
+    "missing black after a pattern",
+    "period less than exposure and 230 us",
+)
+
+
+@dataclass(frozen=True)
+class Message:
+    """A command with its data; ``flags`` hold READ, REPLY and REFUSED."""
+
+    flags: int
+    sequence: int
+    command: int | None
+    data: bytes
+
+
+def frame(command: int, data: bytes = b"", sequence: int = 0, read: bool = False) -> bytes:
+    """The reports of a command that asks for a reply."""
+    size = len(data) + 2
+    head = bytes([REPLY | (READ if read else 0), sequence & 0xFF, size & 0xFF, size >> 8])
+    body = head + bytes([command & 0xFF, command >> 8]) + data
+    return body + bytes(-len(body) % REPORT)
+
+
+def parse_command(raw: bytes) -> Message:
+    """The command in reports, as the controller reads them."""
+    size = int.from_bytes(raw[2:4], "little")
+    if len(raw) % REPORT or size < 2 or size > len(raw) - 4:
+        raise ProtocolError(f"{raw!r} is no command of a DLPC350")
+    return Message(raw[0], raw[1], int.from_bytes(raw[4:6], "little"), bytes(raw[6 : 4 + size]))
+
+
+def parse_reply(raw: bytes, sequence: int, what: str) -> bytes:
+    """The data of a reply; DeviceRefused where the controller did not take the command.
+
+    Args:
+        raw: The report.
+        sequence: The number that the command had.
+        what: The command in words, for the message.
+
+    Returns:
+        The data.
+
+    Raises:
+        ProtocolError: It is no reply to this command.
+        DeviceRefused: The controller refused.
+    """
+    size = int.from_bytes(raw[2:4], "little") if len(raw) >= 4 else REPORT
+    if size > len(raw) - 4 or raw[1] != sequence & 0xFF:
+        raise ProtocolError(f"{bytes(raw[:8])!r} is no answer to {what}; unplug the projector, and plug it in again")
+    if raw[0] & REFUSED:
+        raise DeviceRefused(f"the projector refused {what}", "nack")
+    return bytes(raw[4 : 4 + size])
+
+
+def times(bits: int, count: int, exposure_us: int, period_us: int, refresh_us: int) -> bytes:
+    """Exposure and period of ``count`` patterns in a video frame; BadInput where they cannot be shown."""
+    if bits not in SHORTEST_US or exposure_us < SHORTEST_US[bits]:
+        raise BadInput(f"patterns of {bits} bits cannot be shown for {exposure_us} us; shortest: {SHORTEST_US}")
+    if exposure_us != period_us and exposure_us > period_us - DARK_US:
+        raise BadInput(
+            f"an exposure of {exposure_us} us does not fit a period of {period_us} us; make them equal, or the "
+            f"exposure at most {period_us - DARK_US} us"
+        )
+    if count * period_us > refresh_us:
+        raise BadInput(f"{count} patterns of {period_us} us do not fit a video frame of {refresh_us} us; show fewer")
+    return exposure_us.to_bytes(4, "little") + period_us.to_bytes(4, "little")
+
+
+def patterns(channels: tuple[int, ...], bits: int, leds: int) -> bytes:
+    """The table of a video frame's patterns, in the order they are shown.
+
+    The first waits for the vertical blanking and takes the new frame; the others follow by themselves.
+    """
+    if bits not in (7, 8) or not channels or not set(channels) <= set(CHANNELS):
+        raise BadInput(f"channels {channels} of {bits} bits; expected channels of 0, 1 and 2, with 7 or 8 bits")
+    table = bytearray()
+    for number, channel in enumerate(channels):
+        trigger, flags = (1, 0b100) if number == 0 else (3, 0)
+        table += bytes([trigger | CHANNELS[channel] << 2, bits | leds << 4, flags])
+    return bytes(table)
+
+
+def sequence(count: int) -> bytes:
+    """The settings of a table of ``count`` patterns that repeats with each video frame."""
+    return bytes([count - 1, 1, count - 1, 0])
+
+
+def faults(status: int) -> tuple[str, ...]:
+    """What the controller finds wrong in a table."""
+    return tuple(text for bit, text in enumerate(INVALID) if status >> bit & 1)

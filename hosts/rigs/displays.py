@@ -1,0 +1,107 @@
+"""Parts that make frames: mirrors behind a trigger, and projectors on a video cable."""
+
+from __future__ import annotations
+
+from math import floor
+from typing import Annotated, Any, ClassVar
+
+from pydantic import model_validator
+
+from vamgpu.hosts.rigs.roles import ORDERS, CablePart, Color, MirrorPart, Share
+from vamgpu.schema.section import Listed
+
+
+class AlpDisplay(MirrorPart):
+    """Mirrors on a controller by Vialux.
+
+    library: path of the maker's library.  size: rows, columns.  serial: number of the device; 0 for any.
+     frame_time: the shortest that a frame of 8 bits is shown.
+    """
+
+    library: str
+    serial: int = 0
+
+    def open(self) -> Any:
+        """See `DisplayPart`."""
+        from vamgpu.hosts.drivers.dmd import Dmd
+
+        return Dmd.open(self.library, self.serial, self.array)
+
+
+class VideoDisplay(CablePart):
+    """A projector on a video cable, which shows several frames in each video frame.
+
+    screen: number of the output.  size: rows, columns.  refresh: of the cable.  bits: of a frame, 7 or 8.  order:
+    channels of a video frame, as their frames are shown.  latency: video frames from cable to mirrors.  tolerance:
+    of the clock of the refresh [ppm].
+    """
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """Channels of a video frame (0 red, 1 green, 2 blue), as their frames are shown."""
+        return tuple({"red": 0, "green": 1, "blue": 2}[name] for name in self.order or ORDERS[self.bits])
+
+    def open(self) -> Any:
+        """See `DisplayPart`."""
+        from vamgpu.hosts.drivers.projector import ONE_GRAY, HdmiProjector, PygletWindow, SlotLayout
+
+        layout = ONE_GRAY if self.slots == 1 else SlotLayout(self.channels, self.bits)
+        return HdmiProjector(PygletWindow(self.screen, self.array, self.refresh), layout, self.latency)
+
+
+class LightCrafterDisplay(VideoDisplay):
+    """A LightCrafter (DLPC350) in video pattern mode: frames by cable, settings and its own LEDs by USB.
+
+    control: usb, or usb: and its serial number.  leds: that light the frames.  current: of them, share of their
+    greatest; the projector keeps its own where none is said.  screen: number of the output.  size: rows, columns.
+     refresh: of the cable.  bits: of a frame, 7 or 8.  order: channels of a video frame, as their frames are shown.
+     latency: video frames from cable to mirrors.  slots: none, as bits say how many.  tolerance: of the clock of the
+    refresh [ppm].
+    """
+
+    lamps: ClassVar[bool] = True
+    control: str = "usb"
+    leds: Annotated[tuple[Color, ...], Listed] = ("blue",)
+    current: Share | None = None
+
+    @model_validator(mode="after")
+    def _shown(self) -> LightCrafterDisplay:
+        if self.control.partition(":")[0] != "usb":
+            raise ValueError(f'control is "{self.control}"; expected "usb", or "usb:" and the serial number')
+        if not self.leds or self.slots is not None:
+            raise ValueError("expected leds that light the frames, and no slots: bits say how many frames are shown")
+        from vamgpu.hosts.protocols import dlpc350
+
+        exposure = self.exposure
+        dlpc350.times(self.bits, len(self.channels), exposure, exposure, floor(1e6 / self.refresh))
+        return self
+
+    @property
+    def exposure(self) -> int:
+        """Of each frame [us]: all of its share of a video frame."""
+        return floor(1e6 / self.refresh / len(self.channels))
+
+    def open(self) -> Any:
+        """See `DisplayPart`; its LEDs are dark, and switched by the ``lamp`` of what is returned."""
+        from vamgpu.hosts.drivers.lightcrafter import LightCrafter, LightCrafterScreen
+
+        box = LightCrafter.open(self.control.partition(":")[2] or None)
+        try:
+            if self.current is not None:
+                box.drive(**dict.fromkeys(self.leds, self.current))
+            box.show_video(self.channels, self.bits, self.exposure, self.exposure, self.leds, self.refresh)
+            shown = super().open()
+        except BaseException:
+            box.close()
+            raise
+        return LightCrafterScreen(shown.window, shown.layout, shown.latency, box)
+
+
+class EmulatedDisplay(MirrorPart):
+    """The mirrors of a rehearsal.
+
+    size: rows, columns; as large as the job where none are said.  frame_time: the shortest that a frame of 8 bits
+    is shown.
+    """
+
+    emulated: ClassVar[bool] = True

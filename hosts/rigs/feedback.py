@@ -1,0 +1,143 @@
+"""Parts that see the motion, the resin or the light."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from vamgpu.hosts.drivers.controller import Encoder, Index
+from vamgpu.hosts.rigs.roles import FeedbackPart
+from vamgpu.schema.quantities import Count, ExposureTime, Length, Time
+
+Sees = Literal["motion", "resin", "light"]
+Tolerance = Annotated[float, Field(gt=0)]
+TURN = 360.0
+
+
+class EncoderFeedback(FeedbackPart):
+    """An encoder on the axis, at the controller's input.
+
+    counts: quadrature edges of a millimeter or degree, below 0 where it counts down.  tolerance: how far from it the
+    motor may be [mm] or [deg]; what is beyond closes the light.
+    """
+
+    sees: ClassVar[Sees] = "motion"
+    counts: float
+    tolerance: Tolerance = 0.1
+
+    @model_validator(mode="after")
+    def _told_apart(self) -> EncoderFeedback:
+        if abs(self.counts) * self.tolerance < 2:
+            raise ValueError(
+                f"counts = {self.counts:g} and tolerance = {self.tolerance:g} are less than the two counts that an "
+                f"encoder tells apart; expected a finer encoder or a wider tolerance"
+            )
+        return self
+
+    def told(self) -> Encoder:
+        """As the controller is told it."""
+        return Encoder(self.counts, self.tolerance)
+
+
+class IndexFeedback(FeedbackPart):
+    """A mark that is seen once a turn, at the controller's input or a computer's.
+
+    pin: of the computer's, for a stepper that the computer gives pulses.  distance: from mark to mark [mm] or [deg];
+    a turn on vials.  tolerance: how far from its place the motor may be at it [mm] or [deg]; beyond closes the light.
+    """
+
+    sees: ClassVar[Sees] = "motion"
+    pin: Annotated[int, Field(ge=0)] | None = None
+    distance: Annotated[float, Field(gt=0)] | None = None
+    tolerance: Tolerance = 0.1
+
+    def told(self) -> Index:
+        """As the controller is told it."""
+        return Index(self.distance or TURN, self.tolerance)
+
+
+class CameraFeedback(FeedbackPart):
+    """A camera that looks along the light: through GenICam, or through Micro-Manager.
+
+    producer: file of its maker's GenICam driver.  serial: of that camera.  config: Micro-Manager's configuration file.
+     label: of the camera in it.  exposure: of an image.  gain: in the camera's unit, mostly dB.  format: of pixels,
+    such as Mono8.  trigger: input whose edge takes an image, "" for none.  pixel: in the plane that it sees.  bits: of
+    its levels.  discard: images that are on their way when mirrors or lens have changed.
+    """
+
+    sees: ClassVar[Sees] = "resin"
+    producer: str | None = None
+    serial: str | None = None
+    config: str | None = None
+    label: str | None = None
+    exposure: ExposureTime = 0.01
+    gain: float | None = None
+    format: str | None = None
+    trigger: str | None = None
+    pixel: Length | None = None
+    bits: Annotated[int, Field(ge=8, le=16)] = 8
+    discard: Annotated[int, Field(ge=0, le=100)] = 1
+
+    @model_validator(mode="after")
+    def _one_way(self) -> CameraFeedback:
+        if self.emulated:
+            return self
+        if (self.producer is None) == (self.config is None) or (self.config is None) != (self.label is None):
+            raise ValueError("expected producer, of a GenICam camera, or config and label, of Micro-Manager's")
+        others = [name for name in ("serial", "gain", "format", "trigger") if getattr(self, name) is not None]
+        if self.config is not None and others:
+            raise ValueError(f"Micro-Manager's configuration file says {others[0]}; set it there, and remove it here")
+        return self
+
+    def open(self) -> Any:
+        """Open the camera with its settings. Raises what its driver does."""
+        exposure = 1e6 * self.exposure
+        if self.producer is not None:
+            from vamgpu.hosts.drivers.camera import GenicamCamera
+
+            settings = {"gain": self.gain, "pixels": self.format, "trigger": self.trigger}
+            return GenicamCamera.open(self.producer, self.serial, exposure_us=exposure, **settings)  # type: ignore[arg-type]
+        from vamgpu.hosts.drivers.micromanager import MicroManagerCamera
+
+        camera = MicroManagerCamera.open(str(self.config), str(self.label))
+        try:
+            camera.expose(exposure)
+        except BaseException:
+            camera.close()
+            raise
+        return camera
+
+
+class EmulatedCameraFeedback(CameraFeedback):
+    """The camera of a rehearsal.
+
+    exposure: of an image.  pixel: in the plane that it sees.  bits: of its levels.  producer, serial: none.
+     discard: images that are on their way when mirrors or lens have changed.  config, label, gain, format, trigger:
+    none.
+    """
+
+    emulated: ClassVar[bool] = True
+
+
+class PowerMeterFeedback(FeedbackPart):
+    """A power meter, or a photodiode on one.
+
+    port: address.  wavelength: [nm].  average: samples a reading.  settle: how long it takes to follow light.
+    """
+
+    sees: ClassVar[Sees] = "light"
+    port: str
+    wavelength: Annotated[float, Field(gt=100, lt=3000)] | None = None
+    average: Count = 1
+    settle: Time = 0.1
+
+
+class EmulatedPowerMeterFeedback(PowerMeterFeedback):
+    """The photodiode of a rehearsal.
+
+    settle: how long it takes to follow light.  average: samples a reading.  port, wavelength: none.
+    """
+
+    emulated: ClassVar[bool] = True
+    port: str = ""

@@ -1,0 +1,202 @@
+"""What a rig is given to print: the frames of a vial, a web, or slices; each knows its motion and its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.curethrough.names import is_slice
+from vamgpu.curethrough.output import RECORD
+from vamgpu.errors import BadInput, SliceError, StorageError
+from vamgpu.geometry import Turntable
+from vamgpu.hosts.calibrating.store import MachineCalibration
+from vamgpu.hosts.frames.sources import FrameSource, MirrorArray, VialFrames, WebFrames
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.storage.folder import MANIFEST
+from vamgpu.storage.reading import parse_json, read_text
+
+Kind = Literal["vial", "web", "slices"]
+
+
+@dataclass(frozen=True, eq=False)
+class PrintJob:
+    """A job as a rig prints it.
+
+    kind: how it moves.  path: of its folder.  shape: rows and columns of its frames, of ``bits``.  poses: of a whole
+    turn, web or platform.  advance: from pose to pose [mm]; None of vials.  speed: that it was made for [mm/s]; None
+    where it does not say.  depths: of its focus planes [mm] in a bath of an index; none for one focus.  source: makes
+    those for an array of mirrors.  frames: of a vial.  stretch: frames of a web from one pose to another; masks: which
+    plane shows which column; segment: poses of one, before which its frames may be replaced.
+    """
+
+    kind: Kind
+    path: str
+    shape: tuple[int, int]
+    poses: int
+    source: Callable[[MirrorArray], FrameSource]
+    bits: int = 8
+    advance: float | None = None
+    speed: float | None = None
+    depths: tuple[float, ...] = ()
+    bath: float = 1.0
+    frames: Frames | None = None
+    stretch: Callable[[int, int], Frames] | None = None
+    masks: np.ndarray | None = None
+    segment: int = 0
+
+    @property
+    def motion(self) -> Turntable | None:
+        """Where the frames of a vial are for; None where its folder is of an earlier version, which means evenly."""
+        return None if self.frames is None else self.frames.motion
+
+    @property
+    def turn(self) -> int | Turntable:
+        """What a schedule takes of a vial."""
+        return self.motion or self.poses
+
+
+def print_job(
+    path: str | Path, device: str | Device | None = None, machine: MachineCalibration = MachineCalibration(),
+    projector: int = 0,
+) -> PrintJob:  # fmt: skip
+    """What a folder holds. device: that makes frames of it; None for the best one.  machine: calibrations of the rig,
+    by which ``projector`` shows the light of vials and webs; slices were corrected for a printer's own levels.
+
+    Raises `StorageError` for a folder of none of them, `SliceError`, `BadInput`.
+    """
+    from vamgpu.jobs.run import is_interrupted
+    from vamgpu.jobs.web import is_web_folder
+    from vamgpu.printing.folder import load_frames
+
+    place = Path(path)
+    if is_web_folder(place):
+        return _web(
+            place, open_device(device), partial(machine.frames, projector=projector, vial=False) if machine else None
+        )
+    if place.is_file() or (place.is_dir() and not (place / MANIFEST).exists() and _sliced(place)):
+        return _slices(place, open_device(device))
+    try:
+        frames = replace(machine.frames(load_frames(place, device), projector), packed=None)
+    except StorageError as error:
+        if (place / MANIFEST).exists():
+            raise
+        raise StorageError(
+            f"{str(path)!r} is no job: expected the folder of a vial or a web, as `vam solve` writes them, or one of "
+            "slices, as `vam curethrough correct` does; check the path"
+        ) from error
+    if is_interrupted(place):
+        raise BadInput(f"{str(path)!r} is a plan that was interrupted; finish it with `vam solve` before it is printed")
+    count, *shape = frames.shape
+    return PrintJob(
+        "vial", str(path), (shape[0], shape[1]), count, partial(VialFrames, frames), frames.bits, frames=frames
+    )
+
+
+def _web(place: Path, device: Device, again: Callable[[Frames], Frames] | None) -> PrintJob:
+    """again: shows the light of frames on another machine; None shows them as they are."""
+    from vamgpu.webs.describe import wrap_from
+    from vamgpu.webs.store import WebFolder
+
+    folder = WebFolder.open(place)
+    if not folder.complete:
+        raise BadInput(
+            f"{str(place)!r} has {folder.frames} frames and is not complete; finish it with `vam solve` before it is "
+            "printed"
+        )
+    try:
+        focus, (columns, rows) = folder.details["frames"]["focus"], folder.details["beam"]["pixels"]
+        depths = () if focus is None else tuple(map(float, focus["planes"]))
+        chosen = np.zeros(columns, np.int64) if focus is None else np.array(focus["bin"], np.int64)
+        worth = folder.details["frames"]
+        gray, scale = GrayCurve.parse(worth["gray"]), float(worth["scale"])
+        if chosen.shape != (columns,) or not 0 <= chosen.min() <= chosen.max() < max(len(depths), 1):
+            raise ValueError(f"{chosen.size} columns choose among {len(depths)} focus planes")
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise StorageError(f"{str(place)!r} garbles its details: {error}; write the web again") from error
+    wrap: Any = wrap_from(folder.details["wrap"])
+    shown = chosen == np.arange(max(len(depths), 1))[:, None]
+
+    def stretch(low: int, high: int) -> Frames:
+        levels = folder.read("frames", low, high)
+        frames = Frames.from_bytes(levels, device, bits=8, gray=gray, scale=scale, columns=columns)
+        return frames if again is None else again(frames)
+
+    def read(low: int, high: int) -> np.ndarray:
+        return folder.read("frames", low, high) if again is None else stretch(low, high).levels()
+
+    return PrintJob(
+        "web", str(place), (rows, columns), folder.frames, lambda mirrors: WebFrames(
+            read, folder.frames, mirrors, shown, device
+        ), advance=float(wrap.advance),
+        speed=folder.details.get("speed") or _web_speed(place), depths=depths, bath=wrap.film.bath_index,
+        stretch=stretch, masks=shown, segment=folder.segments[0].frames[1],
+    )  # fmt: skip
+
+
+def _web_speed(place: Path) -> float | None:
+    """Of the job's file beside a folder of an earlier version, which does not tell."""
+    from vamgpu.jobs.web import is_web, read_web
+
+    file = place.with_suffix(".toml")
+    return read_web(file).file.web.speed if file.is_file() and is_web(file) else None
+
+
+def _slices(place: Path, device: Device) -> PrintJob:
+    from vamgpu.curethrough.stack import layer_height, open_stack
+
+    stack = open_stack(place)
+    try:
+        machine = _record(place, stack).get("machine", {})
+        if "exposure" in machine:
+            raise SliceError(
+                f"{str(place)!r} was corrected for a printer that stops at every layer; correct it for a platform that "
+                "moves: printer.speed in place of printer.exposure"
+            )
+        height = machine.get("slice_height") or layer_height(stack)
+        if height is None:
+            raise SliceError(
+                f"{str(place)!r} does not say how high its slices are; expected a folder that `vam curethrough "
+                "correct` wrote"
+            )
+        count, *shape = stack.shape
+        return PrintJob(
+            "slices", str(place), (shape[0], shape[1]), count, lambda mirrors: WebFrames(
+                partial(_one_by_one, stack), count, mirrors, None, device
+            ), advance=float(height), speed=machine.get("speed"),
+        )  # fmt: skip
+    except BaseException:
+        stack.close()
+        raise
+
+
+def _one_by_one(stack: Any, low: int, high: int) -> np.ndarray:
+    """Slices: a stack that is asked for several at once gets those before them ready, and these come after."""
+    return np.concatenate([stack[number : number + 1] for number in range(low, high)])
+
+
+def _sliced(place: Path) -> bool:
+    """Whether a folder holds frames."""
+    return any(is_slice(file.name) for file in place.iterdir())
+
+
+def _record(place: Path, stack: Any) -> dict[str, Any]:
+    """What slices were made with; nothing where they do not say."""
+    from vamgpu.curethrough.stack import ZipStack
+
+    try:
+        if isinstance(stack, ZipStack):
+            held = any(info.filename == RECORD for info in stack.others)
+            text = stack.entry(RECORD).decode("utf-8", "replace") if held else "{}"
+        else:
+            text = read_text(place / RECORD) if (place / RECORD).is_file() else "{}"
+        return dict(parse_json(text))
+    except (OSError, TypeError, ValueError) as error:
+        raise StorageError(f"{str(place / RECORD)!r} is no record: {error}; write the slices again") from error

@@ -1,0 +1,43 @@
+"""Tunable lenses."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from vamgpu.errors import DeviceRefused, WrongDevice
+from vamgpu.hosts.drivers.lens import LensDriver
+from vamgpu.hosts.rigs.roles import LensPart
+
+
+class OptotuneLens(LensPart):
+    """A lens by Optotune on a Lens Driver 4 or 4i.
+
+    port: serial port.  firmware: type letter it must have.  told_by: controller or host.  settle: from plane to
+    plane.
+    """
+
+    port: str
+    firmware: str | None = None
+
+    def open(self) -> LensDriver:
+        """A lens that is what the rig's file says, in its mode, and reaches the powers that it may be told."""
+        lens = LensDriver.open(self.port, self.firmware)
+        try:
+            found = lens.focal_power_mode()
+            if not found.least <= self.lowest < self.highest <= found.greatest:
+                raise WrongDevice(
+                    f"the lens guarantees {found.least:.4g} to {found.greatest:.4g} dpt; expected "
+                    f"{self.lowest:g} to {self.highest:g} dpt; correct lowest and highest in [lens], or warm it up"
+                )
+            if said := lens.status():
+                raise DeviceRefused(f"the lens is not ready: {', '.join(said)}", "status")
+        except BaseException:
+            lens.close()
+            raise
+        return lens
+
+
+class EmulatedLensPart(LensPart):
+    """The lens of a rehearsal."""
+
+    emulated: ClassVar[bool] = True

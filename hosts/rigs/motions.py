@@ -1,0 +1,146 @@
+"""Parts that move: the controller's own motor, stages, and steppers that are given pulses."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from pydantic import Field, model_validator
+
+from vamgpu.errors import BadInput
+from vamgpu.hosts.drivers.stages import Stage
+from vamgpu.hosts.protocols.controller import STEEPEST
+from vamgpu.hosts.rigs.roles import CRYSTAL, Microsteps, MotionPart, Ppm, StagePart
+from vamgpu.schema.quantities import Count
+
+
+class ControllerMotion(MotionPart):
+    """The motor that the controller steps; rows are triggered by its steps.
+
+    microsteps: of a millimeter or degree.  ramp: how fast the motion changes its speed [mm/s2] or [deg/s2]; without
+    it as the controller's own firmware does.  tolerance: of the clock that its speed follows [ppm]; frames do not
+    depend on it, as they follow its steps.
+    """
+
+    triggers: ClassVar[bool] = True
+    ramp: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _stepped(self) -> ControllerMotion:
+        if self.ramp is not None and self.ramp * self.microsteps > STEEPEST:
+            found = self.ramp * self.microsteps
+            raise ValueError(f"ramp = {self.ramp:g} is {found:.4g} microsteps/s2; expected {STEEPEST:.4g} at most")
+        return self
+
+
+class ZaberMotion(StagePart):
+    """A stage by Zaber, whose trigger output can fire at every pose.
+
+    port: serial port, or socket://host:port.  microsteps: of a millimeter or degree.  device, axis: its numbers on
+    the line.  encoder: whether one tells where it is; without, it counts its steps.  tolerance: of its clock [ppm].
+    """
+
+    triggers: ClassVar[bool] = True
+    port: str
+    microsteps: Microsteps = 6400.0 / 3.0
+    device: Count = 1
+    axis: Count = 1
+
+    def open(self, unit: str) -> Stage:
+        """See `MotionPart`."""
+        from vamgpu.hosts.drivers.stages import ZaberStage
+
+        return ZaberStage.open(self.port, self.microsteps, unit, self.device, self.axis)
+
+
+class StandaMotion(StagePart):
+    """A stage by Standa (8SMC5).
+
+    port: address, such as xi-com:///dev/ttyACM0.  microsteps: full steps of a millimeter or degree; each has 256.
+     tolerance: of its clock [ppm].
+    """
+
+    port: str
+    microsteps: Microsteps = 6400.0 / 3.0
+
+    def open(self, unit: str) -> Stage:
+        """See `MotionPart`."""
+        from vamgpu.hosts.drivers.stages import StandaStage
+
+        return StandaStage.open(self.port, self.microsteps, unit)
+
+
+class ThorlabsMotion(StagePart):
+    """A stage on a motion cube by Thorlabs (K-Cube, T-Cube).
+
+    port: serial port.  microsteps: counts of its encoder, a millimeter or degree.  encoder: whether one tells where it
+    is; a stepper's cube counts its steps.  tolerance: of its clock [ppm].
+    """
+
+    port: str
+    microsteps: Microsteps  # type: ignore[assignment]  # no two stages of theirs have the same
+
+    def open(self, unit: str) -> Stage:
+        """See `MotionPart`."""
+        from vamgpu.hosts.drivers.thorlabs import ThorlabsStage
+
+        return ThorlabsStage.open(self.port, self.microsteps, unit)
+
+
+class MicroManagerMotion(StagePart):
+    """A stage that Micro-Manager drives, through pymmcore-plus; it knows places alone, so no print runs on it.
+
+    config: its configuration file.  label: of the stage in it.  speed_property: that holds its speed [mm/s].
+     microsteps: units of its positions, a millimeter.  tolerance: of its clock [ppm].
+    """
+
+    runs: ClassVar[bool] = False
+    config: str
+    label: str
+    speed_property: str | None = None
+    microsteps: Microsteps = 1000.0
+
+    def open(self, unit: str) -> Stage:
+        """See `MotionPart`. Raises `BadInput` for degrees."""
+        from vamgpu.hosts.drivers.micromanager import MicroManagerStage
+
+        if unit != "mm":
+            raise BadInput(
+                f"the stage {self.label!r} of Micro-Manager moves in mm, and {unit} are needed: take another"
+            )
+        return MicroManagerStage.open(self.config, self.label, self.speed_property)
+
+
+class StepperMotion(MotionPart):
+    """A stepper that a computer's hardware PWM gives pulses, such as a Raspberry Pi's; nobody measures where it is.
+
+    chip, channel: of the PWM, as in /sys/class/pwm.  microsteps: pulses of a millimeter or degree.  ramp: how fast
+    it changes its speed [mm/s2] or [deg/s2].  tolerance: of the clock of the PWM [ppm].
+    """
+
+    reports: ClassVar[bool] = False
+    chip: Annotated[int, Field(ge=0)] = 0
+    channel: Annotated[int, Field(ge=0)] = 0
+    microsteps: Microsteps = 3200.0 / 360.0
+    ramp: Annotated[float, Field(gt=0)] = 100.0
+    tolerance: Ppm = CRYSTAL
+
+    def open(self, unit: str, pin: int | None = None) -> Stage:
+        """See `MotionPart`. pin: that sees its index; None where none does."""
+        from vamgpu.hosts.clock import RealClock
+        from vamgpu.hosts.drivers.gpio import GpioIndex
+        from vamgpu.hosts.drivers.stepper import StepperStage, SysfsPwm
+
+        clock = RealClock()
+        pulses = SysfsPwm(self.chip, self.channel)
+        index = None if pin is None else GpioIndex.open(pin, clock)
+        return StepperStage(pulses, clock, self.microsteps, unit, self.ramp, index)
+
+
+class EmulatedMotion(MotionPart):
+    """The motion of a rehearsal.
+
+    microsteps: of a millimeter or degree.  tolerance: of its clock [ppm].
+    """
+
+    emulated: ClassVar[bool] = True
+    triggers: ClassVar[bool] = True
