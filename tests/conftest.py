@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import cache, lru_cache
 from importlib import metadata
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+import pyopencl
 import pytest
+from hypothesis import settings
 from needs import missing
 
 import vamgpu
 from vamgpu.backend.device import Device
+from vamgpu.kernels import footprint
+
+settings.register_profile("same", derandomize=True, deadline=None)  # every run tries the same cases …
+settings.register_profile("search", deadline=None)  # … and pytest --hypothesis-profile=search tries new ones
+settings.load_profile("same")
 
 KINDS = {
     "opencl": "no OpenCL device works here: install the package with [cpu], or a driver such as pocl-opencl-icd",
@@ -54,6 +65,12 @@ def open_any(name: str) -> Device:
     return device
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Look for devices before there are workers: PoCL's first start fails beside others that build the same files."""
+    if not hasattr(config, "workerinput"):
+        device_list()
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run a test once for every device, by the name of the fixture it asks for."""
     choices = {
@@ -62,9 +79,63 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         "opencl_device": [name for name in device_list() if name.startswith("opencl")],
         "opencl_name": [name for name in device_list() if name.startswith("opencl") and GPU_LAYOUT not in name],
     }
+    file = Path(metafunc.definition.path)
     for fixture, names in choices.items():
         if fixture in metafunc.fixturenames:
-            metafunc.parametrize(fixture, names, indirect=True)
+            met = [name for name in names if _is_met(name, file)]
+            marked = [pytest.param(name, marks=pytest.mark.slow) if _is_slow(name, file) else name for name in met]
+            metafunc.parametrize(fixture, marked, indirect=True)
+
+
+def _is_met(device: str, file: Path) -> bool:
+    """A second processor is one more driver for the same layout: the contracts and kernels meet it, nothing else."""
+    return device not in _processors()[1:] or _is_close(file)
+
+
+def _is_slow(device: str, file: Path) -> bool:
+    """By default the contracts alone meet Warp and a GPU's layout on a processor; a second processor is slow."""
+    if device in _processors()[1:]:
+        return True
+    return (device.endswith(GPU_LAYOUT) or device == "warp:cpu") and not _is_close(file)
+
+
+def _is_close(file: Path) -> bool:
+    """Whether a file's tests are about devices: the contracts, and methods' own kernels."""
+    return file.parent.name == "contracts" or file.name == "test_kernels.py"
+
+
+@lru_cache(maxsize=1)
+def _processors() -> tuple[str, ...]:
+    from vamgpu.backend.opencl_platforms import context_of
+
+    own = [name for name in vamgpu.devices() if name.startswith("opencl")]
+    return tuple(name for name in own if context_of(name).devices[0].type & pyopencl.device_type.CPU)
+
+
+def remembered(function: Callable[..., Any], most: int = 400) -> Callable[..., Any]:
+    """A pure function of numbers and arrays that recalls its results, ``most`` at the most, which nobody may change."""
+    results: dict[tuple, Any] = {}
+
+    def recalled(*arguments: Any) -> Any:
+        key = tuple((a.shape, a.dtype.str, a.tobytes()) if isinstance(a, np.ndarray) else a for a in arguments)
+        if key not in results:
+            if len(results) >= most:
+                results.clear()
+            results[key] = found = function(*arguments)
+            for part in (found, *(getattr(found, name, None) for name in ("data", "indices", "indptr"))):
+                if isinstance(part, np.ndarray):
+                    part.flags.writeable = False
+        return results[key]
+
+    return recalled
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shares_of_a_pose_are_found_once() -> Iterator[None]:
+    """The reference finds the shares of columns in voxels anew at every launch; tests launch it thousands of times."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(footprint, "_matrix", remembered(footprint._matrix))
+        yield
 
 
 @pytest.fixture
@@ -89,6 +160,13 @@ def is_quick(fast_device: Device) -> bool:
 def opencl_name(request: pytest.FixtureRequest) -> str:
     """Name of every OpenCL device."""
     return open_any(request.param).name
+
+
+@pytest.fixture
+def processor() -> str:
+    """Name of one OpenCL device in the layout of processors."""
+    names = (name for name in device_list() if name.startswith("opencl") and GPU_LAYOUT not in name)
+    return next((name for name in names if not open_any(name).is_gpu), None) or missing(KINDS["opencl"])
 
 
 @pytest.fixture

@@ -22,6 +22,10 @@ def test_every_row_of_the_papers_points_to_tests_and_pages_that_exist() -> None:
         assert shown and set(shown) <= set(names()), name
 
 
+def test_the_readme_is_short() -> None:
+    assert (ROOT / "README.md").read_text(encoding="utf-8").count("\n") <= 150
+
+
 def test_links_of_the_readme_lead_somewhere() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     links = [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
+from functools import partial
 from pathlib import Path
 
+import jinja2
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -30,7 +36,9 @@ def module_of(folder: str) -> str:
 
 
 def shipped(name: str) -> bool:
-    return name.startswith(("vamgpu/", "kernels/", "hosts/")) and not (ROOT / name).is_symlink()
+    """What is part of a package; what stands beside the sketch is data."""
+    ours = name.startswith(("vamgpu/", "kernels/", "hosts/")) and not name.startswith("hosts/firmware/")
+    return ours and not (ROOT / name).is_symlink()
 
 
 def test_the_package_list_is_what_is_on_the_disk() -> None:
@@ -76,10 +84,8 @@ def test_type_checkers_are_told_of_the_same_names() -> None:
     assert told == set(vamgpu._PUBLIC.items())  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_a_wheel_holds_every_file(tmp_path: Path) -> None:
-    """Built from a copy, so that nothing is left in the repository."""
-    names = tracked()
-    copy = tmp_path / "copy"
+def copied(names: list[str], copy: Path) -> Path:
+    """The repository without what is not shipped, so that nothing is left in it by a build."""
     for name in names:
         place = copy / name
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -87,9 +93,83 @@ def test_a_wheel_holds_every_file(tmp_path: Path) -> None:
             place.symlink_to((ROOT / name).readlink())
         elif shipped(name) or "/" not in name:
             place.write_bytes((ROOT / name).read_bytes())
+    return copy
+
+
+def test_a_wheel_holds_every_file(tmp_path: Path) -> None:
+    names = tracked()
+    copy = copied(names, tmp_path / "copy")
     script = f"from setuptools import build_meta; build_meta.build_wheel({str(tmp_path)!r})"
     subprocess.run([sys.executable, "-c", script], cwd=copy, capture_output=True, text=True, check=True)
     held = set(zipfile.ZipFile(next(tmp_path.glob("*.whl"))).namelist())
     wanted = {name if name.startswith("vamgpu/") else f"vamgpu/{name}" for name in names if shipped(name)}
     assert wanted <= held
     assert {name for name in held if ".dist-info/" not in name} == wanted
+
+
+def built_sdist(tmp_path: Path) -> Path:
+    """An sdist of all that is tracked."""
+    copy = tmp_path / "whole"
+    for name in tracked():
+        place = copy / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if (ROOT / name).is_symlink():
+            place.symlink_to((ROOT / name).readlink())
+        else:
+            place.write_bytes((ROOT / name).read_bytes())
+    script = f"from setuptools import build_meta; build_meta.build_sdist({str(tmp_path)!r})"
+    subprocess.run([sys.executable, "-c", script], cwd=copy, capture_output=True, text=True, check=True)
+    return next(tmp_path.glob("*.tar.gz"))
+
+
+def test_an_sdist_holds_only_the_library(tmp_path: Path) -> None:
+    with tarfile.open(built_sdist(tmp_path)) as archive:
+        held = {member.name.partition("/")[2] for member in archive if member.isfile()}
+    linked = {name for name in held if (ROOT / name.split("/")[0] / (name.split("/") + [""])[1]).is_symlink()}
+    wanted = {name for name in tracked() if shipped(name) and not name.startswith(("vamgpu/kernels", "vamgpu/hosts"))}
+    assert wanted <= held and not linked
+    beside = {name for name in held - wanted if not name.startswith("hosts/firmware/") and ".egg-info/" not in name}
+    assert beside == {"LICENSE", "MANIFEST.in", "PKG-INFO", "README.md", "pyproject.toml", "setup.cfg"}
+
+
+def runs(python: str) -> bool:
+    """Whether there is such a Python here, and not just a name that points nowhere."""
+    return shutil.which(python) is not None and subprocess.run([python, "-V"], capture_output=True).returncode == 0
+
+
+PYTHONS = [name for name in ("python3.11", "python3.12", "python3.13", "python3.14") if runs(name)] or [sys.executable]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1500)
+@pytest.mark.parametrize("python", PYTHONS)
+def test_an_sdist_installs_into_an_empty_environment(python: str, tmp_path: Path) -> None:
+    place = tmp_path / "empty"
+    subprocess.run([python, "-m", "venv", str(place)], check=True)
+    subprocess.run([str(place / "bin" / "pip"), "install", "-q", str(built_sdist(tmp_path))], check=True)
+    script = (
+        "import vamgpu as vam, numpy as np; print(vam.__file__)\n"
+        "A = vam.Projection(vam.Grid((8, 8, 4), 0.1), vam.Beam((8, 4), 0.1), vam.Turntable(6), device='numpy')\n"
+        "assert A.dot_test() < 1e-12"
+    )
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    run = partial(subprocess.run, cwd=tmp_path, env=clean, capture_output=True, text=True, check=True)
+    assert str(place) in run([str(place / "bin" / "python"), "-c", script]).stdout
+    assert "solve" in run([str(place / "bin" / "vam"), "--help"]).stdout
+
+
+def test_the_recipe_for_conda_is_what_the_project_says() -> None:
+    text = (ROOT / "conda" / "meta.yaml").read_text(encoding="utf-8")
+    environment = jinja2.Environment(undefined=jinja2.StrictUndefined)
+    recipe = yaml.safe_load(environment.from_string(text).render(environ={}, PYTHON="python"))
+    assert recipe["package"] == {"name": "vamgpu", "version": __import__("vamgpu").__version__}
+    renamed = {"matplotlib": "matplotlib-base"}
+    wanted = {
+        re.sub(r"^[a-z0-9-]+", lambda m: renamed.get(m[0], m[0]), one) for one in PROJECT["project"]["dependencies"]
+    }
+    asked = {one.replace(" ", "") for one in recipe["requirements"]["run"]}
+    assert asked == wanted | {"python" + PROJECT["project"]["requires-python"]}
+    assert {one.replace(" ", "") for one in recipe["requirements"]["host"]} >= set(PROJECT["build-system"]["requires"])
+    (entry,) = recipe["build"]["entry_points"]
+    assert entry.replace(" ", "") == "vam=" + PROJECT["project"]["scripts"]["vam"]
+    assert set(recipe["test"]["imports"]) <= set(PROJECT["tool"]["setuptools"]["packages"])

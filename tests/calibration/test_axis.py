@@ -62,6 +62,17 @@ def test_errors_are_what_the_scatter_of_many_scans_says() -> None:
     assert np.mean([f.column for f in found]) == pytest.approx(961.3, abs=0.02)
 
 
+def test_errors_hold_the_truth_as_often_as_they_say() -> None:
+    """Scans of many axes, by both edges and by one; within two standard errors lie 95 % of all."""
+    places = 955.0 + 11.0 * np.random.default_rng(7).random(24)
+    scans = [scan(axis, RADIUS, seed) for seed, axis in enumerate(places)]
+    both = [find_axis(each) for each in scans]
+    one = [find_axis(each[: COLUMNS // 2], radius=RADIUS) for each in scans]
+    for found in (both, one):
+        pulls = [(each.column - axis) / each.error for each, axis in zip(found, places, strict=True)]
+        assert (np.abs(pulls) < 2.0).mean() >= 0.87 and 0.6 < np.std(pulls) < 1.4
+
+
 def test_a_coarse_scan_is_still_sub_pixel() -> None:
     at = np.arange(0, COLUMNS, 3)
     for seed in range(8):

@@ -16,8 +16,8 @@ TRUTH = 0.01 + 3.0 * (np.array(LEVELS) / 255.0) ** 2.2
 AMBIENT = 0.4
 
 
-def readings(noise: float = 0.003, repeats: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(5)
+def readings(noise: float = 0.003, repeats: int = 4, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
     light = AMBIENT + TRUTH[:, None] + noise * rng.standard_normal((len(LEVELS), repeats))
     return light, AMBIENT + noise * rng.standard_normal(repeats)
 
@@ -30,6 +30,14 @@ def test_a_curve_is_found_and_packs_pictures() -> None:
     assert found.black == pytest.approx(0.01 / 3.01, abs=0.001)
     curve = GrayCurve(found.levels, found.intensity)
     assert curve(128) == pytest.approx((128 / 255.0) ** 2.2, abs=0.01)
+
+
+@pytest.mark.parametrize("repeats", [2, 4, 16])
+def test_errors_hold_the_truth_as_often_as_they_say(repeats: int) -> None:
+    """Every level of 24 curves, the dark reading's error counted; within two standard errors lie 95 % of all."""
+    found = [fit_gray(LEVELS, *readings(0.02, repeats, seed)) for seed in range(24)]
+    pulls = np.array([(np.array(each.intensity) - TRUTH) / np.array(each.error) for each in found])
+    assert 0.91 <= (np.abs(pulls) < 2.0).mean() <= 0.99
 
 
 def test_noise_that_makes_it_fall_is_smoothed() -> None:

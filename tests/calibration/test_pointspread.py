@@ -69,7 +69,7 @@ def test_a_saved_result_is_read_at_the_place_of_the_axis(tmp_path: Path) -> None
         ('calibration = "mtf"\n[measured]\npositions_mm = [0.0]\nblur_mm = [0.015]\npixel_mm = 0.01\n',
          "15 µm, but pixels of 67 µm.*alone blur it by 19.6 µm; expected .*correct the beam's pitch"),
         ('calibration = "mtf"\n[measured]\npositions_mm = [0.0]\nblur_mm = [nan]\npixel_mm = 0.01\n', "blur"),
-        ("calibration = \n", "no valid TOML"),
+        ("calibration = \n", "not valid TOML"),
     ],
 )  # fmt: skip
 def test_a_result_that_tells_no_spread_is_refused(tmp_path: Path, text: str, said: str) -> None:

@@ -142,6 +142,7 @@ def test_five_generations_are_predicted_better_than_by_their_mean_and_worse_than
     assert found.left_out[4] < -2.0  # the last point, longer than the one before, is not foreseen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [0.10, 0.125, 0.15])
 @pytest.mark.parametrize("deviations", [None, BENCHY_DEVIATIONS])
 def test_the_error_hardly_depends_on_what_the_paper_leaves_open(lost: float, deviations: Any) -> None:

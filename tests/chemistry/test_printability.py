@@ -10,9 +10,9 @@ import pytest
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.exposure_plan import Disturbance, TurnLight, disturbances, plan_exposure
 from vamgpu.chemistry.printability import (
+    PowerVerdict,
     Thresholds,
     TurnDoses,
-    Verdict,
     judge,
     legal_turns,
     most_turns,
@@ -39,8 +39,8 @@ CASES = [
 
 def by_hand(doses: TurnDoses, turns: int, power: float) -> bool:
     early = (turns - 1) * power * doses.in_most < RESIN.optical
-    spilled = turns * power * doses.out_most >= RESIN.optical
-    return early and turns * power * doses.in_least > RESIN.mechanical and not spilled
+    overcured = turns * power * doses.out_most >= RESIN.optical
+    return early and turns * power * doses.in_least > RESIN.mechanical and not overcured
 
 
 @pytest.mark.parametrize("doses", CASES)
@@ -66,7 +66,7 @@ def test_every_failure_is_named() -> None:
     assert judge(doses, RESIN, 3, 0.6).failures == ("the part hardens before the last turn",)
     assert power_window(doses, RESIN, 3).ceiling == "a" and power_window(doses, RESIN, 1).ceiling == "c"
     assert power_window(TurnDoses(1.0, 1.0, -0.3), RESIN, 1).ceiling == ""
-    after = Verdict.of(TurnDoses(0.5, 0.9, 0.1), TurnDoses(1.35, 1.6, 0.8), RESIN)
+    after = PowerVerdict.of(TurnDoses(0.5, 0.9, 0.1), TurnDoses(1.35, 1.6, 0.8), RESIN)
     assert after.holds and after.early == pytest.approx(0.1) and after.firm == pytest.approx(0.05)
 
 

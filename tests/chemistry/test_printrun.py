@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vamgpu.backend.device import Device
-from vamgpu.chemistry.exposure import Exposure, Extinction
+from vamgpu.chemistry.exposure import ColorExposure, ColorExtinction
 from vamgpu.chemistry.printrun import PrintRun
 from vamgpu.chemistry.reaction import Reaction
 from vamgpu.chemistry.transport import Box, Transport
@@ -18,7 +18,7 @@ from vamgpu.geometry import Turntable, centers
 
 BOX = Box((33, 33, 5), (0.1, 0.1, 0.15), radius=1.6)
 RESIN = Reaction(0.05, 0.04, 0.08, 0.05, initial=2.0, cross=0.05, optical=1.0, mechanical=2.0)
-COLORS = (Extinction(0.1, 0.05), Extinction(0.2, 0.3))
+COLORS = (ColorExtinction(0.1, 0.05), ColorExtinction(0.2, 0.3))
 
 
 def print_of(device: Device, angles: int = 24, turns: int = 2, box: Box = BOX, half: bool = False) -> PrintRun:
@@ -27,7 +27,7 @@ def print_of(device: Device, angles: int = 24, turns: int = 2, box: Box = BOX, h
     ultraviolet = np.broadcast_to((np.abs(r) > 0.6)[None, :, None] * 0.7, visible.shape)
     if half:  # only half of the turn is lit
         visible = visible * (np.arange(angles) < angles // 2)[:, None, None]
-    exposure = Exposure(box, visible, ultraviolet, COLORS, device=device)
+    exposure = ColorExposure(box, visible, ultraviolet, COLORS, device=device)
     return PrintRun(Transport(box, (1e-4, 3e-5, 3e-5), RESIN, device=device), exposure, 12.0, turns)
 
 
@@ -35,7 +35,7 @@ def test_light_of_a_pose_is_beer_lambert_through_an_even_resin(device: Device) -
     job = print_of(device)
     inside = BOX.open()
     x, y = (centers(n, d) for n, d in zip(BOX.shape[:2], BOX.pitch, strict=False))
-    flat = Exposure(BOX, np.ones((24, 33, 5)), np.full((24, 33, 5), 2.0), COLORS, device=device)
+    flat = ColorExposure(BOX, np.ones((24, 33, 5)), np.full((24, 33, 5), 2.0), COLORS, device=device)
     c = device.upload(np.full(BOX.shape, 1.7))
     for angle in (0, 5, 13):
         turn = 2 * np.pi * angle / 24
@@ -55,14 +55,16 @@ def test_light_of_a_pose_is_beer_lambert_through_an_even_resin(device: Device) -
 def test_light_comes_from_where_the_angles_were_measured(device: Device) -> None:
     light, c = np.random.default_rng(2).random((24, 33, 5)), device.upload(np.full(BOX.shape, 1.7))
     turned = Turntable(np.roll(Turntable(24).poses, -7))
-    even, measured = (Exposure(BOX, light, None, COLORS, device=device, motion=motion) for motion in (None, turned))
-    rolled = Exposure(BOX, np.roll(light, 7, axis=0), None, COLORS, device=device)
+    even, measured = (
+        ColorExposure(BOX, light, None, COLORS, device=device, motion=motion) for motion in (None, turned)
+    )
+    rolled = ColorExposure(BOX, np.roll(light, 7, axis=0), None, COLORS, device=device)
     shown = measured.irradiance(c, 3)[0].numpy()
     assert np.array_equal(shown, rolled.irradiance(c, 10)[0].numpy())
     assert np.abs(shown - even.irradiance(c, 3)[0].numpy()).max() > 0.1
     for motion in (Turntable(23), Turntable(24, dwell=np.linspace(1, 2, 24))):
         with pytest.raises(BadInput, match="expected as many, each lit as long"):
-            Exposure(BOX, light, None, COLORS, device=device, motion=motion)
+            ColorExposure(BOX, light, None, COLORS, device=device, motion=motion)
 
 
 def test_light_goes_through_the_c_there_is(device: Device) -> None:
@@ -76,7 +78,7 @@ def test_light_goes_through_the_c_there_is(device: Device) -> None:
         box = Box((n, n, 4), (3.3 / n, 3.3 / n, 0.2), radius=1.6)
         x, y = (centers(n, 3.3 / n) for _ in range(2))
         c = device.upload(np.broadcast_to(amount(x[:, None], y[None])[..., None], box.shape))
-        exposure = Exposure(box, None, np.ones((10, n, 4)), COLORS, device=device)
+        exposure = ColorExposure(box, None, np.ones((10, n, 4)), COLORS, device=device)
         found = exposure.irradiance(c, 3)[1].numpy()[..., 1]
         turn = 2 * np.pi * 0.3
         r = y[None] * np.cos(turn) - x[:, None] * np.sin(turn)
@@ -109,7 +111,7 @@ def test_every_frame_shows_the_light_of_its_pose(device: Device) -> None:
     """Light at one pose of four alone: oxygen falls in that frame of each turn, and in no other."""
     visible = np.zeros((4, 33, 5))
     visible[1] = 1.0
-    exposure = Exposure(BOX, visible, None, COLORS, device=device)
+    exposure = ColorExposure(BOX, visible, None, COLORS, device=device)
     job = PrintRun(Transport(BOX, (1e-6, 1e-6, 1e-6), RESIN, device=device), exposure, 12.0, 2)
     state, held = job.transport.start(1.0, 0.0, 2.0), [1.0]
     job.run(state, progress=lambda frame, now: held.append(float(now.a.numpy()[16, 16, 2])))
@@ -119,7 +121,7 @@ def test_every_frame_shows_the_light_of_its_pose(device: Device) -> None:
 def ripple(device: Device, angles: int, place: tuple[int, int]) -> np.ndarray:
     """Concentration of A in a voxel through the second turn of an even print of visible light."""
     flat = np.ones((angles, 33, 5))
-    exposure = Exposure(BOX, flat, None, (Extinction(0.6), Extinction()), device=device)
+    exposure = ColorExposure(BOX, flat, None, (ColorExtinction(0.6), ColorExtinction()), device=device)
     job = PrintRun(Transport(BOX, (1e-6, 1e-6, 1e-6), RESIN, device=device), exposure, 12.0, 2)
     state, seen = job.transport.start(1.0, 0.0, 2.0), []
     job.run(state, progress=lambda frame, now: seen.append(float(now.a.numpy()[(*place, 2)])))
@@ -176,10 +178,10 @@ def test_bad_prints_are_refused(device: Device) -> None:
     with pytest.raises(BadInput, match="reaction"):
         PrintRun(Transport(BOX, (0.1, 0.1, 0.1), device=device), job.exposure, 12.0, 1)
     with pytest.raises(BadInput, match="light holds"):
-        Exposure(BOX, -np.ones((8, 33, 5)), None, device=device)
+        ColorExposure(BOX, -np.ones((8, 33, 5)), None, device=device)
     with pytest.raises(ShapeMismatch):
-        Exposure(BOX, np.ones((8, 33, 4)), None, device=device)
+        ColorExposure(BOX, np.ones((8, 33, 4)), None, device=device)
     with pytest.raises(BadInput, match="radius"):
-        Exposure(Box((33, 33, 5), (0.1, 0.1, 0.1)), np.ones((8, 33, 5)), None, device=device)
+        ColorExposure(Box((33, 33, 5), (0.1, 0.1, 0.1)), np.ones((8, 33, 5)), None, device=device)
     with pytest.raises(BadInput, match="per_c"):
-        Extinction(0.0, -1.0)
+        ColorExtinction(0.0, -1.0)

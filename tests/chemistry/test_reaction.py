@@ -10,7 +10,7 @@ from vamgpu.backend.device import Device
 from vamgpu.chemistry.concentrations import NEVER, Concentrations
 from vamgpu.chemistry.kinetics import advance
 from vamgpu.chemistry.reaction import Reaction
-from vamgpu.chemistry.species import Light, Rates
+from vamgpu.chemistry.species import LightCycle, Rates
 from vamgpu.chemistry.transport import Box, Transport
 
 BOX = Box((2, 2, 5), (1.0, 1.0, 1.0))
@@ -52,11 +52,12 @@ def test_rates_are_those_of_equations_5_to_7(device: Device, order: int) -> None
     assert errors[1] / errors[2] == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [0, 1])
 def test_without_diffusion_a_voxel_of_transport_follows_the_kinetics(device: Device, order: int) -> None:
     """Two solvers, one set of rates: `Reaction.of` must mean what `advance` makes of `Rates`, [A]₀ and [C]₀ not 1."""
     rates = Rates(0.05, 0.03, 0.06, 0.2, oxygen=0.8, supply=2.0, order=order)
-    course = advance(rates, rates.start(0.1), Light(VISIBLE, ULTRAVIOLET, 10.0), tolerance=1e-10, device="numpy")
+    course = advance(rates, rates.start(0.1), LightCycle(VISIBLE, ULTRAVIOLET, 10.0), tolerance=1e-10, device="numpy")
     wanted = np.array([course.a[0, 0], course.b[0, 0], course.c[0, 0]])
     start = (0.8, 0.1, 2.0)
     coarse, fine = (voxel(advanced(device, Reaction.of(rates), 10.0, n, start)) for n in (200, 400))
@@ -68,7 +69,7 @@ def test_without_diffusion_a_voxel_of_transport_follows_the_kinetics(device: Dev
 @pytest.mark.parametrize("order", [0, 1])
 def test_transport_and_kinetics_run_out_of_inhibitor_together(device: Device, order: int) -> None:
     rates = Rates(0.05, 0.03, 0.01, 0.2, oxygen=0.8, supply=2.0, order=order)
-    course = advance(rates, rates.start(0.1), Light(VISIBLE, ULTRAVIOLET, 30.0), tolerance=1e-10, device="numpy")
+    course = advance(rates, rates.start(0.1), LightCycle(VISIBLE, ULTRAVIOLET, 30.0), tolerance=1e-10, device="numpy")
     reaction = Reaction.of(rates, optical=1e-4, mechanical=2e-4)
     state = advanced(device, reaction, 30.0, 3000, (0.8, 0.1, 2.0))
     assert 10.0 < course.event[0, 0] < 25.0
@@ -99,6 +100,7 @@ def test_nothing_polymerizes_before_the_inhibitors_are_gone(device: Device) -> N
     assert not late.a.numpy().any()
 
 
+@pytest.mark.slow
 def test_ultraviolet_inhibits_while_there_is_c_and_cures_once_it_is_gone(device: Device) -> None:
     k = Reaction(0.1, 0.1, 0.4, 0.0, initial=1.0, cross=0.2)
     kept = advanced(device, k, 6.0, 300, (1.0, 0.0, 1.0), light=(0.2, 1.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vamgpu.chemistry.kinetics import advance
-from vamgpu.chemistry.species import Light, Rates, State
+from vamgpu.chemistry.species import LightCycle, Rates, SpeciesState
 from vamgpu.chemistry.stationary import drift, neutral_uv, nullcline, stationary
 from vamgpu.errors import BadInput
 
@@ -49,8 +49,8 @@ def test_it_exists_only_for_enough_uv() -> None:
 def test_every_start_ends_there() -> None:
     found = stationary(RATES, 1.0, 0.5)
     assert found
-    starts = State([1.0, 0.2, 0.7], [0.0, 2.0, 0.1], 40.0)
-    course = advance(RATES, starts, Light(1.0, 0.5, 40 * found.slowest), device="numpy")
+    starts = SpeciesState([1.0, 0.2, 0.7], [0.0, 2.0, 0.1], 40.0)
+    course = advance(RATES, starts, LightCycle(1.0, 0.5, 40 * found.slowest), device="numpy")
     np.testing.assert_allclose(course.b, found.b, rtol=1e-4)
     assert course.a.max() < 1e-4 and not course.depleted.any()
 
@@ -78,5 +78,5 @@ def test_parameters() -> None:
     assert RATES.decay == pytest.approx(np.log(2) / 0.05)
     half = RATES.half_life(2.0)
     assert half == pytest.approx(5.0)
-    dark = advance(RATES, State(0.5, 2.0, 1.0), Light(0.0, 0.0, half), device="numpy")
+    dark = advance(RATES, SpeciesState(0.5, 2.0, 1.0), LightCycle(0.0, 0.0, half), device="numpy")
     assert dark.b[0, 0] == pytest.approx(1.0, abs=1e-5)

@@ -22,6 +22,7 @@ SMALL = {
 SETTINGS = [word for key, value in SMALL.items() for word in ("--set", f"{key}={value}")]
 
 
+@pytest.mark.slow
 def test_demo_prove_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", "--out", str(tmp_path / "demo"), *SETTINGS]) == 0
     assert str(tmp_path / "demo" / "report.html") in capsys.readouterr().out
@@ -29,7 +30,7 @@ def test_demo_prove_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert main(["prove", job]) == 0
     assert (tmp_path / "demo" / "boat.html").exists()
     assert main(["prove", job, "--report", str(tmp_path / "boat.stl")]) == 1
-    assert "wanted a path ending in .html" in capsys.readouterr().err
+    assert "expected a path ending in .html" in capsys.readouterr().err
     formats = {"--png": "frames", "--tiff": "frames.tif", "--npz": "frames.npz", "--mp4": "frames.mp4"}
     words = [word for flag, name in formats.items() for word in (flag, str(tmp_path / name))]
     assert main(["export", job, *words]) == 0
@@ -77,6 +78,7 @@ def test_devices_are_listed_best_first(capsys: pytest.CaptureFixture[str]) -> No
     assert tuple(capsys.readouterr().out.split()) == vamgpu.devices()
 
 
+@pytest.mark.slow
 def test_the_doctor_finds_every_working_device() -> None:
     found = examine()
     assert {finding.name for finding in found if finding.works} == set(vamgpu.devices())
@@ -120,12 +122,12 @@ def test_used_up_memory_is_an_error_without_a_traceback(capsys, monkeypatch):
 @pytest.mark.parametrize("wrong", [["--size", "0"], ["--repeats", "0"], ["--angles", "-1"]])
 def test_bench_refuses_counts_below_one(wrong, capsys):
     assert main(["bench", *wrong]) == 1
-    assert "wanted at least 1" in capsys.readouterr().err
+    assert "expected at least 1" in capsys.readouterr().err
 
 
 def test_a_device_that_is_neither_name_nor_device_is_refused():
     from vamgpu.backend import open_device
     from vamgpu.errors import DeviceError
 
-    with pytest.raises(DeviceError, match="got 0 for a device; wanted a name"):
+    with pytest.raises(DeviceError, match="got 0 for a device; expected a name"):
         open_device(0)  # type: ignore[arg-type]

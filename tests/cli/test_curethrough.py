@@ -118,7 +118,7 @@ def test_bad_jobs_and_bad_slices_are_one_clear_text(job: Path, capsys: pytest.Ca
     assert "69 slices numbered 0 to 69: missing 7" in said and "Traceback" not in said
     assert main(["curethrough", "model", str(job), "--set", "printer.speed=5", "--set", "printer.colour=1"]) == 1
     said = capsys.readouterr().err
-    assert "printer.speed: got 5; wanted a speed" in said and "printer.colour: unknown key" in said
+    assert "printer.speed: got 5; expected a speed" in said and "printer.colour: unknown key" in said
     both = [word for setting in ("printer.exposure=2 s",) for word in ("--set", setting)]
     assert main(["curethrough", "model", str(job), *both]) == 1
     assert "exactly one of speed" in capsys.readouterr().err
@@ -154,7 +154,7 @@ def test_fit_finds_the_curves_that_measurements_were_made_with(
     assert main(["curethrough", "fit"]) == 1
     assert "nothing to fit" in capsys.readouterr().err
     assert main([*command[:3], "--irradiance", "20"]) == 1
-    assert "wanted an irradiance" in capsys.readouterr().err
+    assert "expected an irradiance" in capsys.readouterr().err
 
 
 def test_reports_never_replace_slices_or_jobs(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -162,7 +162,7 @@ def test_reports_never_replace_slices_or_jobs(job: Path, capsys: pytest.CaptureF
         before = wrong.read_bytes()
         for command in ("model", "correct"):
             assert main(["curethrough", command, str(job), "--report", str(wrong)]) == 1
-            assert "wanted a path ending in .html" in capsys.readouterr().err
+            assert "expected a path ending in .html" in capsys.readouterr().err
         assert wrong.read_bytes() == before
     assert not (job.parent / "slices-corrected").exists()
 
@@ -185,3 +185,33 @@ def test_help_says_what_parameters_are(command: str, capsys: pytest.CaptureFixtu
     main(["curethrough", command, "--help"])
     said = capsys.readouterr().out
     assert ("the TOML file" if command != "fit" else "CSV file with columns height_mm") in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", ["", ".zip"])
+def test_a_run_killed_between_slices_and_report_is_completed(
+    job: Path, ending: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = job.parent / f"better{ending}"
+    words = ["curethrough", "correct", str(job), "--out", str(out)]
+    assert main(words) == 0
+    page = job.parent / "better.html"
+    report = page.read_bytes()
+    page.unlink()
+    assert main(words) == 0 and page.stat().st_size > 0.9 * len(report)
+    assert main(words) == 1 and "exists; choose another path" in capsys.readouterr().err
+    page.unlink()
+    other = [*words, "--set", "correct.tail=9"]
+    assert main(other) == 1, "slices of another job are not replaced"
+    assert "exists; choose another path" in capsys.readouterr().err
+
+    doses = [*words[:1], "model", str(job), "--doses", str(job.parent / f"doses{ending}")]
+    assert main(doses) == 0
+    (job.parent / "part-model.html").unlink()
+    assert main(doses) == 0 and main(doses) == 1
+
+
+def test_a_fit_without_an_irradiance_names_the_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "plugs.csv").write_text("height_mm,time_s\n0.5,5\n1.1,10\n1.7,20\n", encoding="utf-8")
+    assert main(["curethrough", "fit", str(tmp_path / "plugs.csv")]) == 1
+    assert '--irradiance "10 mW/cm2"' in capsys.readouterr().err

@@ -6,11 +6,15 @@ import pyopencl as cl
 import pytest
 import warp as wp
 
-from vamgpu.backend.device import Device
+from vamgpu.backend import open_device
 from vamgpu.backend.opencl import OpenclDevice
 from vamgpu.backend.warp import TYPES, sibling
-from vamgpu.kernels.catalog import FOLDER, concepts, kernels, markdown
+from vamgpu.kernels.catalog import FOLDER, bytes_per_item, concepts, kernels, readme
+from vamgpu.kernels.mask import mask_bytes
+from vamgpu.kernels.planes import split_planes
+from vamgpu.kernels.project import forward_joseph
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
+from vamgpu.kernels.update import apply_penalty, linear
 
 C_NAMES = {"float32": "float", "int32": "int", "uint8": "uchar", "uint32": "uint", "int64": "long"}
 
@@ -35,9 +39,10 @@ def opencl_types(spec: Field | Table | Scalar) -> set[str]:
 
 
 @every_kernel
-def test_the_opencl_sibling_takes_the_declared_arguments(kernel: Kernel, opencl_device: Device) -> None:
-    assert isinstance(opencl_device, OpenclDevice)
-    compiled = opencl_device.compile(kernel, opencl_device.lanes_for(8), cached=False)
+def test_the_opencl_sibling_takes_the_declared_arguments(kernel: Kernel, processor: str) -> None:
+    device = open_device(processor)
+    assert isinstance(device, OpenclDevice)
+    compiled = device.compile(kernel, device.lanes_for(8), cached=False)
     reported_names = [str(compiled.get_arg_info(i, cl.kernel_arg_info.NAME)) for i in range(compiled.num_args)]
     names = [name.removeprefix("_cl_") for name in reported_names]  # PoCL renames what collides with a built-in
     assert names == [*kernel.arguments, *(f"n_{axis}" for axis in kernel.axes)]
@@ -67,5 +72,19 @@ def test_the_definition_says_what_it_computes(kernel: Kernel) -> None:
     assert any(getattr(spec, "writes", False) for spec in kernel.arguments.values())
 
 
-def test_the_readme_lists_every_kernel_as_declared() -> None:
-    assert (FOLDER / "README.md").read_text(encoding="utf-8").endswith(markdown() + "\n")
+def test_the_readme_is_what_the_catalog_writes() -> None:
+    assert (FOLDER / "README.md").read_text(encoding="utf-8") == readme(), "run python -m vamgpu.kernels.catalog"
+
+
+def test_bytes_per_item_follow_the_declaration() -> None:
+    sizes = {
+        kernel.name: (bytes_per_item(kernel, written=False), bytes_per_item(kernel, written=True))
+        for kernel in (linear, apply_penalty, forward_joseph, mask_bytes, split_planes)
+    }
+    assert sizes == {
+        "linear": ("8", "4"),
+        "apply_penalty": ("8", "4 + *parts*"),
+        "forward_joseph": ("4·x·y/(angle·r) + *directions*", "4"),
+        "mask_bytes": ("1 + *mask*", "1"),
+        "split_planes": ("*images* + *masks* + *chosen*", "8·row·width/strip + 4"),
+    }

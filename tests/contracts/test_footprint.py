@@ -27,8 +27,9 @@ def blurred(distance: np.ndarray, width: float, sigma: float) -> np.ndarray:
     return (ndtr(high / sigma) - ndtr(low / sigma)) / width
 
 
-def box_average(distance: float, ratio: float, angle: float, fill: float, sigma: float, samples: int = 400) -> float:
+def box_average(distance: float, ratio: float, angle: float, fill: float, sigma: float) -> float:
     """Mean of a pixel's light over a square voxel of ``ratio`` columns, turned by ``angle``, by the midpoint rule."""
+    samples = 100 if sigma else 400
     at = ratio * ((np.arange(samples) + 0.5) / samples - 0.5)
     u = distance + at[:, None] * np.cos(angle) - at[None, :] * np.sin(angle)
     return float(blurred(u, fill, sigma).mean())

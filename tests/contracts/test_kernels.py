@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from functools import cache
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+import kernel_examples as examples
 import numpy as np
 import pyopencl as cl
 import pytest
@@ -17,27 +14,15 @@ import vamgpu
 from vamgpu.backend.device import Device
 from vamgpu.backend.opencl import OpenclDevice
 from vamgpu.kernels.catalog import kernels
-from vamgpu.kernels.signature import Kernel
+from vamgpu.kernels.signature import Kernel, Scalar
 
 FENCE, MARK = 4096, 0x5A
 COUNTS = 1e-3
 """Share of counts and levels that may differ: a value on the edge of two bins falls to either."""
 
 
-def _examples() -> ModuleType:
-    path = Path(__file__).parents[2] / "profiling" / "examples.py"
-    spec = spec_from_file_location("kernel_examples", path)
-    assert spec and spec.loader
-    module = sys.modules["kernel_examples"] = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-examples = _examples()
-
-
 @cache
-def reference(kernel: Kernel, size: int) -> object:
+def reference(kernel: Kernel, size: int) -> examples.Bound:
     bound = examples.bind(vamgpu.open_device("numpy"), kernel, size)
     bound.launch()
     return bound
@@ -47,14 +32,50 @@ def test_every_kernel_has_an_example() -> None:
     assert not examples.missing()
 
 
-# 4 slices are one thread's work on a GPU, 13 several's, 68 several slabs'; 68 poses and voxels also fold by symmetry
-@pytest.mark.parametrize("size", [7, 25, 68])
-@pytest.mark.parametrize("kernel", kernels(), ids=lambda kernel: kernel.name)
+FOLDED = ("forward_joseph", "back_joseph", "forward_footprint", "back_footprint")
+"""Kernels that fold 68 poses and voxels by symmetry."""
+
+
+# 4 slices are one thread's work on a GPU, 13 several's, 68 several slabs'
+@pytest.mark.parametrize(
+    ("kernel", "size"),
+    [
+        pytest.param(
+            kernel,
+            size,
+            id=f"{kernel.name}-{size}",
+            marks=pytest.mark.slow if size == 68 and kernel.name not in FOLDED else (),
+        )
+        for kernel in kernels()
+        for size in (7, 25, 68)
+    ],
+)
 def test_devices_agree_with_the_definition(fast_device: Device, kernel: Kernel, size: int) -> None:
     bound = examples.bind(fast_device, kernel, size)
     bound.launch()
     counts = any(a.dtype.kind in "iu" for n, a in bound.arguments.items() if getattr(kernel.arguments[n], "writes", 0))
     assert bound.error(reference(kernel, size)) <= (COUNTS if counts else 1e-5)
+
+
+@pytest.mark.parametrize("kernel", kernels(), ids=lambda kernel: kernel.name)
+def test_a_kernel_updates_what_it_says(kernel: Kernel) -> None:
+    """What stands in a written array beforehand matters where it is said to be updated, and nowhere else."""
+    for name, spec in kernel.arguments.items():
+        if isinstance(spec, Scalar) or not spec.writes:
+            continue
+        runs = []
+        for more in (0, 1):
+            bound = examples.bind(vamgpu.open_device("numpy"), kernel, 7)
+            bound.arguments[name].handle[...] += bound.arguments[name].dtype.type(more)
+            before = bound.arguments[name].numpy()
+            bound.launch()
+            runs.append({n: a.numpy() for n, a in bound.arguments.items() if getattr(kernel.arguments[n], "writes", 0)})
+            runs[-1]["kept"] = runs[-1][name] == before
+        one, other = runs
+        kept = one.pop("kept") & other.pop("kept")
+        apart = {n: ~np.isclose(one[n], other[n], rtol=1e-9, atol=0.0, equal_nan=True) for n in one}
+        apart[name] &= ~kept
+        assert any(different.any() for different in apart.values()) == spec.updates, name
 
 
 class FencedDevice(OpenclDevice):

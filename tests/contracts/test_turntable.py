@@ -45,7 +45,7 @@ def test_parts_of_a_turn_keep_the_times_of_the_turn() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: Turntable(0), "wanted 1 positive integers"),
+        (lambda: Turntable(0), "is 0; expected a positive integer"),
         (lambda: Turntable(range(360)), r"from 0 to 359 rad; expected one turn \(2π\) .*units\.deg"),
         (lambda: Turntable([0.0, np.nan]), "1 numbers that are not finite"),
         (lambda: Turntable([]), "at least one"),
@@ -54,7 +54,7 @@ def test_parts_of_a_turn_keep_the_times_of_the_turn() -> None:
         (lambda: Turntable(3, dwell=[1, 0, 2]), "the least 0; .* leave out angles that are never lit"),
         (lambda: Turntable(2, dwell=[1, np.inf]), "not finite"),
         (lambda: Turntable.arc(5, 180.0), "span is 180 rad; expected at most 2π"),
-        (lambda: Turntable.arc(5, 0.0), "wanted a finite number > 0"),
+        (lambda: Turntable.arc(5, 0.0), "expected a finite number > 0"),
     ],
 )
 def test_what_is_no_turntable_is_refused(make: Callable[[], Turntable], said: str) -> None:

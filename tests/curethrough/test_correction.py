@@ -53,6 +53,7 @@ def within(printer: Printer, shown: np.ndarray, part: np.ndarray, tolerance: flo
         assert dose[~solid].max() <= 1.0 + tolerance
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(features=runs, lead=st.integers(0, 30), tail=st.integers(0, 8), gamma=st.booleans(), dither=st.booleans(),
        finite=st.booleans())  # fmt: skip
@@ -182,6 +183,7 @@ def test_refine_replaces_columns_in_place() -> None:
     for block in corrector.run(part):
         shown[block.start : block.start + block.table.shape[0]] = block.levels
     before = shown.copy()
+
     def error(levels: np.ndarray) -> np.ndarray:
         wanted = np.concatenate([part[:, 0], np.zeros((len(levels) - len(part), 2), np.uint8)])
         return np.sum(heights(PRINTER, levels[:, 0], wanted), axis=0)
@@ -205,13 +207,13 @@ def test_survey_counts_features() -> None:
 
 
 @pytest.mark.parametrize(("make", "told"), [
-    (lambda: Correction(None), "wanted a Printer"),  # type: ignore[arg-type]
+    (lambda: Correction(None), "expected a Printer"),  # type: ignore[arg-type]
     (lambda: Correction(PRINTER, tail=1.5), "tail is 1.5"),  # type: ignore[arg-type]
     (lambda: Correction(PRINTER, tail=10**8), "0 to 65,536"),
     (lambda: Correction(PRINTER, threshold="x"), "threshold is 'x'"),  # type: ignore[arg-type]
     (lambda: correct(Correction(PRINTER), [[[0]]]), "slices are list"),  # type: ignore[arg-type]
-    (lambda: Printer(1e-3, 0.5, 5.0, 1.0, PRINTER.light), "5000 absorption heights; wanted 30 at the most"),
-    (lambda: LayerPrinter(1e-3, 0.5, 5.0, 1.0, PRINTER.light), "5000 absorption heights; wanted 30 at the most"),
+    (lambda: Printer(1e-3, 0.5, 5.0, 1.0, PRINTER.light), "5000 absorption heights; expected 30 at the most"),
+    (lambda: LayerPrinter(1e-3, 0.5, 5.0, 1.0, PRINTER.light), "5000 absorption heights; expected 30 at the most"),
 ])  # fmt: skip
 def test_bad_input_is_named(make: Callable[[], object], told: str) -> None:
     with pytest.raises(BadInput, match=told):

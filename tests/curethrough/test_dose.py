@@ -7,7 +7,7 @@ import pytest
 
 from vamgpu.backend.device import Device
 from vamgpu.curethrough.constraints import build_up, die_down, highest_dose, highest_place
-from vamgpu.curethrough.dose import Exposure, Judge, blocks, closed_sum, column_dose, column_doses, doses
+from vamgpu.curethrough.dose import Judge, RunningDose, blocks, closed_sum, column_dose, column_doses, doses
 from vamgpu.curethrough.layers import LayerPrinter
 from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.errors import BadInput, ShapeMismatch
@@ -122,7 +122,7 @@ def test_heights_count_parts_of_slices(device: Device) -> None:
 
 
 def test_blocks_are_checked() -> None:
-    exposure = Exposure(printer(), (3, 21), "numpy")
+    exposure = RunningDose(printer(), (3, 21), "numpy")
     with pytest.raises(BadInput, match="uint16"):
         exposure.step(np.zeros((2, 3, 21), np.uint16))
     with pytest.raises(ShapeMismatch, match="32"):

@@ -115,6 +115,7 @@ with writing(sys.argv[1], tuple(f"s{k:04d}.png" for k in range(400))) as writer:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["out", "out.zip"])
 def test_a_killed_run_leaves_no_slice_under_a_final_name(tmp_path: Path, name: str) -> None:
     run = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path / name)], stdout=subprocess.PIPE, text=True)

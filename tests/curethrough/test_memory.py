@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vamgpu.curethrough.buffers import Buffers
+from vamgpu.curethrough.buffers import SliceBuffers
 from vamgpu.curethrough.images import encode
 from vamgpu.curethrough.stack import open_stack
 
@@ -60,7 +60,7 @@ def test_a_stack_larger_than_the_limit_of_the_system_streams_through(tmp_path: P
 
 
 def test_memory_is_used_again_only_once_nobody_holds_it() -> None:
-    buffers = Buffers(most=2)
+    buffers = SliceBuffers(most=2)
     first = buffers.take((4, 5, 6))
     first[...] = 7
     part = first[2:3, 1]

@@ -121,7 +121,7 @@ def test_mixed_sizes_and_depths_are_refused(tmp_path: Path) -> None:
         deep = tmp_path / f"deep{ending}"
         deep.mkdir()
         Image.fromarray(np.full((9, 14), 4000, np.uint16)).save(deep / f"a1{ending}")
-        with pytest.raises(SliceError, match="16 bits a pixel; wanted 8"):
+        with pytest.raises(SliceError, match="16 bits a pixel; expected 8"):
             open_stack(deep)
     mixed = folder(tmp_path / "t", levels(3), ".tif")
     (mixed / "part_2.tif").write_bytes(encode(levels(1, 9, 15)[0], ".tif"))
@@ -214,8 +214,8 @@ def wedge() -> Solid:
     return Solid(np.array(corners, float), np.array(faces, np.int32), "wedge")
 
 
-def test_a_mesh_is_sliced_alike_in_blocks_and_whole() -> None:
-    stack = MeshStack(wedge(), 0.1, 0.05, device="opencl:intel:0")
+def test_a_mesh_is_sliced_alike_in_blocks_and_whole(processor: str) -> None:
+    stack = MeshStack(wedge(), 0.1, 0.05, device=processor)
     assert stack.shape == (40, 24, 34)
     whole = stack[0:40]
     np.testing.assert_array_equal(np.concatenate([stack[0:13], stack[13:32], stack[32:40]]), whole)

@@ -20,7 +20,7 @@ def run(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def job(tmp_path: Path) -> Path:
-    """The folder of a vial's job, of 36 small pictures."""
+    """The folder of a vial's job, of 36 small frames."""
     images = np.random.default_rng(4).integers(0, 256, (36, 6, 10), dtype=np.uint8)
     frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
     return save_frames(tmp_path / "part.vam", frames).path

@@ -1,4 +1,4 @@
-"""What tests of prints share: pictures that are full on, a print on a bench, and feeds that are late."""
+"""What tests of prints share: frames that are full on, a print on an emulated rig, and frames that are late."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vamgpu.hosts.board import Board
 from vamgpu.hosts.emulators.array import ArrayModel
-from vamgpu.hosts.emulators.bench import Bench
-from vamgpu.hosts.pictures import supply
-from vamgpu.hosts.pictures.feed import Feed
+from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
+from vamgpu.hosts.frames.upload import UploadQueue
+from vamgpu.hosts.players import triggered
 from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
-from vamgpu.hosts.record import Run, RunFolder, read_run
+from vamgpu.hosts.record import RunFolder, RunRecord, read_run
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.limits import MirrorTiming
 from vamgpu.hosts.schedules.moving import web
 from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.state import Board
 
 if TYPE_CHECKING:
     import pytest
@@ -27,12 +27,14 @@ MODEL = ArrayModel(height=2, width=16)
 MIRRORS = MirrorTiming(pixels=(16, 2), row_bytes=2, dark=1e-3)
 LAB = """
 [rig]
-name = "bench"
+name = "lab"
 machine = "vial"
 [controller]
 driver = "vam-controller"
 port = "/dev/does-not-exist"
-[projector]
+[motion]
+driver = "controller"
+[display]
 driver = "alp"
 library = "/does/not/exist.so"
 """
@@ -40,27 +42,27 @@ library = "/does/not/exist.so"
 
 
 class White:
-    """Pictures that are full on."""
+    """Frames that are full on."""
 
     bits = 8
 
     def planes(self, numbers: np.ndarray) -> np.ndarray:
         return np.full((len(numbers), 8, 2, 2), 255, np.uint8)
 
-    def picture(self, number: int) -> np.ndarray:
+    def frame(self, number: int, engine: int = 0) -> np.ndarray:
         return np.full((2, 16), 255, np.uint8)
 
 
 class Scene:
-    """A print on a bench. options: of `Print`."""
+    """A print on an emulated rig. options: of `Print`."""
 
     def __init__(
         self, path: Path, schedule: Schedule, board: Board | None = None, *, powers: tuple[float, ...] = (),
         depth: int | None = None, **options: Any,
     ) -> None:  # fmt: skip
         self.path, self.schedule = path, schedule
-        self.bench = Bench(STEPS, MODEL, schedule.engines, powers)
-        self.machines = self.bench.machines(STEPS / float(schedule.advance))
+        self.emulated = EmulatedMirrorRig(STEPS, MODEL, schedule.engines, powers)
+        self.machines = self.emulated.machines(STEPS / float(schedule.advance))
         self.player = TriggeredPlayer(schedule, self.machines, [White()] * schedule.engines, depth=depth)
         self.print = Print(self.player, RunFolder.begin(path, {}, ""), board=board, **options)
 
@@ -78,13 +80,13 @@ class Scene:
                 self.player.wait()
 
     def lit(self) -> bool:
-        return bool(self.bench.controller.intervals) or bool(self.bench.controller.light)
+        return bool(self.emulated.controller.intervals) or bool(self.emulated.controller.light)
 
     def seconds(self, engine: int = 0, turn: int | None = None) -> np.ndarray:
         count = turn or len(self.schedule)
-        return self.bench.chamber.seconds(engine, count, turn)[:, :, 0, 0].sum(axis=0)
+        return self.emulated.chamber.seconds(engine, count, turn)[:, :, 0, 0].sum(axis=0)
 
-    def read(self) -> Run:
+    def read(self) -> RunRecord:
         self.print.folder.close()
         return read_run(self.path)
 
@@ -94,14 +96,14 @@ def roll(poses: int = 60, speed: float = 0.8, **options: Any) -> Schedule:
 
 
 def late(monkeypatch: pytest.MonkeyPatch, *feeds: set[int]) -> None:
-    """Slots whose pictures a feed does not make before black stands for them, of each feed in the order they begin."""
-    begun: list[Feed] = []
+    """Slots whose frames come after black was shown for them, for each upload queue in the order they begin."""
+    begun: list[UploadQueue] = []
 
-    class Late(Feed):
+    class Late(UploadQueue):
         def make(self, timeout: float = 0.0) -> bool:
             if self not in begun:
                 begun.append(self)
             slots = dict(enumerate(feeds)).get(begun.index(self), set())
             return False if self.made - PREROLL in slots and self.uploaded <= self.made else super().make(timeout)
 
-    monkeypatch.setattr(supply, "Feed", Late)
+    monkeypatch.setattr(triggered, "UploadQueue", Late)

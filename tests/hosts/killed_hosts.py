@@ -1,7 +1,7 @@
 """Hosts that print on a controller in another process, made by a process that has all imports: one for each line in.
 
 A line in is ``<lane> <port> <log> <folder>``. Lines out are ``<lane> pid <pid>``, ``<lane> on`` once the light is
-allowed, ``<lane> kept <pictures>`` after a look that is written down, and ``<lane> dead <ns>``.
+allowed, ``<lane> kept <frames>`` after a poll that is written down, and ``<lane> dead <ns>``.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from doubles import White
 from vamgpu.hosts.clock import RealClock
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
+from vamgpu.hosts.emulators.alp import EmulatedAlp
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import PacedClock
-from vamgpu.hosts.emulators.dmd import FakeAlp
-from vamgpu.hosts.players.mirrors import Machines
+from vamgpu.hosts.players.machines import MirrorMachines
 from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder
 from vamgpu.hosts.run import Print
@@ -31,7 +31,7 @@ from vamgpu.hosts.schedules.moving import turned
 MICROSTEPS = 100.0
 
 
-class Mirrors(FakeAlp):
+class Mirrors(EmulatedAlp):
     """Mirrors on the trigger line of a controller whose log tells its edges; it is read whenever they are asked."""
 
     def __init__(self, clock: PacedClock, log: Path) -> None:
@@ -58,9 +58,10 @@ class Telling(Print):
     def tell(self, text: str) -> None:
         os.write(1, f"{self.lane} {text}\n".encode())
 
-    def begin(self, first: int) -> None:
-        super().begin(first)
+    def begin(self, first: int) -> bool:
+        going = super().begin(first)
         self.tell("on")
+        return going
 
     def step(self) -> bool:
         again = super().step()
@@ -76,7 +77,7 @@ def host(lane: str, port: str, log: str, folder: str) -> None:
     controller.move(0.0)  # the host before it died in full motion
     while controller.status().speed:
         time.sleep(0.005)
-    machines = Machines(RealClock(), controller, [Dmd(Mirrors(PacedClock(), Path(log)).library)], MICROSTEPS)
+    machines = MirrorMachines(RealClock(), controller, [Dmd(Mirrors(PacedClock(), Path(log)).library)], MICROSTEPS)
     with RunFolder.begin(folder, {}, "") as record:
         job = Telling(TriggeredPlayer(schedule, machines, [White()]), record)
         job.lane = lane

@@ -13,20 +13,18 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import BadInput, DeviceError, JobError, WrongDevice
-from vamgpu.hosts.board import Board
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.panel import Panel
 from vamgpu.hosts.record import RunFolder
 from vamgpu.hosts.rig import check, plan, read_rig, rehearsal
 from vamgpu.hosts.rigs.config import parse_rig
 from vamgpu.hosts.rigs.preflight import judged, measure, preflight
-from vamgpu.hosts.safety.interlock import Budget, OverDose
-from vamgpu.hosts.safety.lease import Lease
-from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming
+from vamgpu.hosts.safety.interlock import Budget, Lease, OverDose
+from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming, powers
 from vamgpu.hosts.schedules.moving import sla, turned, web
-from vamgpu.hosts.schedules.power import powers
 from vamgpu.hosts.schedules.timing import SECOND, Cadence, exact, nanoseconds, whole
 from vamgpu.hosts.schedules.video import slots_per_image, vial
+from vamgpu.hosts.state import Board
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
@@ -61,7 +59,7 @@ def cases() -> list[tuple[Callable[..., Any], dict[str, Any], str, Any]]:
         (LensTiming, {}, "settle", (None, "1", -1, [1, 2], [None], [[None]], [], float("inf"), HUGE, 1e9)),
         (LensTiming, {}, "frame_bytes", COUNTED), (LensTiming, {}, "baud", COUNTED),
         (LensTiming, {}, "latency", NUMBERS),
-        (MirrorTiming, {}, "picture", (None, {}, 1, {"8": 1}, {8: None}, {8: 0}, {0.5: 1}, [8])),
+        (MirrorTiming, {}, "frame", (None, {}, 1, {"8": 1}, {8: None}, {8: 0}, {0.5: 1}, [8])),
         (MirrorTiming, {}, "dark", NUMBERS), (MirrorTiming, {}, "trigger_delay", NUMBERS),
         (MirrorTiming, {}, "greatest_delay", NUMBERS), (MirrorTiming, {}, "memory", NUMBERS),
         (MirrorTiming, {}, "row_bytes", ("1", 0, -1, 0.5)), (MirrorTiming, {}, "pixels", (None, (1,), (0, 1))),
@@ -123,11 +121,11 @@ def job(tmp_path: Path) -> Path:
 
 def test_plans_want_a_rig_and_paths(job: Path) -> None:
     rig = read_rig("emulated")
-    for other in (None, "lab.toml", rig.wanted):
-        with pytest.raises(BadInput, match="wanted what read_rig gives"):
+    for other in (None, "lab.toml", rig.setup):
+        with pytest.raises(BadInput, match="expected what read_rig gives"):
             plan(job, other)  # type: ignore[arg-type]
     for jobs in (None, 7, (job, None), [b"part"]):
-        with pytest.raises(BadInput, match="wanted"):
+        with pytest.raises(BadInput, match="expected"):
             plan(jobs, rig)  # type: ignore[arg-type]
     for speed in (float("nan"), True, [1], HUGE, 1e308, 1e-308):
         with pytest.raises(BadInput):
@@ -141,9 +139,9 @@ def test_plans_want_a_rig_and_paths(job: Path) -> None:
 def test_rigs_want_a_path(tmp_path: Path) -> None:
     (tmp_path / "latin.toml").write_bytes(b'name = "\xe9"')
     for path in (None, 5, b"lab.toml", "la\0b", tmp_path / "latin.toml", tmp_path):
-        with pytest.raises(JobError, match="wanted a TOML file, or the word emulated"):
+        with pytest.raises(JobError, match="expected a TOML file, or the word emulated"):
             read_rig(path)  # type: ignore[arg-type]
-    with pytest.raises(JobError, match="wanted the text"):
+    with pytest.raises(JobError, match="expected the text"):
         parse_rig(ODD)
 
 
@@ -165,9 +163,9 @@ def test_a_look_at_the_wires_wants_something_to_look_at(job: Path) -> None:
         judged(planned.schedule, [], VirtualClock())
     for seconds in (None, "1", float("inf")):
         with pytest.raises(BadInput, match="seconds"):
-            measure(lambda pictures: None, np.zeros((1, 9), np.uint8), VirtualClock(), seconds)  # type: ignore[arg-type]
+            measure(lambda frames: None, np.zeros((1, 9), np.uint8), VirtualClock(), seconds)  # type: ignore[arg-type]
     for wrong in ({"measured": None}, {"measured": "1"}, {"bits": None}, {"batch": 0}, {"depth": 0.5}):
-        with pytest.raises(BadInput, match="wanted"):
+        with pytest.raises(BadInput, match="expected"):
             preflight(planned.schedule, MIRRORS, **({"measured": 1e6} | wrong))  # type: ignore[arg-type]
 
 
@@ -203,6 +201,6 @@ def test_a_folder_is_not_made_for_what_it_cannot_keep(tmp_path: Path) -> None:
         with pytest.raises(BadInput, match="cannot keep what was asked for"):
             RunFolder.begin(place, asked, rig)  # type: ignore[arg-type]
         assert not place.exists()
-    with pytest.raises(BadInput, match="wanted a path"):
+    with pytest.raises(BadInput, match="expected a path"):
         RunFolder.begin(ODD, {}, "")
     RunFolder.begin(place, {"job": "boat"}, "").close()

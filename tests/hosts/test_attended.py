@@ -1,138 +1,211 @@
-"""Prints that a person attends: buttons, and rests that last too long."""
+"""Prints with an operator: buttons, pauses that last too long, and a live preview.
+
+A print waits for nobody, so each button is pressed at its moment: when the board shows it, in a thread of its own.
+"""
 
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from doubles import MODEL
 
-from vamgpu.hosts.attended import attended
-from vamgpu.hosts.board import Board
+from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
+from vamgpu.hosts.operator import print_with_operator
+from vamgpu.hosts.panel.view import refusal
+from vamgpu.hosts.players.machines import senses
 from vamgpu.hosts.record import RunFolder, read_run
-from vamgpu.hosts.rig import limits, plan, player, rehearsal
+from vamgpu.hosts.rig import plan, player, rehearsal
 from vamgpu.hosts.rigs.config import read_rig
-from vamgpu.hosts.run import Limits, Print
+from vamgpu.hosts.run import Print, SafetyLimits
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import State, WrongState
+from vamgpu.hosts.state import Board, PrintState, Snapshot, WrongState
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 
 
+class Attended:
+    """A print on emulated machines, and what its operator does. ``at`` adds an act, which follows those before it."""
+
+    def __init__(self, folder: Path) -> None:
+        images = np.random.default_rng(4).integers(0, 256, (36, 6, 10), dtype=np.uint8)
+        frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
+        planned = plan(save_frames(folder / "part.vam", frames).path, read_rig("emulated"), speed=120)
+        self.board, self.path = Board(), folder / "run"
+        stand = rehearsal(planned)
+        self.emulated, self.player = stand.emulated, player(planned, stand.machines)
+        told = partial(senses, stand.machines)
+        self.print = Print(self.player, RunFolder.begin(self.path, {}, ""), board=self.board, senses=told)
+        self._acts: list[tuple[Callable[[Snapshot], bool], Callable[[], object]]] = []
+        self._prints = threading.get_ident()
+        self._show, self.board.show = self.board.show, self._shown  # type: ignore[method-assign]
+
+    def at(self, state: PrintState, slot: int, act: Callable[[], object]) -> None:
+        self.when(lambda now: now.state is state and now.slot >= slot, act)
+
+    def when(self, shown: Callable[[Snapshot], bool], act: Callable[[], object]) -> None:
+        self._acts.append((shown, act))
+
+    def _shown(self, **fields: object) -> None:
+        self._show(**fields)
+        mine = threading.get_ident() == self._prints
+        if mine and self._acts and self._acts[0][0](self.board.now):
+            self._acts.pop(0)[1]()
+
+    def press(self, name: str) -> None:
+        with ThreadPoolExecutor(1) as page:
+            page.submit(self.board.buttons[name]).result()
+
+    def run(self) -> PrintState:
+        ended = print_with_operator(self.print, self.board)
+        assert not self._acts and not self.board.now.light
+        self.print.folder.close()
+        return ended
+
+
 @pytest.fixture
-def job(tmp_path: Path) -> tuple[Print, Board, Path]:
-    images = np.random.default_rng(4).integers(0, 256, (36, 6, 10), dtype=np.uint8)
-    frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
-    planned = plan(save_frames(tmp_path / "part.vam", frames).path, read_rig("emulated"), speed=120)
-    board = Board()
-    playing = player(planned, rehearsal(planned, paced=True).machines)
-    held = Limits(lease=SECOND, resume=limits(planned.rig).resume)
-    return Print(playing, RunFolder.begin(tmp_path / "run", {}, ""), limits=held, board=board), board, tmp_path / "run"
+def job(tmp_path: Path) -> Attended:
+    return Attended(tmp_path)
 
 
-def until(done: Callable[[], bool]) -> None:
-    end = time.monotonic() + 30
-    while not done():
-        assert time.monotonic() < end, "what was waited for never came"
-        time.sleep(0.005)
+def test_a_print_is_paused_and_goes_on_by_its_buttons(job: Attended) -> None:
+    def pause() -> None:
+        with pytest.raises(WrongState, match="only one that is paused"):
+            job.press("resume")
+        job.press("pause")
+
+    def resume() -> None:
+        assert not job.board.now.light and job.board.now.deadline is not None
+        with pytest.raises(WrongState, match="only one that prints"):
+            job.press("pause")
+        job.press("resume")
+
+    job.at(PrintState.PRINTING, 5, pause)
+    job.at(PrintState.PAUSED, 5, resume)
+    assert job.run() is PrintState.COMPLETE
+    run = read_run(job.path)
+    assert run.shown["slot"].tolist() == list(range(36))
+    assert len([event for event in run.events if event["event"] == "segment"]) == 2
 
 
-def printing(job: Print, board: Board) -> tuple[threading.Thread, list[State]]:
-    ended: list[State] = []
-    thread = threading.Thread(target=lambda: ended.append(attended(job, board)), daemon=True)
-    thread.start()
-    until(lambda: board.now.slot >= 5)
-    return thread, ended
+def test_a_print_is_cancelled_in_a_pause(job: Attended) -> None:
+    job.at(PrintState.PRINTING, 5, lambda: job.press("pause"))
+    job.at(PrintState.PAUSED, 5, lambda: job.press("cancel"))
+    assert job.run() is PrintState.CANCELLED
 
 
-def test_a_print_is_paused_and_goes_on_by_its_buttons(job: tuple[Print, Board, Path]) -> None:
-    run, board, path = job
-    thread, ended = printing(run, board)
-    with pytest.raises(WrongState, match="only one that is paused"):
-        board.buttons["resume"]()
-    board.buttons["pause"]()
-    until(lambda: board.now.state is State.PAUSED)
-    assert not board.now.light
-    with pytest.raises(WrongState, match="only one that prints"):
-        board.buttons["pause"]()
-    board.buttons["resume"]()
-    thread.join(30)
-    assert ended == [State.COMPLETE]
-    run.folder.close()
-    assert read_run(path).shown["slot"].tolist() == list(range(36))
+def test_a_pause_that_lasts_too_long_is_the_end(job: Attended) -> None:
+    job.print.limits = SafetyLimits(resume=SECOND // 5)
+    job.at(PrintState.PRINTING, 5, lambda: job.press("pause"))
+    assert job.run() is PrintState.CANCELLED and "too long" in job.board.now.message
 
 
-def test_a_print_is_cancelled_at_rest(job: tuple[Print, Board, Path]) -> None:
-    run, board, _ = job
-    thread, ended = printing(run, board)
-    board.buttons["pause"]()
-    until(lambda: board.now.state is State.PAUSED)
-    board.buttons["cancel"]()
-    thread.join(30)
-    assert ended == [State.CANCELLED] and not board.now.light
+def test_the_enclosure_is_looked_at_in_the_dark_too(tmp_path: Path) -> None:
+    job = Attended(tmp_path)
+    controller, seen = job.emulated.controller, []
+
+    def opened() -> None:
+        assert job.board.now.interlock_closed and job.board.now.lens_temperature is None
+        controller.open_interlock(job.emulated.clock.now())
+        job.when(lambda now: now.interlock_closed is False, closed)
+
+    def closed() -> None:
+        seen.append(refusal(job.board.now, "resume"))
+        controller.interlock_closed = True
+        job.when(lambda now: now.interlock_closed is True, lambda: job.press("resume"))
+
+    job.at(PrintState.PRINTING, 5, lambda: job.press("pause"))
+    job.at(PrintState.PAUSED, 5, opened)
+    assert job.run() is PrintState.COMPLETE
+    assert seen == ["the enclosure is open: close it first"]
 
 
-def test_a_rest_that_lasts_too_long_is_the_end(job: tuple[Print, Board, Path]) -> None:
-    run, board, _ = job
-    run.limits = Limits(lease=SECOND, resume=SECOND // 5)
-    thread, ended = printing(run, board)
-    board.buttons["pause"]()
-    thread.join(30)
-    assert ended == [State.CANCELLED] and "too long" in board.now.message
+def test_a_lens_tells_its_temperature_where_it_has_a_sensor_and_a_dead_line_tells_nothing() -> None:
+    emulated = EmulatedMirrorRig(1000, MODEL, 1, (0.0, 1.0))
+    assert emulated.lens is not None
+    emulated.lens.celsius = 31.5
+    machines = emulated.machines(1.0)
+    assert senses(machines) == {"interlock_closed": True, "lens_temperature": 31.5}
+    emulated.lens.sensor = False
+    emulated.port.unplug()
+    assert senses(machines) == {"interlock_closed": None, "lens_temperature": None}
 
 
-def test_who_presses_resume_twice_can_still_pause(job: tuple[Print, Board, Path], monkeypatch: Any) -> None:
-    run, board, _ = job
-    thread, ended = printing(run, board)
-    board.buttons["pause"]()
-    until(lambda: board.now.state is State.PAUSED)
-    prime, ready = run.player.prime, threading.Event()
+def test_who_presses_resume_twice_can_still_pause(job: Attended, monkeypatch: pytest.MonkeyPatch) -> None:
+    prime = job.player.prime
 
     def slowly(first: int, alive: Callable[[], None]) -> int:
-        board.buttons["resume"]()  # nothing was seen to happen yet
-        ready.set()
+        if first:
+            job.press("resume")  # nothing was seen to happen yet
         return prime(first, alive)
 
-    monkeypatch.setattr(run.player, "prime", slowly)
-    board.buttons["resume"]()
-    until(ready.is_set)
-    until(lambda: board.now.state is State.PRINTING)
-    board.buttons["pause"]()
-    until(lambda: board.now.state is State.PAUSED)
-    time.sleep(0.3)
-    assert board.now.state is State.PAUSED and not board.now.light
-    board.buttons["cancel"]()
-    thread.join(30)
-    assert ended == [State.CANCELLED]
+    monkeypatch.setattr(job.player, "prime", slowly)
+    job.at(PrintState.PRINTING, 5, lambda: job.press("pause"))
+    job.at(PrintState.PAUSED, 5, lambda: job.press("resume"))
+    job.at(PrintState.PRINTING, 12, lambda: job.press("pause"))
+    assert job.run() is PrintState.CANCELLED and "too long" in job.board.now.message, "it stays dark in the pause"
+    assert 12 <= len(read_run(job.path).shown) < 36
 
 
-def test_the_print_waits_for_no_picture_that_people_see(job: tuple[Print, Board, Path], monkeypatch: Any) -> None:
-    run, board, path = job
+def test_the_print_waits_for_no_frame_that_people_see(job: Attended, monkeypatch: pytest.MonkeyPatch) -> None:
     hangs, asked = threading.Event(), threading.Event()
 
-    def picture(number: int) -> np.ndarray:
+    def frame(number: int, engine: int = 0) -> np.ndarray:
         asked.set()
-        hangs.wait(60)
+        hangs.wait()
         raise OSError("the disk is gone")
 
-    monkeypatch.setattr(run.player, "picture", picture)
-    assert attended(run, board) is State.COMPLETE
+    monkeypatch.setattr(job.player, "frame", frame)
+    monkeypatch.setattr("vamgpu.hosts.operator.LEAVE", 0.0)
+    job.at(PrintState.PRINTING, 5, asked.wait)
+    assert job.run() is PrintState.COMPLETE
     hangs.set()
-    assert asked.is_set() and board.now.picture is None
-    run.folder.close()
-    assert not read_run(path).shown["dark"].any()
+    assert job.board.now.preview is None
+    assert not read_run(job.path).shown["dark"].any()
 
 
-def test_people_see_the_picture_that_is_shown(job: tuple[Print, Board, Path]) -> None:
-    run, board, _ = job
-    seen: list[int] = []
-    picture = run.player.picture
-    run.player.picture = lambda number: seen.append(number) or picture(number)  # type: ignore[method-assign]
-    assert attended(run, board) is State.COMPLETE
-    assert seen and board.now.picture is not None
-    assert np.array_equal(board.now.picture, picture(seen[-1])) and seen == sorted(seen)
+def test_people_see_the_frame_that_is_shown(job: Attended, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    seen: list[tuple[int, Any]] = []
+    drawn, frame, show = threading.Event(), job.player.frame, job.board.show
+
+    def shown(**fields: object) -> None:
+        show(**fields)
+        if "preview" in fields:
+            assert job.board.now.preview is fields["preview"]
+            seen.append((asked[-1], fields["preview"]))  # both by the thread that draws
+            drawn.set()
+
+    monkeypatch.setattr(job.board, "show", shown)
+    monkeypatch.setattr(job.player, "frame", lambda number, engine=0: asked.append(number) or frame(number))
+    job.at(PrintState.PRINTING, 5, drawn.wait)
+    assert job.run() is PrintState.COMPLETE
+    assert seen and all(np.array_equal(preview, frame(number)) for number, preview in tuple(seen))
+    assert asked == sorted(asked)
+
+
+def test_a_stop_while_a_poll_is_told_leaves_nothing_lit_on_the_page(
+    job: Attended, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    show, polls = job.board.show, list[object]()
+
+    def shown(**fields: object) -> None:
+        if "polled" in fields and len(polls) < 5:
+            polls.append(fields["polled"])
+            if len(polls) == 5:  # what was polled is on its way to the page
+                with ThreadPoolExecutor(1) as page:
+                    page.submit(job.board.stop, "emergency stop").result()
+                assert not job.board.now.light
+        show(**fields)
+        assert len(polls) < 5 or not job.board.now.light
+
+    monkeypatch.setattr(job.board, "show", shown)
+    assert job.run() is PrintState.CANCELLED
+    assert len(polls) == 5

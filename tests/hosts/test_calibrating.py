@@ -17,16 +17,16 @@ from vamgpu.hosts.calibrating import axis as axis_run
 from vamgpu.hosts.calibrating import focus as focus_run
 from vamgpu.hosts.calibrating import gray as gray_run
 from vamgpu.hosts.calibrating import mtf as mtf_run
-from vamgpu.hosts.calibrating.machines import opened, rehearsal
-from vamgpu.hosts.calibrating.report import Found, focused_at, read, save
-from vamgpu.hosts.calibrating.stand import Stand
+from vamgpu.hosts.calibrating.machines import CalibrationMachines
+from vamgpu.hosts.calibrating.opening import opened, rehearsal
+from vamgpu.hosts.calibrating.report import CalibrationResult, focused_at, read, save
+from vamgpu.hosts.emulators.alp import EmulatedAlp
 from vamgpu.hosts.emulators.array import ArrayModel, Stored
+from vamgpu.hosts.emulators.calibration import Optics
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.dmd import FakeAlp
 from vamgpu.hosts.emulators.instruments import EmulatedMeter
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.optics import Optics
 from vamgpu.hosts.emulators.servers import PtyServer, TcpServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.rigs.config import EMULATED, RigConfig, parse_rig, read_rig
@@ -34,41 +34,41 @@ from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.printing.gray import GrayCurve
 
 ALL = ("lens", "camera", "camera_stage", "photodiode")
-TWO = EMULATED.replace("[projector]", "[[projector]]") + '\n[[projector]]\ndriver = "emulated"\n'
+TWO = EMULATED.replace("[display]", "[[display]]") + '\n[[display]]\ndriver = "emulated"\n'
 
 
-def rehearsed(rig: RigConfig | None = None, truth: Optics | None = None) -> tuple[Stand, Any]:
+def rehearsed(rig: RigConfig | None = None, truth: Optics | None = None) -> tuple[CalibrationMachines, Any]:
     stand, _ = rehearsal(rig or read_rig("emulated"), ALL, truth)
     return stand, laboratory_of(stand)
 
 
-def laboratory_of(stand: Stand) -> Any:
-    return stand.camera.laboratory  # type: ignore[union-attr]
+def laboratory_of(stand: CalibrationMachines) -> Any:
+    return stand.camera.emulated  # type: ignore[union-attr]
 
 
-def small_focus(stand: Stand) -> Found:
+def small_focus(stand: CalibrationMachines) -> CalibrationResult:
     return focus_run.focus(stand, focus_run.steps(2.0, 1.0), focus_run.sweep(-0.25, 0.25, 17))
 
 
 def test_focus_finds_the_line_of_the_optics() -> None:
     truth = Optics(slope=-39.2, middle=-0.8, seed=3)
-    stand, laboratory = rehearsed(truth=truth)
+    stand, emulated = rehearsed(truth=truth)
     found = small_focus(stand).numbers
     assert found["slope_mm_dpt"] == pytest.approx(-39.2, rel=0.005)
     assert found["axis_dpt"] == pytest.approx(-0.8 / 39.2, abs=0.002)
     assert found["slope_error_mm_dpt"] < 0.1
-    assert not laboratory.box.light and not laboratory.box.armed
+    assert not emulated.box.light and not emulated.box.armed
 
 
 def test_axis_finds_both_edges_of_the_roller() -> None:
     truth = Optics(axis=90.7, radius=50.4, shadow=2.0, seed=4)
-    stand, laboratory = rehearsed(truth=truth)
+    stand, emulated = rehearsed(truth=truth)
     found = axis_run.axis(stand).numbers
     assert found["column"] == pytest.approx(90.7, abs=0.05)
     assert found["radius_columns"] == pytest.approx(50.4, abs=0.05)
     assert found["shift_columns"] == pytest.approx(90.7 - 95.5, abs=0.05)
     assert found["edge_widths"] == pytest.approx([2.0, 2.0], abs=0.2)
-    assert not laboratory.box.light
+    assert not emulated.box.light
 
 
 def test_one_edge_wants_a_radius_and_a_coarse_scan_suffices() -> None:
@@ -93,10 +93,10 @@ def test_gray_finds_what_turning_mirrors_and_leaks_leave(camera: bool, tolerance
 
 
 def test_gray_of_two_projectors_lights_each_by_its_own_channel() -> None:
-    stand, laboratory = rehearsed(parse_rig(TWO))
+    stand, emulated = rehearsed(parse_rig(TWO))
     found = gray_run.gray(stand, gray_run.levels(85))
     assert set(found.tables) == {"gray", "gray_1"} and len(found.numbers["black"]) == 2
-    lit = {channels for _, _, channels, _ in laboratory.box.intervals}
+    lit = {channels for _, _, channels, _ in emulated.box.intervals}
     assert lit == {1, 2}
 
 
@@ -123,6 +123,7 @@ def test_a_saved_mtf_is_the_point_spread_of_a_beam(tmp_path: Path) -> None:
     assert Beam((4, 4), truth.pitch, spread=found).spread == found.width
 
 
+@pytest.mark.slow
 def test_mtf_follows_a_focus_that_was_calibrated(tmp_path: Path) -> None:
     place = save(small_focus(rehearsed()[0]), tmp_path / "focus", EMULATED)
     powers = focused_at(place, (-10.0, 10.0))
@@ -143,7 +144,7 @@ def test_results_are_read_back(tmp_path: Path) -> None:
     assert (place / "figure.png").read_bytes()[:4] == b"\x89PNG" and (place / "rig.toml").read_text() == EMULATED
     with pytest.raises(StorageError, match="exists"):
         save(found, place, EMULATED)
-    with pytest.raises(BadInput, match="wanted one of focus"):
+    with pytest.raises(BadInput, match="expected one of focus"):
         read(place, "focus")
     with pytest.raises(StorageError, match="check the path"):
         read(tmp_path / "nothing")
@@ -164,33 +165,33 @@ def test_a_rehearsal_repeats_exactly() -> None:
         (replace(Optics(), full=0.01), axis_run.axis, "deeper than the noise"),
         (replace(Optics(), radius=300.0), axis_run.axis, "deeper than the noise"),
         (replace(Optics(), full=0.0), lambda stand: gray_run.gray(stand, gray_run.levels(51)), "light the meter"),
-        (replace(Optics(), electrons=0.0), mtf_run.mtf, "position -15 mm: .*wanted an edge"),
+        (replace(Optics(), electrons=0.0), mtf_run.mtf, "position -15 mm: .*expected an edge"),
     ],
 )
 def test_too_much_or_too_little_light_is_told_in_the_dark(
-    truth: Optics, run: Callable[[Stand], Found], why: str
+    truth: Optics, run: Callable[[CalibrationMachines], CalibrationResult], why: str
 ) -> None:
-    stand, laboratory = rehearsed(truth=truth)
+    stand, emulated = rehearsed(truth=truth)
     with pytest.raises(BadInput, match=why):
         run(stand)
-    assert not laboratory.box.light and not laboratory.box.armed
+    assert not emulated.box.light and not emulated.box.armed
 
 
 def test_tables_that_are_missing_are_named() -> None:
     for table, run in (("camera", focus_run), ("camera_stage", mtf_run), ("photodiode", axis_run), ("lens", focus_run)):
-        cut = EMULATED.index(f"[{table}]\n")
+        feedback = f'[[feedback]]\ndriver = "emulated {table}"\n'
+        cut = EMULATED.index(feedback if feedback in EMULATED else f"[{table}]\n")
         end = EMULATED.find("\n[", cut)
         rig = parse_rig(EMULATED[:cut] + (EMULATED[end + 1 :] if end >= 0 else ""))
-        with pytest.raises(JobError, match=rf"no table \[{table}\]"):
-            rehearsal(rig, run.TABLES)
-        with pytest.raises(JobError, match=rf"no table \[{table}\]"):
-            opened(rig, run.TABLES)
+        for begin in (rehearsal, opened):
+            with pytest.raises(JobError, match=rf"the rig has no {table.replace('_', ' ')}.*add \["):
+                begin(rig, run.TABLES)
     with pytest.raises(JobError, match="pixel"):
         mtf_run.mtf(rehearsed(parse_rig(EMULATED.replace('pixel = "7.8 um"\n', "")))[0])
 
 
 def test_real_rigs_open_real_machines_or_none(tmp_path: Path) -> None:
-    text = '[rig]\nname = "bench"\nmachine = "web"\n[controller]\ndriver = "vam-controller"\nport = "/dev/none"\n'
+    text = '[rig]\nname = "lab"\nmachine = "web"\n[controller]\ndriver = "vam-controller"\nport = "/dev/none"\n'
     text += '[projector]\ndriver = "alp"\nlibrary = "/none.so"\n'
     camera = '[camera]\ndriver = "genicam"\nproducer = "/none.cti"\n'
     with pytest.raises(DeviceNotFound, match="/dev/none"):
@@ -199,14 +200,14 @@ def test_real_rigs_open_real_machines_or_none(tmp_path: Path) -> None:
         parse_rig(text + '[camera]\ndriver = "genicam"\n')
     with pytest.raises(JobError, match="port"):
         parse_rig(text + '[photodiode]\ndriver = "scpi"\n')
-    with pytest.raises(JobError, match="photodiode: is emulated and projector is real"):
+    with pytest.raises(JobError, match="feedback: is emulated and controller is real"):
         parse_rig(text + '[photodiode]\ndriver = "emulated"\n')
 
 
 def test_opened_machines_measure_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """All that is not mirrors is behind a true port, and time is the computer's."""
     array = ArrayModel(height=8, width=64)
-    alp, box, glass, axis = FakeAlp(VirtualClock(), array), EmulatedController(), EmulatedLens(), EmulatedStage()
+    alp, box, glass, axis = EmulatedAlp(VirtualClock(), array), EmulatedController(), EmulatedLens(), EmulatedStage()
     shown: list[int] = []
     put = alp._planes
 
@@ -220,7 +221,7 @@ def test_opened_machines_measure_in_real_time(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("vamgpu.hosts.drivers.alp.load", lambda path: alp.library)
     with PtyServer(box) as a, PtyServer(glass) as b, TcpServer(axis) as c, PtyServer(meter) as d:
         text = f"""
-[rig]\nname = "bench"\nmachine = "web"
+[rig]\nname = "lab"\nmachine = "web"
 [controller]\ndriver = "vam-controller"\nport = "{a.url}"
 [projector]\ndriver = "alp"\nlibrary = "there.so"\nsize = [8, 64]
 [lens]\ndriver = "optotune"\nport = "{b.url}"
@@ -239,50 +240,50 @@ def test_opened_machines_measure_in_real_time(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_an_opened_enclosure_ends_it_dark() -> None:
-    stand, laboratory = rehearsed()
+    stand, emulated = rehearsed()
 
     def open_at_half(share: float) -> None:
         if share >= 0.5:
-            laboratory.box.open_interlock(laboratory.clock.now())
+            emulated.box.open_interlock(emulated.clock.now())
 
     with pytest.raises(InterlockOpen, match="interlock"):
-        gray_run.gray(stand, gray_run.levels(15), told=open_at_half)
-    assert not laboratory.box.light and not laboratory.box.armed
+        gray_run.gray(stand, gray_run.levels(15), progress=open_at_half)
+    assert not emulated.box.light and not emulated.box.armed
 
 
 def test_any_exception_is_dark_first() -> None:
-    stand, laboratory = rehearsed()
+    stand, emulated = rehearsed()
 
     def fail(share: float) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        mtf_run.mtf(stand, (0.0,), told=fail)
-    assert not laboratory.box.light and not laboratory.box.armed
+        mtf_run.mtf(stand, (0.0,), progress=fail)
+    assert not emulated.box.light and not emulated.box.armed
 
 
 def test_a_hang_of_the_camera_leaves_no_light() -> None:
-    stand, laboratory = rehearsed()
+    stand, emulated = rehearsed()
     grab = stand.camera.grab  # type: ignore[union-attr]
 
     def slow() -> np.ndarray:
-        laboratory.clock.sleep(400_000_000)
+        emulated.clock.sleep(400_000_000)
         return grab()
 
     stand.camera.grab = slow  # type: ignore[union-attr]
     with pytest.raises(InterlockOpen, match="lease"):
         mtf_run.mtf(stand, (0.0,))
-    (start, end, *_), *_ = laboratory.box.intervals
-    assert end - start <= 250_000_000 + 50_000_000 and not laboratory.box.light
+    (start, end, *_), *_ = emulated.box.intervals
+    assert end - start <= 250_000_000 + 50_000_000 and not emulated.box.light
 
 
 def test_the_stage_moves_in_the_dark_alone() -> None:
-    stand, laboratory = rehearsed()
+    stand, emulated = rehearsed()
     mtf_run.mtf(stand)
-    lit = [(start, end) for start, end, *_ in laboratory.box.intervals]
+    lit = [(start, end) for start, end, *_ in emulated.box.intervals]
     assert len(lit) == 5
     for start, end in lit:
-        assert laboratory.axis.track.position(start) == laboratory.axis.track.position(end)
+        assert emulated.axis.track.position(start) == emulated.axis.track.position(end)
 
 
 def test_what_a_rig_cannot_do_is_told() -> None:
@@ -298,7 +299,7 @@ def test_what_a_rig_cannot_do_is_told() -> None:
     with pytest.raises(BadInput, match="2 or more"):
         gray_run.gray(stand, gray_run.levels(85), repeats=1)
     for wrong in (lambda: gray_run.levels(0), lambda: focus_run.steps(1.0, 0.0), lambda: focus_run.sweep(1.0, 0.0, 9)):
-        with pytest.raises(BadInput, match="wanted"):
+        with pytest.raises(BadInput, match="expected"):
             wrong()
     with pytest.raises(BadInput, match="expose shorter"):
         mtf_run.mtf(rehearsed(parse_rig(EMULATED.replace("5 ms", "200 ms")))[0])

@@ -11,10 +11,9 @@ from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.line import Faults, LineMachine
-from vamgpu.hosts.emulators.ports import plug
+from vamgpu.hosts.emulators.line import Faults, LineMachine, plug
 from vamgpu.hosts.emulators.servers import PtyServer
-from vamgpu.hosts.protocols.controller import Row
+from vamgpu.hosts.protocols.controller import ControllerRow
 
 SECOND = 1_000_000_000
 
@@ -30,12 +29,12 @@ def test_the_controller_over_a_terminal() -> None:
         with pytest.raises(DeviceRefused) as refused:
             driver.arm()
         assert refused.value.code == "lease"
-        driver.lease(200)
+        driver.lease(1000)
         driver.arm()
         driver.light(1)
         assert driver.status().light == 1
-        time.sleep(0.3)
-        status = driver.status()
+        while (status := driver.status()).light:
+            time.sleep(0.01)
         assert (status.state, status.fault, status.light) == ("fault", "lease", 0)
         assert ("light", "off", "lease") in driver.poll()
 
@@ -48,7 +47,7 @@ def test_dropped_and_flipped_bytes_are_asked_for_again_and_act_once() -> None:
             way = "in" if spoiled.endswith("in") else "out"
             setattr(faults, spoiled, frozenset({faults._count[way] + byte}))
             for i in range(4):
-                driver.row(Row(i, 1000 * i, 1000 + i, 0, 100))
+                driver.row(ControllerRow(i, 1000 * i, 1000 + i, 0, 100))
             assert [row[0] for row in machine.rows] == [0, 1, 2, 3], (spoiled, byte)
             assert driver.status().free == 252
 

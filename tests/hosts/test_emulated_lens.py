@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vamgpu.hosts.emulators.glass import LensModel
-from vamgpu.hosts.emulators.lens import EmulatedLens
+from vamgpu.hosts.emulators.lens import EmulatedLens, LensModel
 from vamgpu.hosts.emulators.line import Cable
 
 MILLI, SECOND = 1_000_000, 1_000_000_000

@@ -6,39 +6,39 @@ import ctypes
 
 import numpy as np
 
-from vamgpu.hosts.emulators.array import ArrayModel, Shown
+from vamgpu.hosts.emulators.alp import EmulatedAlp
+from vamgpu.hosts.emulators.array import ArrayModel, DisplayedFrame
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.emulators.dmd import FakeAlp
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
 
 
-def _array(clock: VirtualClock, **options: object) -> tuple[FakeAlp, ctypes.c_uint32, list[Shown]]:
-    fake = FakeAlp(clock, ArrayModel(height=4, width=16, **options))  # type: ignore[arg-type]
+def _array(clock: VirtualClock, **options: object) -> tuple[EmulatedAlp, ctypes.c_uint32, list[DisplayedFrame]]:
+    fake = EmulatedAlp(clock, ArrayModel(height=4, width=16, **options))  # type: ignore[arg-type]
     device = ctypes.c_uint32()
     assert fake.library.AlpDevAlloc(0, 0, ctypes.byref(device)) == 0
-    shown: list[Shown] = []
+    shown: list[DisplayedFrame] = []
     fake.on_shown = shown.append
     return fake, device, shown
 
 
-def _sequence(fake: FakeAlp, device: ctypes.c_uint32, bits: int, pictures: np.ndarray, packed: bool) -> int:
+def _sequence(fake: EmulatedAlp, device: ctypes.c_uint32, bits: int, frames: np.ndarray, packed: bool) -> int:
     sequence = ctypes.c_uint32()
     alp = fake.library
-    assert alp.AlpSeqAlloc(device, bits, len(pictures), ctypes.byref(sequence)) == 0
+    assert alp.AlpSeqAlloc(device, bits, len(frames), ctypes.byref(sequence)) == 0
     if packed:
         assert alp.AlpSeqControl(device, sequence, 2110, 2) == 0
-    assert alp.AlpSeqPut(device, sequence, 0, len(pictures), pictures.ctypes.data) == 0
+    assert alp.AlpSeqPut(device, sequence, 0, len(frames), frames.ctypes.data) == 0
     return sequence.value
 
 
 def test_mirrors_show_bytes_and_packed_planes_alike() -> None:
     levels = np.random.default_rng(1).integers(0, 256, (3, 4, 16), dtype=np.uint8)
     planes = np.stack([np.packbits(levels >> (7 - b) & 1, axis=-1) for b in range(8)], axis=1)
-    for pictures, packed in ((levels, False), (np.ascontiguousarray(planes), True)):
+    for frames, packed in ((levels, False), (np.ascontiguousarray(planes), True)):
         clock = VirtualClock()
         fake, device, shown = _array(clock)
-        sequence = _sequence(fake, device, 8, pictures, packed)
+        sequence = _sequence(fake, device, 8, frames, packed)
         assert fake.library.AlpSeqTiming(device, sequence, 10_000, 12_000, 0, 0, 0) == 0
         assert fake.library.AlpProjStart(device, sequence) == 0
         clock.sleep(SECOND)
@@ -66,7 +66,7 @@ def test_memory_limits_and_states_are_the_librarys() -> None:
     assert alp.AlpDevInquire(device, 2003, ctypes.byref(number)) == 1012
 
 
-def test_triggers_that_come_too_soon_are_missed_and_a_halt_cuts_the_picture() -> None:
+def test_triggers_that_come_too_soon_are_missed_and_a_halt_cuts_the_frame() -> None:
     clock = VirtualClock()
     fake, device, shown = _array(clock)
     alp = fake.library

@@ -76,6 +76,7 @@ def test_the_time_a_target_is_reached_is_the_first(target: float, speed: float) 
     assert track.position(at) >= target - 1e-5 * speed and track.position(at - 1000) < target
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.floats(-200, 400), st.floats(-900, 900), st.floats(1, 400), st.integers(1, 900), st.integers(0, 2))
 def test_an_axis_that_is_called_elsewhere_still_reaches_its_targets(

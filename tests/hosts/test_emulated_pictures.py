@@ -7,7 +7,7 @@ import pytest
 
 from vamgpu.hosts.emulators.camera import EmulatedCamera, ResinModel, ResinScene, Sensor
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.emulators.screen import EmulatedScreen, Slot
+from vamgpu.hosts.emulators.screen import EmulatedScreen, LitSlot
 
 SECOND = 1_000_000_000
 
@@ -15,7 +15,7 @@ SECOND = 1_000_000_000
 def test_the_screen_lights_slots_one_refresh_later_in_exact_cadence() -> None:
     clock = VirtualClock()
     screen = EmulatedScreen(clock, (2, 3), 60, "GR", 8)
-    slots: list[Slot] = []
+    slots: list[LitSlot] = []
     screen.on_slot = slots.append
     for k in range(3):
         frame = np.zeros((2, 3, 3), np.uint8)
@@ -34,16 +34,16 @@ def test_the_camera_is_repeatable_and_the_resin_shows_its_dose() -> None:
         clock = VirtualClock()
         scene = ResinScene((20, 30), ResinModel(critical=50.0, width=5.0))
         camera = EmulatedCamera(clock, scene, Sensor(bits=12), blur=1.0, seed=seed)
-        pictures = []
+        images = []
         for _ in range(11):
-            pictures.append(camera.grab())
+            images.append(camera.grab())
             scene.deposit(10.0, 0, SECOND)
-        return pictures
+        return images
 
     first, again, other = run(1), run(1), run(2)
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
     assert not np.array_equal(first[0], other[0])
-    means = np.array([picture.mean() for picture in first]) - 2
+    means = np.array([image.mean() for image in first]) - 2
     assert (np.diff(means[:8]) > -1).all()
     assert means[-1] / means[0] == pytest.approx(9.0, rel=0.02) and means[5] / means[0] == pytest.approx(5.0, rel=0.02)
     assert first[0].dtype == np.uint16 and first[0].std() > 0

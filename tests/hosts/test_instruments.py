@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import pytest
 
-from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
+from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers.scpi import LampSupply, PowerMeter
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.instruments import EmulatedMeter, EmulatedSupply
-from vamgpu.hosts.emulators.line import Faults, LineMachine
-from vamgpu.hosts.emulators.ports import plug
+from vamgpu.hosts.emulators.line import Faults, LineMachine, plug
 
 
 def _wire(machine: LineMachine, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
@@ -38,6 +40,48 @@ def test_the_meter_and_the_supply() -> None:
     assert not supply.output
     with pytest.raises(WrongDevice, match="ophir"):
         PowerMeter(_wire(EmulatedMeter(lambda now: 0.0), clock), "ophir")
+
+
+SIMULATED = """
+spec: "1.1"
+devices:
+  meter:
+    eom:
+      USB INSTR: {q: "\\n", r: "\\n"}
+    error: ""
+    dialogues:
+      - {q: "*IDN?", r: "Thorlabs,PM400,1001,1.0"}
+      - {q: "*CLS"}
+      - {q: "MEAS:POW?", r: "2.5E-3"}
+      - {q: "SENS:CORR:WAV 405"}
+      - {q: "SENS:TEMP?"}
+      - {q: "SYST:ERR?", r: '+0,"No error"'}
+resources:
+  USB0::0x1313::0x8075::P1001::INSTR: {device: meter}
+"""
+
+
+def test_the_meter_through_visa(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pyvisa_sim", reason='pip install "vamgpu[dev]"')
+    (tmp_path / "meters.yaml").write_text(SIMULATED)
+    monkeypatch.setenv("PYVISA_LIBRARY", f"{tmp_path / 'meters.yaml'}@sim")
+    address = "USB0::0x1313::0x8075::P1001::INSTR"
+    with PowerMeter.open(address, "pm400", timeout_s=0.2) as meter:
+        assert meter.power_mw() == pytest.approx(2.5)
+        meter.wavelength(405)
+        with pytest.raises(DeviceLost, match="SENS:TEMP"):
+            meter.ask("SENS:TEMP?")
+        assert meter.power_mw() == pytest.approx(2.5)
+    with pytest.raises(DeviceLost, match="gone"):
+        meter.power_mw()
+    with pytest.raises(WrongDevice, match="ophir"):
+        PowerMeter.open(address, "ophir", timeout_s=0.2)
+    monkeypatch.setenv("PYVISA_LIBRARY", "@py")
+    with pytest.raises(DeviceNotFound, match="check the address"):
+        PowerMeter.open("ASRL/dev/no-such-port::INSTR")
+    monkeypatch.setitem(sys.modules, "pyvisa", None)
+    with pytest.raises(DeviceNotFound, match=r"vamgpu\[visa\]"):
+        PowerMeter.open(address)
 
 
 def test_silence_and_nonsense_from_an_instrument() -> None:

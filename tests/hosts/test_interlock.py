@@ -1,4 +1,4 @@
-"""Light on ⇒ armed, lease fresh, motion in tolerance, frame = scheduled: proven on the emulated bench under faults.
+"""Light on ⇒ armed, lease fresh, motion in tolerance, frame = scheduled: proven on the emulated rig under faults.
 
 The truth is read from the emulated machines, not from the host. What the controller guards by itself (arming, lease,
 interlock) must hold at every moment. What only the host can see (motion, frames, its own disk) must hold after each of
@@ -14,20 +14,28 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
 
 from vamgpu.hosts.emulators.array import ArrayModel
-from vamgpu.hosts.emulators.bench import Bench
-from vamgpu.hosts.pictures.stream import FramePictures, Mirrors
-from vamgpu.hosts.players.approach import LOOK
+from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
+from vamgpu.hosts.frames.sources import MirrorArray, VialFrames
+from vamgpu.hosts.players.approach import POLL
 from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.limits import MirrorTiming
 from vamgpu.hosts.schedules.moving import turned
-from vamgpu.hosts.state import State
+from vamgpu.hosts.state import PrintState
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 
@@ -45,13 +53,15 @@ LOOKS = st.integers(0, 5)
 class Printing(RuleBasedStateMachine):
     """A print to which things happen."""
 
+    begun = False
+
     @initialize()
     def begin(self) -> None:
         self.place = tempfile.TemporaryDirectory()
-        self.bench = Bench(STEPS, MODEL)
-        machines = self.bench.machines(STEPS / float(SCHEDULE.advance))
+        self.emulated = EmulatedMirrorRig(STEPS, MODEL)
+        machines = self.emulated.machines(STEPS / float(SCHEDULE.advance))
         self.folder = RunFolder.begin(Path(self.place.name) / "run", {}, "")
-        player = TriggeredPlayer(SCHEDULE, machines, [FramePictures(FRAMES, Mirrors(4, 16, 2))])
+        player = TriggeredPlayer(SCHEDULE, machines, [VialFrames(FRAMES, MirrorArray(4, 16, 2))])
         self.print = Print(player, self.folder)
         self.print.guard.__enter__()
         self.ended: int | None = None
@@ -60,17 +70,18 @@ class Printing(RuleBasedStateMachine):
         self.faults = 0
         self.print.begin(0)
         self.anchor = (self.now, self.web.position(self.now))
-        while not self.bench.controller.light:  # the run-up is dark
+        self.begun = True
+        while not self.emulated.controller.light:  # the run-up is dark
             self.look(1)
 
     # ---- the truth -------------------------------------------------------------------------------------------
     @property
     def now(self) -> int:
-        return self.bench.clock.now()
+        return self.emulated.clock.now()
 
     @property
     def web(self):  # noqa: ANN202
-        return self.bench.controller.web
+        return self.emulated.controller.web
 
     def motion_error(self) -> float:
         began, start = self.anchor
@@ -78,7 +89,7 @@ class Printing(RuleBasedStateMachine):
         return abs(self.web.position(self.now) - should) / STEPS
 
     def is_wrong(self) -> bool:
-        frames = self.bench.alps[0].counts["shown"] != self.bench.controller.shown
+        frames = self.emulated.alps[0].counts["shown"] != self.emulated.controller.shown
         full = self.folder._write is not WRITE
         return frames or full or self.motion_error() > TOLERANCE + 0.01
 
@@ -96,7 +107,7 @@ class Printing(RuleBasedStateMachine):
         """Time passes in pieces, with the truth looked at in between."""
         end = self.now + duration
         while self.now < end:
-            self.bench.clock.sleep_until(min(end, self.now + LOOK // 4))
+            self.emulated.clock.sleep_until(min(end, self.now + POLL // 4))
             self.check()
 
     @precondition(lambda self: self.ended is None)
@@ -104,7 +115,7 @@ class Printing(RuleBasedStateMachine):
     def look(self, looks: int) -> None:
         for _ in range(looks):
             if self.ended is None:
-                self.pass_time(LOOK)
+                self.pass_time(POLL)
                 self.host(self.print.step)
                 self.looked = True
                 self.check()
@@ -122,23 +133,23 @@ class Printing(RuleBasedStateMachine):
     # ---- what happens ----------------------------------------------------------------------------------------
     @rule(ahead=st.integers(0, 60), way=st.sampled_from(("drop_in", "drop_out", "flip_in", "flip_out")))
     def spoiled_byte(self, ahead: int, way: str) -> None:
-        faults = self.bench.faults
+        faults = self.emulated.faults
         number = faults._count[way.partition("_")[2]] + ahead
         setattr(faults, way, getattr(faults, way) | {number})
 
     @rule(looks=LOOKS)
     def unplugged_port(self, looks: int) -> None:
-        self.bench.port.unplug()
+        self.emulated.port.unplug()
         self.after(looks)
 
     @rule(looks=LOOKS)
     def lost_trigger(self, looks: int) -> None:
-        self.bench.lose_triggers += 1
+        self.emulated.lose_triggers += 1
         self.after(looks)
 
     @rule(looks=LOOKS)
     def stray_trigger(self, looks: int) -> None:
-        self.bench.alps[0].trigger(self.now)
+        self.emulated.alps[0].trigger(self.now)
         self.after(looks)
 
     @rule(poses=st.sampled_from((-3.0, -1.0)), looks=LOOKS)
@@ -153,7 +164,7 @@ class Printing(RuleBasedStateMachine):
 
     @rule(looks=LOOKS)
     def opened_door(self, looks: int) -> None:
-        self.bench.controller.open_interlock(self.now)
+        self.emulated.controller.open_interlock(self.now)
         self.after(looks)
 
     @rule(looks=LOOKS)
@@ -174,9 +185,7 @@ class Printing(RuleBasedStateMachine):
     # ---- what must hold --------------------------------------------------------------------------------------
     @invariant()
     def check(self) -> None:
-        if not hasattr(self, "bench"):
-            return
-        controller, lease = self.bench.controller, self.print.limits.lease
+        controller, lease = self.emulated.controller, self.print.limits.lease
         self.wrong = (self.wrong or self.now) if self.is_wrong() else None
         if not controller.light:
             return
@@ -185,30 +194,36 @@ class Printing(RuleBasedStateMachine):
         assert self.now < controller.lease_end <= self.now + lease
         assert self.ended is None or self.now - self.ended < lease, "a host that gave up leaves no light"
         if self.wrong is not None:
-            assert not self.looked or self.bench.port._unplugged, "a host that looks, and has a line, sees it"
+            assert not self.looked or self.emulated.port._unplugged, "a host that looks, and has a line, sees it"
             assert self.now - self.wrong <= lease, "a host that does not look lets the lease run out"
 
     def teardown(self) -> None:
-        if not hasattr(self, "bench"):
+        if not self.begun:
             return
         if self.ended is None:
             self.print.guard.__exit__(None, None, None)
             self.ended = self.now
         self.pass_time(self.print.limits.lease)
-        assert not self.bench.controller.light
+        assert not self.emulated.controller.light
         self.folder._write = WRITE
         self.folder.close()
         shown = read_run(self.folder.path).shown["slot"]
-        assert shown.tolist() == list(range(len(shown))), "the record has every picture once, in order"
+        assert shown.tolist() == list(range(len(shown))), "the record has every frame once, in order"
         self.place.cleanup()
 
 
 WRITE = os.write
-TestPrinting = Printing.TestCase
-TestPrinting.settings = settings(
-    max_examples=80, stateful_step_count=10, deadline=None,
+FEW = settings(
+    max_examples=20, stateful_step_count=10, deadline=None,
     suppress_health_check=(HealthCheck.too_slow, HealthCheck.filter_too_much),
 )  # fmt: skip
+TestPrinting = Printing.TestCase
+TestPrinting.settings = FEW
+
+
+@pytest.mark.slow
+def test_many_more_prints_to_which_things_happen() -> None:
+    run_state_machine_as_test(Printing, settings=settings(FEW, max_examples=200))
 
 
 def test_a_print_that_nothing_happens_to_is_completed() -> None:
@@ -216,10 +231,10 @@ def test_a_print_that_nothing_happens_to_is_completed() -> None:
     machine = Printing()
     machine.begin()
     lit = 0
-    while machine.ended is None and machine.print.states.state is State.PRINTING:
+    while machine.ended is None and machine.print.states.state is PrintState.PRINTING:
         machine.look(1)
-        lit += bool(machine.bench.controller.light)
-    assert machine.print.states.state is State.COMPLETE and lit > 100
+        lit += bool(machine.emulated.controller.light)
+    assert machine.print.states.state is PrintState.COMPLETE and lit > 100
     machine.print.guard.__exit__(None, None, None)
     machine.ended = machine.now
     machine.teardown()

@@ -5,12 +5,11 @@ from __future__ import annotations
 import pytest
 
 from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
-from vamgpu.hosts.drivers.lens import TunableLens
+from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.line import Faults, LineMachine
-from vamgpu.hosts.emulators.ports import plug
+from vamgpu.hosts.emulators.line import Faults, LineMachine, plug
 from vamgpu.hosts.emulators.servers import PtyServer, TcpServer
 from vamgpu.hosts.protocols import optotune as ld4
 
@@ -24,7 +23,7 @@ def _wire(machine: LineMachine, clock: VirtualClock, faults: Faults | None = Non
 @pytest.mark.parametrize("server_of", [PtyServer, TcpServer])
 def test_the_lens_over_a_terminal_and_a_socket(server_of: type[PtyServer] | type[TcpServer]) -> None:
     lens = EmulatedLens(stray=True, celsius=30.0)
-    with server_of(lens) as server, TunableLens.open(server.url, firmware="A", timeout_s=0.1) as driver:
+    with server_of(lens) as server, LensDriver.open(server.url, firmware="A", timeout_s=0.1) as driver:
         assert driver.version == "1.9.1000.7" and driver.full_current_ma == 292.84
         found = driver.focal_power_mode(20, 45)
         assert (found.status, found.least, found.greatest) == (0, -1.5, 3.5)
@@ -40,13 +39,13 @@ def test_the_lens_over_a_terminal_and_a_socket(server_of: type[PtyServer] | type
 def test_the_lens_is_held_to_its_firmware_and_mode() -> None:
     clock = VirtualClock()
     with pytest.raises(WrongDevice, match="firmware type C"):
-        TunableLens(_wire(EmulatedLens(firmware="C"), clock), "A")
-    driver = TunableLens(_wire(EmulatedLens(), clock))
+        LensDriver(_wire(EmulatedLens(firmware="C"), clock), "A")
+    driver = LensDriver(_wire(EmulatedLens(), clock))
     with pytest.raises(DeviceError, match="focal_power_mode"):
         driver.set_power(1.0)
     with pytest.raises(BadInput, match="wears"):
         driver.ask(ld4.set_full_current(200.0))
-    blind = TunableLens(_wire(EmulatedLens(sensor=False), clock))
+    blind = LensDriver(_wire(EmulatedLens(sensor=False), clock))
     with pytest.raises(DeviceRefused, match="lens or sensor missing"):
         blind.focal_power_mode()
     with pytest.raises(DeviceRefused, match="not compatible"):
@@ -59,7 +58,7 @@ def test_faults_on_the_lens_line() -> None:
     clock, faults = VirtualClock(), Faults()
     lens = EmulatedLens()
     port = plug(lens, clock, 0.1, faults=faults)
-    driver = TunableLens(Wire(port, "the lens driver"))
+    driver = LensDriver(Wire(port, "the lens driver"))
     driver.focal_power_mode()
     sent = faults._count["in"]
     faults.flip_in = frozenset({sent + 5})
@@ -82,7 +81,7 @@ def test_faults_on_the_lens_line() -> None:
 def test_a_setting_that_was_damaged_is_told_when_the_stream_ends(legacy: bool, code: str) -> None:
     clock, faults = VirtualClock(), Faults()
     lens = EmulatedLens(legacy=legacy)
-    driver = TunableLens(_wire(lens, clock, faults))
+    driver = LensDriver(_wire(lens, clock, faults))
     driver.focal_power_mode()
     faults.flip_in = frozenset({faults._count["in"] + 14})
     with pytest.raises(DeviceRefused) as refused, driver.streaming():
@@ -94,7 +93,7 @@ def test_a_setting_that_was_damaged_is_told_when_the_stream_ends(legacy: bool, c
 
 def test_the_lens_settles_on_the_virtual_clock() -> None:
     clock, lens = VirtualClock(), EmulatedLens()
-    driver = TunableLens(Wire(plug(lens, clock, baud=38400), "the lens driver"))
+    driver = LensDriver(Wire(plug(lens, clock, baud=38400), "the lens driver"))
     driver.focal_power_mode()
     clock.sleep(100 * MILLI)
     start = clock.now()

@@ -11,16 +11,15 @@ import pytest
 
 from vamgpu.errors import DeviceBusy, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.drivers.lens import TunableLens
+from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.drivers.scpi import LampSupply, PowerMeter
+from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.drivers.wire import Wire, open_wire
-from vamgpu.hosts.drivers.zaber import ZaberStage
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.instruments import EmulatedMeter, EmulatedSupply
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.line import Faults, Outbox
-from vamgpu.hosts.emulators.ports import VirtualPort, plug
+from vamgpu.hosts.emulators.line import Faults, Outbox, VirtualPort, plug
 from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
 
@@ -54,7 +53,7 @@ class _Noise:
 
 
 DRIVERS: dict[str, Callable[[Wire], Any]] = {
-    "lens": TunableLens,
+    "lens": LensDriver,
     "controller": Controller,
     "stage": lambda wire: ZaberStage(wire, 1000.0),
     "meter": PowerMeter,
@@ -100,7 +99,7 @@ def test_who_is_not_meant_is_told_and_let_go_of(driver: str, machine: str) -> No
 
 
 OPENERS: dict[str, Callable[[str], Any]] = {
-    "lens": TunableLens.open,
+    "lens": LensDriver.open,
     "controller": Controller.open,
     "stage": lambda url: ZaberStage.open(url, 1000.0),
     "meter": PowerMeter.open,
@@ -175,7 +174,7 @@ def test_a_stages_damaged_commands_are_not_obeyed() -> None:
 def test_a_stage_without_the_axis_is_told() -> None:
     machine = EmulatedStage()
     machine.settings["deviceid"] = "NA"  # type: ignore[assignment]
-    with pytest.raises(WrongDevice, match="a number was wanted"):
+    with pytest.raises(WrongDevice, match="a number was expected"):
         ZaberStage(Wire(plug(machine, VirtualClock(), 0.1), "the stage"), 1000.0)
 
 
@@ -183,7 +182,7 @@ def test_the_lenss_damaged_answers_are_never_believed() -> None:
     for way in ("flip_out", "drop_out"):
         for byte in range(9):
             clock, faults = VirtualClock(), Faults()
-            lens = TunableLens(Wire(plug(EmulatedLens(), clock, 0.1, faults=faults), "the lens driver"))
+            lens = LensDriver(Wire(plug(EmulatedLens(), clock, 0.1, faults=faults), "the lens driver"))
             setattr(faults, way, frozenset({faults._count["out"] + byte}))
             with pytest.raises((ProtocolError, DeviceRefused)) as told:
                 lens.temperature()

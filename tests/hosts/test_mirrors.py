@@ -20,17 +20,16 @@ from vamgpu.errors import (
 from vamgpu.hosts.drivers import alp
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd, SlotTiming
-from vamgpu.hosts.drivers.lens import TunableLens
-from vamgpu.hosts.drivers.stream import PlaneStream
+from vamgpu.hosts.drivers.lens import LensDriver
+from vamgpu.hosts.drivers.memory import MirrorMemory
 from vamgpu.hosts.drivers.wire import Wire
-from vamgpu.hosts.emulators.array import ArrayModel, Shown
+from vamgpu.hosts.emulators.alp import EmulatedAlp
+from vamgpu.hosts.emulators.array import ArrayModel, DisplayedFrame
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.dmd import FakeAlp
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.line import Cable, Faults, LineMachine
-from vamgpu.hosts.emulators.ports import plug
-from vamgpu.hosts.protocols.controller import Row
+from vamgpu.hosts.emulators.line import Cable, Faults, LineMachine, plug
+from vamgpu.hosts.protocols.controller import ControllerRow
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
 
@@ -39,9 +38,9 @@ def _wire(machine: LineMachine, clock: VirtualClock, faults: Faults | None = Non
     return Wire(plug(machine, clock, timeout_s, faults=faults), "the machine")
 
 
-def _dmd(**options: object) -> tuple[VirtualClock, FakeAlp, Dmd]:
+def _dmd(**options: object) -> tuple[VirtualClock, EmulatedAlp, Dmd]:
     clock = VirtualClock()
-    fake = FakeAlp(clock, ArrayModel(height=6, width=16, **options))  # type: ignore[arg-type]
+    fake = EmulatedAlp(clock, ArrayModel(height=6, width=16, **options))  # type: ignore[arg-type]
     return clock, fake, Dmd(fake.library)
 
 
@@ -52,12 +51,12 @@ def _packed(levels: np.ndarray) -> np.ndarray:
 def test_two_sequences_stream_more_than_fits_one_a_trigger() -> None:
     clock, fake, dmd = _dmd(planes=64)
     levels = np.random.default_rng(0).integers(0, 256, (37, 6, 16), dtype=np.uint8)
-    shown: list[Shown] = []
+    shown: list[DisplayedFrame] = []
     fake.on_shown = shown.append
     dmd.slave()
     with pytest.raises(OutOfMemory, match="296 planes, and 64 are free"):
         dmd.sequence(37, 8)
-    stream = PlaneStream(dmd, 4, 8, SlotTiming(5000, 5000))
+    stream = MirrorMemory(dmd, 4, 8, SlotTiming(5000, 5000))
     assert dmd.free_planes() == 0 and stream.limits().on_us == 5000
     put = 0
     for trigger in range(37):
@@ -83,7 +82,7 @@ def test_what_does_not_fit_the_mirrors_is_refused() -> None:
     _, _, dmd = _dmd()
     sequence = dmd.sequence(2, 8)
     for wrong in (np.zeros((1, 8, 6, 3), np.uint8), np.zeros((1, 8, 6, 2)), np.zeros((1, 8, 6, 4), np.uint8)[..., ::2]):
-        with pytest.raises(BadInput, match="packed pictures"):
+        with pytest.raises(BadInput, match="packed frames"):
             sequence.put(wrong)
     with pytest.raises(BadInput, match="do not fit"):
         sequence.put(np.zeros((2, 8, 6, 2), np.uint8), 1)
@@ -96,9 +95,9 @@ def test_the_mirror_arrays_failures_are_named() -> None:
     with pytest.raises(DeviceBusy):
         Dmd(fake.library)
     with pytest.raises(DeviceNotFound):
-        Dmd(FakeAlp(clock).library, serial=5)
+        Dmd(EmulatedAlp(clock).library, serial=5)
     with pytest.raises(WrongDevice, match="6 x 16"):
-        Dmd(FakeAlp(clock, ArrayModel(height=6, width=16)).library, size=(1080, 1920))
+        Dmd(EmulatedAlp(clock, ArrayModel(height=6, width=16)).library, size=(1080, 1920))
     with pytest.raises(DeviceNotFound, match="AlpDevAlloc"):
         Dmd(SimpleNamespace())
     fake.removed = True
@@ -111,7 +110,7 @@ def test_a_closed_mirror_array_floats_and_is_free_for_another() -> None:
     _, fake, dmd = _dmd()
     with dmd:
         dmd.slave()
-        PlaneStream(dmd, 1, 1).put(np.zeros((1, 1, 6, 2), np.uint8))
+        MirrorMemory(dmd, 1, 1).put(np.zeros((1, 1, 6, 2), np.uint8))
     assert fake.floating and not fake.allocated
     dmd.close()
 
@@ -125,11 +124,11 @@ def test_the_libraries_numbers_have_32_bits() -> None:
 
 
 def _hour() -> list[tuple[object, ...]]:
-    """An hour of one picture a second on every machine, and all that was seen of it."""
+    """An hour of one frame a second on every machine, and all that was seen of it."""
     clock, fake, dmd = _dmd()
     lens, machine = EmulatedLens(), EmulatedController()
     driver = Controller(_wire(machine, clock))
-    focus = TunableLens(_wire(lens, clock))
+    focus = LensDriver(_wire(lens, clock))
     focus.focal_power_mode()
     cable = Cable(lens, 38400)
     clock.attach(cable)
@@ -137,17 +136,17 @@ def _hour() -> list[tuple[object, ...]]:
     seen: list[tuple[object, ...]] = []
     fake.on_shown = lambda shown: seen.append((shown.number, shown.starts, shown.ends, lens.power(shown.starts[0])))
     dmd.slave()
-    stream = PlaneStream(dmd, 60, 8, SlotTiming(500_000, 500_000))
-    pictures = np.zeros((60, 8, 6, 2), np.uint8)
+    stream = MirrorMemory(dmd, 60, 8, SlotTiming(500_000, 500_000))
+    frames = np.zeros((60, 8, 6, 2), np.uint8)
     driver.lease(1000)
     driver.arm()
     driver.end(3600)
     row = 0
     while stream.shown() < 3600:
         while stream.room() and stream.queued < 3600:
-            stream.put(pictures)
+            stream.put(frames)
         while row < 3600 and row - stream.shown() < 200:
-            driver.row(Row(row, 1_000_000 * row + 10_000, 1000 + row % 3 * 100, 7600, 500_000))
+            driver.row(ControllerRow(row, 1_000_000 * row + 10_000, 1000 + row % 3 * 100, 7600, 500_000))
             row += 1
         if not seen and not machine.running:
             driver.go(5)
@@ -160,6 +159,7 @@ def _hour() -> list[tuple[object, ...]]:
     return seen
 
 
+@pytest.mark.slow
 def test_an_hour_passes_in_seconds_and_twice_the_same() -> None:
     first = _hour()
     assert len(first) == 3600 and first == _hour()

@@ -11,17 +11,16 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import DeviceLost, DeviceNotFound, WrongDevice
-from vamgpu.hosts.calibrating.stand import Stand
+from vamgpu.hosts.calibrating.machines import CalibrationMachines
 from vamgpu.hosts.drivers import alp, projector
+from vamgpu.hosts.emulators.alp import EmulatedAlp
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.dmd import FakeAlp
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
-from vamgpu.hosts.players.cable import VideoMachines
-from vamgpu.hosts.players.mirrors import Machines
+from vamgpu.hosts.players.machines import MirrorMachines, VideoMachines
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
 from vamgpu.hosts.rigs.opening import close, opened
 from vamgpu.hosts.rigs.preflight import judged
@@ -36,26 +35,26 @@ class Lab:
     controller: str
     lens: str
     stage: str
-    alps: list[FakeAlp]
+    alps: list[EmulatedAlp]
     box: EmulatedController
 
     @property
     def head(self) -> str:
         rig = '[rig]\nname = "lab"\nmachine = "vial"\n'
-        return f'{rig}[controller]\ndriver = "vam-controller"\nport = "{self.controller}"\n'
+        return f'{rig}[controller]\nport = "{self.controller}"\n'
 
     def rig(self, **lens: Any) -> RigConfig:
         wanted = "".join(f"{name} = {value!r}\n".replace("'", '"') for name, value in lens.items())
-        mirrors = '[[projector]]\ndriver = "alp"\nlibrary = "{}"\nsize = [12, 64]\n'
+        mirrors = '[[display]]\ndriver = "alp"\nlibrary = "{}"\nsize = [12, 64]\n'
         return parse_rig(
-            self.head + f'[lens]\ndriver = "optotune"\nport = "{self.lens}"\n{wanted}'
+            self.head + f'[motion]\ndriver = "controller"\n[lens]\ndriver = "optotune"\nport = "{self.lens}"\n{wanted}'
             + mirrors.format(0) + mirrors.format(1)
         )  # fmt: skip
 
     def cable(self) -> RigConfig:
         return parse_rig(
-            self.head + '[projector]\ndriver = "hdmi"\nsize = [8, 12]\norder = ["red", "green"]\n'
-            f'[stage]\ndriver = "zaber"\nport = "{self.stage}"\nsteps = 1000\n'
+            self.head + '[display]\ndriver = "video"\nsize = [8, 12]\norder = ["red", "green"]\n'
+            f'[motion]\ndriver = "zaber"\nport = "{self.stage}"\nmicrosteps = 1000\n'
         )
 
 
@@ -64,10 +63,9 @@ def lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
     with ExitStack() as stack:
         box = EmulatedController()
         lines: list[str] = [
-            stack.enter_context(PtyServer(machine)).url
-            for machine in (box, EmulatedLens(), EmulatedStage(rotary=True))
+            stack.enter_context(PtyServer(machine)).url for machine in (box, EmulatedLens(), EmulatedStage(rotary=True))
         ]
-        alps = [FakeAlp(VirtualClock(), ArrayModel(height=12, width=64)) for _ in range(2)]
+        alps = [EmulatedAlp(VirtualClock(), ArrayModel(height=12, width=64)) for _ in range(2)]
         monkeypatch.setattr(alp, "load", lambda path: alps[int(path)].library)
         controller, lens, stage = lines
         yield Lab(controller, lens, stage, alps, box)
@@ -92,7 +90,7 @@ class Screen:
 
 def test_a_rig_is_opened_measured_and_let_go_of(lab: Lab) -> None:
     machines = opened(lab.rig(firmware="A"))
-    assert isinstance(machines, Machines) and len(machines.mirrors) == 2 and machines.lens is not None
+    assert isinstance(machines, MirrorMachines) and len(machines.mirrors) == 2 and machines.lens is not None
     assert machines.lens.firmware == "A" and all(each.allocated for each in lab.alps)
     table = turned(40, speed=40, engines=(MirrorTiming(pixels=(64, 12), row_bytes=8, dark=3e-3),) * 2)
     found = judged(table, machines.mirrors, machines.clock, seconds=0.05)
@@ -106,8 +104,8 @@ def test_a_rig_is_opened_measured_and_let_go_of(lab: Lab) -> None:
 
 def test_what_fails_leaves_nothing_open(lab: Lab) -> None:
     for rig, why in (
-        (lab.rig(firmware="B"), "firmware type A, the configuration wants B"),
-        (lab.rig(lowest=-4.0), "guarantees -1.5 to 3.5 dpt, the rig's file wants -4"),
+        (lab.rig(firmware="B"), "firmware type A; expected B"),
+        (lab.rig(lowest=-4.0), "guarantees -1.5 to 3.5 dpt; expected -4"),
         (parse_rig(lab.rig().text.replace("size = [12, 64]", "size = [24, 64]")), "12 x 64 mirrors"),
         (parse_rig(lab.rig().text.replace(lab.lens, lab.stage)), "check that the port is the lens driver's"),
     ):
@@ -141,10 +139,18 @@ def test_one_that_does_not_close_keeps_none_open() -> None:
         raise DeviceLost("its plug is out")
 
     nothing: Any = None
-    stand = Stand(nothing, nothing, nothing, (), ())
+    stand = CalibrationMachines(nothing, nothing, nothing, (), ())
     stand.closers += [lambda: closed.append("controller"), fail, lambda: closed.append("lens")]
     with pytest.raises(DeviceLost, match="plug"):
         stand.close()
     assert closed == ["lens", "controller"]
     stand.close()
     assert closed == ["lens", "controller"]
+
+
+def test_a_lens_that_the_host_tells_is_set_before_the_print(lab: Lab) -> None:
+    for focus, power in (((1.25,), 1.25), ((), 0.5)):
+        machines = opened(lab.rig(told_by="host", axis=0.5), focus=focus)
+        assert isinstance(machines, MirrorMachines) and machines.lens is not None
+        assert machines.lens.power() == pytest.approx(power, abs=0.01)
+        close(machines)

@@ -4,75 +4,106 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
 import threading
+import time
 from collections.abc import Iterator
+from contextlib import nullcontext
+from pathlib import Path
 from typing import Any
 
 import needs
 import numpy as np
 import pytest
+from rich.console import Console
 
 from vamgpu.errors import BadInput, DeviceError
-from vamgpu.hosts.board import Board
-from vamgpu.hosts.panel import Panel, loopback
-from vamgpu.hosts.state import State
+from vamgpu.hosts.panel import Panel, door, view
+from vamgpu.hosts.panel import server as panels
+from vamgpu.hosts.panel.routes import LONGEST, Pace
+from vamgpu.hosts.record import RunFolder
+from vamgpu.hosts.state import Board, PrintState, StateChange
+from vamgpu.printing.scatter import ScatterReading
 
 
 def asked(panel: Panel, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes, str]:
-    line = http.client.HTTPConnection("127.0.0.1", panel.port, timeout=20)
+    line = http.client.HTTPConnection("127.0.0.1", panel.port)
     line.request(method, path, headers=headers)
     answer = line.getresponse()
     return answer.status, answer.read(), answer.getheader("set-cookie") or ""
 
 
 @pytest.fixture
-def browser() -> Iterator[Any]:
+def page() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as tools:
-        chromium = tools.chromium.launch(executable_path=needs.browser(), args=["--no-sandbox", "--disable-gpu"])
-        yield chromium
-        chromium.close()
+        yield needs.page(tools, viewport={"width": 1000, "height": 800})
 
 
-def test_the_page_shows_and_stops(browser: Any) -> None:
+@pytest.fixture(autouse=True)
+def a_busy_machine_may_start_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(panels, "STARTING", 200.0)
+
+
+def test_the_page_shows_and_stops(page: Any) -> None:
     board = Board(job="boat", slots=360, unit="deg")
     stopped: list[str] = []
-    happened = threading.Event()
+    pressed: list[str] = []
 
     def light_off(why: str) -> None:
         stopped.append(why)
-        board.show(light=False, state=State.CANCELLED, message=why)
-        happened.set()
+        board.show(light=False, state=PrintState.CANCELLED, message=why)
 
-    paused: list[bool] = []
     board.on_stop(light_off)
-    board.button("pause", lambda: paused.append(True))
-    picture = np.zeros((40, 60), np.uint8)
-    picture[10:30, 20:40] = 255
-    board.show(state=State.PRINTING, frame=17, slot=17, position=17.0, focus=-1.25, fill=0.5, margin=4_200_000)
-    board.show(light=True, power=0.8, picture=picture)
+    for name in ("pause", "resume", "cancel"):
+        board.button(name, lambda name=name: pressed.append(name))
+    preview = np.zeros((40, 60), np.uint8)
+    board.show(state=PrintState.PRINTING, frame=17, slot=17, position=17.0, focus=-1.25, fill=0.5, margin=4_200_000)
+    board.show(light=True, power=0.8, preview=preview, others=(preview + 1,), left=75.0, polled=time.monotonic() + 1e6)
+    board.show(lease=0.25, renewed=0.04)
+    by = page.get_by_test_id
     with Panel(board) as panel:
-        assert panel.token is None and loopback(panel.host)
-        page = browser.new_page(viewport={"width": 1000, "height": 800})
         page.goto(panel.url)
-        text = lambda name: page.get_by_test_id(name).inner_text()  # noqa: E731
-        page.get_by_test_id("light").get_by_text("ON at 0.8").wait_for()
-        assert text("state") == "printing" and text("frame") == "17 (slot 17 of 360)"
-        assert (text("position"), text("focus"), text("buffer")) == ("17.000 deg", "-1.250 dpt", "50 % full")
-        assert text("timing margin") == "4.20 ms"
-        assert page.get_by_test_id("picture").locator("img").get_attribute("src").startswith("data:image/png")
-        board.show(frame=18, slot=18, fill=0.25)
-        page.get_by_test_id("frame").get_by_text("18 (slot 18 of 360)").wait_for()
-        assert text("buffer") == "25 % full"
-        page.get_by_test_id("pause").click()
-        page.get_by_test_id("stop").click()
-        assert happened.wait(10)
-        page.get_by_test_id("light").get_by_text("off").wait_for()
-        assert text("state") == "cancelled: emergency stop at the panel"
-        assert paused == [True] and stopped == ["emergency stop at the panel"]
-    with pytest.raises(DeviceError, match="a process of its own"), Panel(Board()):
-        pass
+        by("light").get_by_text("ON at 80 %").wait_for()
+        text = lambda name: by(name).inner_text()  # noqa: E731
+        assert text("state") == "printing" and text("frame") == "17 (slot 18 of 360)"
+        assert (text("position"), text("lens"), text("time left")) == ("17.000 deg", "-1.250 dpt", "1 min 15 s")
+        assert text("lease") == "light closes 210 ms after the host falls silent; last renewal 40 ms ago"
+        for name in ("projector 1", "projector 2"):
+            assert by(name).evaluate("async (image) => { await image.decode(); return image.naturalWidth }") == 60
+        assert by("resume").is_disabled() and "can go on" in by("resume").get_attribute("title")
+        board.show(frame=18, slot=18)
+        by("frame").get_by_text("18 (slot 19 of 360)").wait_for()
+        by("cancel").click()
+        by("keep").click()
+        with page.expect_response("**/press/pause"):
+            by("pause").click()
+        by("cancel").click()
+        with page.expect_response("**/press/cancel"):
+            by("really").click()
+        assert pressed == ["pause", "cancel"]
+        by("stop").click()
+        by("light").get_by_text("off").wait_for()
+        by("message").get_by_text("emergency stop at the panel. 341 of 360 slots were not shown.").wait_for()
+        assert text("state") == "cancelled" and by("pause").is_disabled() and by("cancel").is_disabled()
+        assert stopped == ["emergency stop at the panel"]
+    by("lost").wait_for()
+    assert text("state") == "connection lost" and page.locator("body.stale").count() == 1
+    with Panel(Board(), page=False):
+        pass  # a process may serve more than one print
+
+
+def test_a_phone_scrolls_one_way_and_has_the_stop_in_view(page: Any) -> None:
+    page.set_viewport_size({"width": 390, "height": 700})
+    board = Board(job="a" * 90, preview=np.zeros((900, 1600), np.uint8), message="m" * 200)
+    with Panel(board) as panel:
+        page.goto(panel.url)
+        page.get_by_test_id("state").get_by_text("standby").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        page.evaluate("scrollTo(0, 1e6)")
+        box = page.get_by_test_id("stop").bounding_box()
+        assert box["y"] + box["height"] <= 700 and box["height"] >= 60 and box["width"] >= 300
 
 
 def test_a_program_may_stop_too() -> None:
@@ -82,7 +113,147 @@ def test_a_program_may_stop_too() -> None:
         told = json.loads(asked(panel, "/state")[1])
         assert told["state"] == "standby" and told["position"] is None
         assert asked(panel, "/stop", "POST")[0] == 200
-        assert heard == ["emergency stop over the network"]
+        assert heard == ["emergency stop at the panel"]
+        assert asked(panel, "/")[0] == 404
+
+
+def test_how_long_a_print_that_waits_can_go_on_is_told() -> None:
+    for left, told in ((3000.0, 3000.0), (-5.0, 0.0)):
+        board = Board(state=PrintState.HELD, deadline=time.monotonic() + left)
+        assert told - 1000.0 < view.told(board, view.Pictures())["waits"] <= told
+    assert view.told(Board(), view.Pictures())["waits"] is None
+
+
+@pytest.mark.parametrize("state", list(PrintState))
+def test_buttons_follow_the_state(state: PrintState) -> None:
+    pressed: list[str] = []
+    board = Board(state=state)
+    for name in ("pause", "resume", "cancel"):
+        board.button(name, lambda name=name: pressed.append(name))
+    with Panel(board, page=False) as panel:
+        offered = json.loads(asked(panel, "/state")[1])["buttons"]
+        for name, why in offered.items():
+            status, said, _ = asked(panel, f"/press/{name}", "POST")
+            assert status == (200 if why is None else 409) and (why is None or said.decode() == why)
+        assert pressed == [name for name, why in offered.items() if why is None]
+        assert (offered["pause"] is None) == (state is PrintState.PRINTING)
+        assert (offered["resume"] is None) == (state.value in ("paused", "held"))
+        assert (offered["cancel"] is None) == (not state.ended)
+        assert asked(panel, "/press/none", "POST")[0] == 404
+
+
+def test_a_stop_waits_behind_no_button_that_hangs() -> None:
+    board, leave, stopped = Board(), threading.Event(), threading.Event()
+
+    def slow_press() -> None:
+        leave.wait()
+
+    board.button("slow", slow_press)
+    board.on_stop(lambda why: stopped.set())
+    with Panel(board, page=False) as panel:
+        slow = [threading.Thread(target=asked, args=(panel, "/press/slow", "POST")) for _ in range(60)]
+        for each in slow:
+            each.start()
+        assert asked(panel, "/stop", "POST")[0] == 200 and stopped.is_set()
+        leave.set()
+        for each in slow:
+            each.join()
+
+
+def test_a_picture_is_encoded_once_however_many_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    monkeypatch.setattr(view, "_encoded", lambda image: made.append(1) or b"png")
+    board = Board(preview=np.zeros((4, 4), np.uint8))
+    with Panel(board, page=False) as panel:
+        first = json.loads(asked(panel, "/state")[1])["pictures"]
+        for _ in range(20):
+            assert asked(panel, "/picture/projector%201")[:2] == (200, b"png")
+        assert len(made) == 1
+        board.show(preview=np.zeros((4, 4), np.uint8))
+        assert json.loads(asked(panel, "/state")[1])["pictures"] != first
+        asked(panel, "/picture/projector%201")
+        assert len(made) == 2 and asked(panel, "/picture/camera")[0] == 404
+
+
+def test_many_pages_look_less_often() -> None:
+    now = [0.0]
+    pace = Pace(lambda: now[0])
+    assert pace.look() == 0.25
+    for _ in range(20):  # 200 pages that do as they are told
+        now[0] += pace.wait / 200
+        for _ in range(200 * 4):
+            now[0] += pace.wait / 200
+            pace.look()
+    assert 4.0 < pace.wait < 6.0
+    for _ in range(100):  # one that is left
+        now[0] += pace.wait
+        pace.look()
+    assert pace.wait == 0.25
+
+
+def test_the_curve_keeps_its_last_reading() -> None:
+    readings = [ScatterReading(float(k), k / 10, False) for k in range(1001)]
+    with Panel(Board(scatter=readings, threshold=0.35), page=False) as panel:
+        told = json.loads(asked(panel, "/scatter")[1])
+    assert told["threshold"] == 0.35 and len(told["points"]) <= 400 and told["points"][-1] == [1000.0, 100.0]
+
+
+def test_no_page_looks_so_seldom_that_it_is_blind() -> None:
+    now = [0.0]
+    pace = Pace(lambda: now[0])
+    for _ in range(10_000):
+        now[0] += 0.001
+        pace.look()
+    assert pace.wait == LONGEST
+
+
+def test_a_program_that_asks_without_a_pause_slows_no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[str] = []
+    monkeypatch.setattr(Pace, "look", lambda self: looks.append("look") or self.wait)
+    with Panel(Board(), page=False) as panel:
+        assert [json.loads(asked(panel, "/state")[1])["wait"] for _ in range(3)] == [0.25] * 3 and not looks
+        asked(panel, "/state?page")
+    assert looks == ["look"]
+
+
+@pytest.mark.parametrize("error", [None, DeviceError("the motor stalled")])
+def test_the_page_outlives_its_print(monkeypatch: pytest.MonkeyPatch, error: DeviceError | None) -> None:
+    from vamgpu.cli import print as command
+
+    waited: list[bool] = []
+    monkeypatch.setattr(command, "_wait", lambda screen: waited.append(True))
+    with nullcontext() if error is None else pytest.raises(DeviceError), command._outlived(Console(quiet=True)):
+        if error is not None:
+            raise error
+    assert waited == [True]
+
+
+def test_prints_of_the_past_are_told(tmp_path: Path) -> None:
+    for number, state in enumerate((PrintState.COMPLETE, PrintState.ERROR)):
+        with RunFolder.begin(tmp_path / f"{number}.run", {"jobs": ["some/boat.vam"]}, "") as folder:
+            folder.event("segment", 0)
+            folder.state(StateChange(PrintState.PRINTING, state, f"why {number}"))
+        os.utime(folder.path / "state.json", (number, number))
+    (tmp_path / "0.run" / "report.html").write_text("<p>proof")
+    (tmp_path / "0.run" / "rig.toml").write_text("secret")
+    (tmp_path / "torn.run").mkdir()
+    (tmp_path / "torn.run" / "state.json").write_text("{")
+    with Panel(Board(), page=False, runs=tmp_path, run="0.run") as panel:
+        told = json.loads(asked(panel, "/history")[1])
+        assert [(each["name"], each["job"], each["state"]) for each in told] == [
+            ("1.run", "boat.vam", "error"), ("0.run", "boat.vam", "complete"),
+        ]  # fmt: skip
+        assert told[1]["reports"] == ["report.html"] and told[0]["message"] == "why 1" and told[0]["seconds"] >= 0
+        status, body, _ = asked(panel, "/runs/0.run/report.html")
+        assert (status, body) == (200, b"<p>proof")
+        for path in (
+            "0.run/rig.toml",
+            "1.run/report.html",
+            "../report.html",
+            "..%2f0.run/report.html",
+            "x/report.html",
+        ):
+            assert asked(panel, f"/runs/{path}")[0] == 404
 
 
 def test_all_stops_are_called_though_one_fails() -> None:
@@ -99,16 +270,43 @@ def test_all_stops_are_called_though_one_fails() -> None:
 
 
 def test_beyond_this_machine_a_token_is_needed() -> None:
-    with Panel(Board(), host="0.0.0.0", page=False) as panel:
+    with Panel(Board(), host="0.0.0.0") as panel:
         assert panel.token and len(panel.token) >= 24 and panel.token in panel.url
-        for path in ("/", "/state", "/state?token=wrong", "/_nicegui/x"):
-            assert asked(panel, path)[0] == 403
+        for path in ("/", "/state", "/page.js", f"/state?token={panel.token}"):
+            assert asked(panel, path)[0] == 403, "a token is taken at the page alone"
         assert asked(panel, "/stop", "POST")[0] == 403
-        status, _, cookie = asked(panel, f"/state?token={panel.token}")
-        assert status == 200 and "HttpOnly" in cookie and "SameSite=Strict" in cookie
-        assert asked(panel, "/state", Cookie=cookie.split(";")[0])[0] == 200
+        status, body, cookie = asked(panel, f"/?token={panel.token}")
+        assert status == 200 and b'url=/"' in body and panel.token.encode() not in body and panel.token not in cookie
+        assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
+        known = {"Cookie": cookie.split(";")[0]}
+        assert asked(panel, "/state", **known)[0] == 200
+        assert asked(panel, "/state", Authorization=f"Bearer {panel.token}")[0] == 200
+        assert asked(panel, "/state", Host=f"evil.example:{panel.port}", **known)[0] == 403
+        assert asked(panel, "/stop", "POST", Origin="http://evil.example", **known)[0] == 403
+        assert asked(panel, "/stop", "POST", Origin="null", **known)[0] == 403
+        assert asked(panel, "/stop", "POST", Origin=f"http://127.0.0.1:{panel.port}", **known)[0] == 200
     with pytest.raises(BadInput, match="16 characters"):
         Panel(Board(), token="short")
+
+
+def test_tokens_are_not_guessed_and_an_open_page_is_not_locked_out() -> None:
+    with Panel(Board(), token="a token of the lab") as panel:
+        known = {"Cookie": asked(panel, "/?token=a%20token%20of%20the%20lab")[2].split(";")[0]}
+        tried = [asked(panel, f"/?token=wrong{number}")[0] for number in range(door.WRONG + 1)]
+        assert tried == [403] * door.WRONG + [429]
+        assert asked(panel, "/state", Authorization="Bearer a token of the lab")[0] == 429
+        assert asked(panel, "/stop", "POST", **known)[0] == 200
+
+
+def test_every_answer_keeps_other_sites_out() -> None:
+    with Panel(Board()) as panel:
+        for path, headers in (("/", {}), ("/state", {}), ("/nothing", {}), ("/", {"Host": "evil.example"})):
+            line = http.client.HTTPConnection("127.0.0.1", panel.port)
+            line.request("GET", path, headers=headers)
+            given = line.getresponse()
+            policy = given.getheader("content-security-policy") or ""
+            assert "frame-ancestors 'none'" in policy and "unsafe" not in policy and "default-src 'none'" in policy
+            assert given.getheader("x-frame-options") == "DENY" and given.getheader("referrer-policy") == "no-referrer"
 
 
 def test_other_sites_are_kept_out_on_loopback() -> None:

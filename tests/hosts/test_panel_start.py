@@ -10,9 +10,9 @@ import pytest
 import uvicorn
 
 from vamgpu.errors import DeviceError
-from vamgpu.hosts import panel as panels
-from vamgpu.hosts.board import Board
 from vamgpu.hosts.panel import Panel
+from vamgpu.hosts.panel import server as panels
+from vamgpu.hosts.state import Board
 
 
 def refused(why: str) -> None:

@@ -1,4 +1,7 @@
-"""A print that is stopped from its live page, or over the network: the light is out within a lease of the press."""
+"""A print that is stopped from its live page, or over the network: it is dark before the stop has returned.
+
+Times are those of the emulated rig, in the process of the print: a busy machine brings the press later, not the dark.
+"""
 
 from __future__ import annotations
 
@@ -18,36 +21,44 @@ import numpy as np
 import pytest
 
 from vamgpu.hosts.record import read_run
-from vamgpu.hosts.safety.lease import DEFAULT_LENGTH
-from vamgpu.hosts.state import State
+from vamgpu.hosts.state import PrintState
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 
 HOST = """
-    import json, sys, time
-    from vamgpu.hosts.board import Board
-    from vamgpu.hosts.panel import Panel
+    import json, sys
+    from vamgpu.hosts.panel import server as panels
+    from vamgpu.hosts.state import Board
     from vamgpu.hosts.rig import carry_out, plan, rehearsal
     from vamgpu.hosts.rigs.config import read_rig
 
-    planned = plan(sys.argv[1], read_rig("emulated"), speed=40)
+    panels.STARTING = 200.0
+    planned = plan(sys.argv[1], read_rig("emulated", ["safety.lease=1 s"]), speed=40, turns=20)
     board = Board(job="part")
-    with Panel(board) as panel:
+    with panels.Panel(board) as panel:
         print(panel.url, flush=True)
         sys.stdin.readline()
-        stand = rehearsal(planned, paced=True)
-        state, _ = carry_out(planned, stand.machines, sys.argv[2], board)
-        stand.bench.clock.sleep(500_000_000)
-        zero = time.monotonic_ns() - stand.bench.clock.now()
-        lit = [(start + zero, end + zero) for start, end, *_ in stand.bench.controller.intervals]
-        print(json.dumps({"state": state.value, "lit": lit, "light": stand.bench.controller.light}), flush=True)
+        rig = rehearsal(planned, paced=True)
+        emulated, stop, stops = rig.emulated, board.stop, []
+
+        def noted(why):
+            stops.append(emulated.clock.now())
+            stop(why)
+            stops.append(emulated.clock.now())
+
+        board.stop = noted
+        state, _ = carry_out(planned, rig.machines, sys.argv[2], board)
+        emulated.clock.sleep(1_500_000_000)
+        lit = [(start, end) for start, end, *_ in emulated.controller.intervals]
+        seen = {"state": state.value, "lit": lit, "light": emulated.controller.light, "stops": stops}
+        print(json.dumps(seen), flush=True)
         sys.stdin.readline()
 """
 
 
 class Host:
-    """A process that prints on emulated machines in real time, each picture lit for a quarter of a second."""
+    """A process that prints on emulated machines in real time, each preview lit for a quarter of a second."""
 
     def __init__(self, folder: Path) -> None:
         images = np.full((36, 6, 10), 255, np.uint8)
@@ -65,16 +76,15 @@ class Host:
 
     def line(self, method: str, path: str) -> Any:
         """Ask its server."""
-        line = http.client.HTTPConnection(self.url.split("/")[2], timeout=20)
+        line = http.client.HTTPConnection(self.url.split("/")[2], timeout=30)
         line.request(method, path)
         return json.loads(line.getresponse().read())
 
     def prints(self, slots: int) -> None:
-        """Wait until so many pictures were shown and the light is on."""
-        end = time.monotonic() + 30
+        """Wait until so many previews were shown and the light is on."""
         while not ((now := self.line("GET", "/state"))["light"] and now["slot"] >= slots):
-            assert time.monotonic() < end, now
             time.sleep(0.02)
+            assert self.process.poll() is None and now["state"] in ("standby", "printing"), now
 
 
 @pytest.fixture
@@ -87,50 +97,48 @@ def host(tmp_path: Path) -> Iterator[Host]:
         made.process.wait()
 
 
-def stopped(host: Host, press: Callable[[], int]) -> None:
-    """Print, press, and hold what the emulated lamp did against when it was pressed [ns]."""
+def stopped(host: Host, press: Callable[[], None]) -> None:
+    """Print, press, and compare what the emulated lamp did with when the stop began and returned [ns]."""
     host.stdin.write("print\n")
     host.prints(3)
-    pressed = press()
-    told = json.loads(host.stdout.readline())
-    assert told["state"] == "cancelled" and not told["light"]
-    (start, dark), lit = told["lit"][-1], [end - start for start, end in told["lit"]]
-    after = dark - pressed
-    assert start < pressed + DEFAULT_LENGTH and after <= DEFAULT_LENGTH, f"light {after / 1e6:.1f} ms after the press"
+    press()
+    seen = json.loads(host.stdout.readline())
+    assert seen["state"] == "cancelled" and not seen["light"]
+    (began, returned), lit = seen["stops"], [end - start for start, end in seen["lit"]]
+    dark = seen["lit"][-1][1]
+    assert dark <= returned, f"light {(dark - began) / 1e6:.1f} ms after the stop began, which had returned"
     run = read_run(host.run)
-    assert run.state is State.CANCELLED and run.shown["slot"].tolist() == list(range(len(run.shown)))
+    assert run.state is PrintState.CANCELLED and run.shown["slot"].tolist() == list(range(len(run.shown)))
     on, slack = int(run.shown["on_time"][0]), 20_000_000
     assert len(lit) >= 4 and min(lit[:-1]) > on - slack and max(lit) < on + slack, "none was cut but the last"
     assert len(run.shown) in (len(lit), len(lit) - 1), "what was lit was written down, but for one that was cut"
 
 
+@pytest.mark.slow
 def test_a_stop_over_the_network(host: Host) -> None:
-    def press() -> int:
-        at = time.monotonic_ns()
+    def press() -> None:
         assert not host.line("POST", "/stop")["light"], "it answers when it is dark"
-        return at
 
     stopped(host, press)
-    assert read_run(host.run).message == "emergency stop over the network"
+    assert read_run(host.run).message == "emergency stop at the panel"
 
 
+@pytest.mark.slow
 def test_the_button_of_a_page_opened_before_the_print(host: Host) -> None:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as tools:
-        page = tools.chromium.launch(executable_path=needs.browser(), args=["--no-sandbox", "--disable-gpu"]).new_page()
+        page = needs.page(tools)
         page.goto(host.url)
         page.get_by_test_id("state").get_by_text("standby").wait_for()
         assert page.get_by_test_id("pause").count() == 0
-        page.evaluate("addEventListener('click', event => window.pressed = Date.now(), {capture: true})")
 
-        def press() -> int:
+        def press() -> None:
             page.get_by_test_id("pause").wait_for()
             page.get_by_test_id("cancel").wait_for()
             page.get_by_test_id("stop").click()
-            between = time.time_ns() - time.monotonic_ns()
-            return int(page.evaluate("window.pressed")) * 1_000_000 - between
 
         stopped(host, press)
         page.get_by_test_id("light").get_by_text("off").wait_for()
-        assert page.get_by_test_id("state").inner_text() == "cancelled: emergency stop at the panel"
+        page.get_by_test_id("state").get_by_text("cancelled").wait_for()  # the lamp is told before the print
+        page.get_by_test_id("message").get_by_text("emergency stop at the panel").wait_for()

@@ -13,7 +13,7 @@ import pytest
 
 from vamgpu.backend.device import Device
 from vamgpu.backend.opencl import OpenclDevice
-from vamgpu.hosts.pictures.pinned import Buffers, buffers
+from vamgpu.hosts.frames.buffers import PinnedBuffers, pinned_buffers
 
 SHAPE = (3, 8, 5, 16)
 
@@ -30,7 +30,7 @@ def maps_of(owner: Any) -> int:
 
 
 def test_memory_is_locked_for_a_gpu_and_whole_pages_otherwise(device: Device) -> None:
-    with buffers(2, SHAPE, device) as made:
+    with pinned_buffers(2, SHAPE, device) as made:
         kind = wanted(device)
         assert made.locked == (kind != "pages") and len(made) == 2
         for array, owner in zip(made, made.owners, strict=True):
@@ -47,7 +47,7 @@ def test_memory_is_locked_for_a_gpu_and_whole_pages_otherwise(device: Device) ->
 def test_a_device_reads_into_them_again_and_again(device: Device) -> None:
     levels = np.arange(np.prod(SHAPE), dtype=np.uint8).reshape(SHAPE)
     table = device.upload(levels, table=True)
-    with buffers(2, SHAPE, device) as made:
+    with pinned_buffers(2, SHAPE, device) as made:
         addresses = [array.ctypes.data for array in made]
         for array in (*made, *made):
             array[...] = 0
@@ -57,7 +57,7 @@ def test_a_device_reads_into_them_again_and_again(device: Device) -> None:
 
 
 def test_memory_goes_with_the_last_view(device: Device) -> None:
-    made = buffers(1, SHAPE, device)
+    made = pinned_buffers(1, SHAPE, device)
     kind, owner = wanted(device), made.owners[0]
     view = made[0][1:, :2]
     made.close()
@@ -84,7 +84,7 @@ def test_memory_goes_with_the_last_view(device: Device) -> None:
 
 
 def test_opencl_buffers_are_freed_after_they_are_unmapped(opencl_device: Device) -> None:
-    made = buffers(1, SHAPE, opencl_device)
+    made = pinned_buffers(1, SHAPE, opencl_device)
     if not made.locked:
         assert isinstance(made.owners[0], mmap.mmap)
         return
@@ -98,7 +98,7 @@ def test_opencl_buffers_are_freed_after_they_are_unmapped(opencl_device: Device)
 
 @pytest.mark.parametrize("count", [0, 3])
 def test_without_a_device_they_are_pages(count: int) -> None:
-    made = buffers(count, (2, 3))
-    assert isinstance(made, Buffers) and not made.locked
+    made = pinned_buffers(count, (2, 3))
+    assert isinstance(made, PinnedBuffers) and not made.locked
     assert len({array.ctypes.data for array in made}) == count
     assert made[1:] == tuple(made)[1:]

@@ -1,19 +1,21 @@
-"""Bit planes of pictures wider than eight blocks, where processors write whole lines of the cache, and their sums."""
+"""Bit planes of frames wider than eight blocks, where processors write whole lines of the cache, and their sums."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import numpy as np
 import pytest
 
 import vamgpu
 from vamgpu.backend.device import Device
-from vamgpu.kernels.planes import pick_pictures, split_planes, strips_for, strips_of
+from vamgpu.kernels.planes import pick_frames, split_planes, strips_for, strips_of
 
 RNG = np.random.default_rng(3)
 
 
 def split(device: Device, lines: int, columns: int, rows: int, width: int, left: int, strips: int) -> tuple:
-    """Planes and sums of four pictures, of which one is white: sums must not overflow."""
+    """Planes and sums of four frames, of which one is white: sums must not overflow."""
     images = np.random.default_rng(columns).integers(0, 256, (4, lines, columns), dtype=np.uint8)
     images[0] = 255
     masks = np.random.default_rng(left).integers(0, 256, (2, columns), dtype=np.uint8)
@@ -24,6 +26,11 @@ def split(device: Device, lines: int, columns: int, rows: int, width: int, left:
     tables = {"images": device.upload(images, table=True), "masks": device.upload(masks, table=True)}
     device.launch(split_planes, **tables, chosen=chosen, top=rows - lines, left=left, packed=packed, sent=sent)
     return packed.numpy(), sent.numpy()
+
+
+@cache
+def defined(*sizes: int) -> tuple:
+    return split(vamgpu.open_device("numpy"), *sizes)
 
 
 @pytest.mark.parametrize(
@@ -40,7 +47,7 @@ def split(device: Device, lines: int, columns: int, rows: int, width: int, left:
 def test_planes_and_sums(
     fast_device: Device, lines: int, columns: int, rows: int, width: int, left: int, strips: int
 ) -> None:
-    wanted = split(vamgpu.open_device("numpy"), lines, columns, rows, width, left, strips)
+    wanted = defined(lines, columns, rows, width, left, strips)
     got = split(fast_device, lines, columns, rows, width, left, strips)
     assert np.array_equal(got[0], wanted[0])
     assert np.array_equal(got[1], wanted[1])
@@ -67,13 +74,13 @@ def picked(device: Device, own: tuple[int, int], size: tuple[int, int], top: int
     tables = {"images": images, "masks": masks}
     tables |= {"chosen": np.array([[2, 0], [0, 1]], np.int32), "picked": np.full((2, *size), 77, np.uint8)}
     held = {name: device.upload(table, table=True) for name, table in tables.items()}
-    device.launch(pick_pictures, **held, top=top, left=left)
+    device.launch(pick_frames, **held, top=top, left=left)
     return held["picked"].numpy()
 
 
 @pytest.mark.parametrize("own", [(5, 7), (1, 1), (9, 40)])
 @pytest.mark.parametrize("size", [(5, 7), (12, 50), (3, 4), (4, 0)])
-def test_pictures_are_picked_into_any_place(fast_device: Device, own: tuple[int, int], size: tuple[int, int]) -> None:
+def test_frames_are_picked_into_any_place(fast_device: Device, own: tuple[int, int], size: tuple[int, int]) -> None:
     for top, left in ((0, 0), (2, 3), (0, size[1]), (size[0] + 1, size[1] + 9)):
         wanted = picked(vamgpu.open_device("numpy"), own, size, top, left)
         assert np.array_equal(picked(fast_device, own, size, top, left), wanted), (top, left)

@@ -14,17 +14,17 @@ from vamgpu.cli import main
 from vamgpu.curethrough.images import encode
 from vamgpu.curethrough.output import RECORD
 from vamgpu.errors import BadInput, JobError, SliceError, StorageError, TimingInfeasible, VamError
-from vamgpu.hosts.pictures.sources import RunSource
-from vamgpu.hosts.pictures.stream import Mirrors, PackedSource, WebPictures, source
+from vamgpu.hosts.frames.packer import DevicePacker, packer
+from vamgpu.hosts.frames.sources import MirrorArray, WebFrames
 from vamgpu.hosts.players.turning import STEP
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.rig import Rehearsal, carry_out, player, rehearsal
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig, read_rig
-from vamgpu.hosts.rigs.planning import Plan, plan
+from vamgpu.hosts.rigs.planning import PrintPlan, plan
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.schedule import NONE
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import State
+from vamgpu.hosts.state import PrintState
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
 from vamgpu.printing.focus import FocusMasks
@@ -44,9 +44,10 @@ ALP = """
 name = "lab"
 machine = "any"
 [controller]
-driver = "vam-controller"
 port = "/dev/ttyACM0"
-[[projector]]
+[motion]
+driver = "controller"
+[[display]]
 driver = "alp"
 library = "libalpD43.so"
 """
@@ -57,10 +58,10 @@ machine = "vial"
 [controller]
 driver = "vam-controller"
 port = "/dev/ttyACM0"
-[projector]
-driver = "hdmi"
+[display]
+driver = "video"
 size = [8, 12]
-[stage]
+[motion]
 driver = "zaber"
 port = "/dev/ttyUSB0"
 """
@@ -78,7 +79,9 @@ def vial(path: Path, seed: int = 4, images: int = 36, bits: int = 8) -> Path:
     return save_frames(path, frames).path
 
 
-def web(path: Path, masks: FocusMasks | None = MASKS, poses: int = POSES, complete: bool = True) -> Path:
+def web(
+    path: Path, masks: FocusMasks | None = MASKS, poses: int = POSES, complete: bool = True, speed: float | None = None
+) -> Path:
     """A web of two segments, whose frames are of chance."""
     columns, rows = BEAM.pixels
     details = {
@@ -86,6 +89,7 @@ def web(path: Path, masks: FocusMasks | None = MASKS, poses: int = POSES, comple
         "beam": {"pixels": [columns, rows], "pitch": BEAM.pitch},
         "wrap": described(ROLLER),
         "frames": {"bits": 8, "gray": GrayCurve.linear().describe(), "scale": 1.0, "focus": described_focus(masks)},
+        "speed": speed,
     }
     folder = WebFolder.create(path, details, (rows, columns), (4, 6), (poses // 2, 4))
     images = np.random.default_rng(6).integers(0, 256, (poses, rows, columns), dtype=np.uint8)
@@ -98,8 +102,8 @@ def web(path: Path, masks: FocusMasks | None = MASKS, poses: int = POSES, comple
 def slices(path: Path, **machine: float) -> Path:
     path.mkdir()
     levels = np.random.default_rng(7).integers(0, 256, (20, 5, 9), dtype=np.uint8)
-    for number, picture in enumerate(levels):
-        (path / f"slice_{number:03d}.png").write_bytes(encode(picture, ".png"))
+    for number, frame in enumerate(levels):
+        (path / f"slice_{number:03d}.png").write_bytes(encode(frame, ".png"))
     (path / RECORD).write_text(json.dumps({"machine": machine}))
     return path
 
@@ -107,14 +111,14 @@ def slices(path: Path, **machine: float) -> Path:
 CONTINUOUS = {"slice_height": 0.05, "speed": 1000 / 3600}
 
 
-def rehearsed(path: Path, planned: Plan, greatest: float = 1e-6) -> Rehearsal:
+def rehearsed(path: Path, planned: PrintPlan, greatest: float = 1e-6) -> Rehearsal:
     """A rehearsal that shows every byte in its place."""
     stand = rehearsal(planned)
-    assert carry_out(planned, stand.machines, path)[0] is State.COMPLETE
+    assert carry_out(planned, stand.machines, path)[0] is PrintState.COMPLETE
     shown = read_run(path).shown
     assert len(shown) == len(planned.schedule) * planned.schedule.engines and not shown["dark"].any()
-    verdict = stand.witness.verdict()
-    assert verdict.pictures == planned.schedule.frames * len(planned.works)
+    verdict = stand.monitor.verdict()
+    assert verdict.frames == planned.schedule.frames * len(planned.jobs)
     assert verdict.greatest < greatest and verdict.beside < 1e-9, verdict
     return stand
 
@@ -125,8 +129,16 @@ def test_a_web_is_cut_among_its_focus_planes(tmp_path: Path) -> None:
     slope = np.diff(MASKS.planes) / np.diff(planned.focus)
     assert slope == pytest.approx(-1.33 * 200.0**2 * 1e-3, rel=1e-3), "of the relays, in the bath"
     stand = rehearsed(tmp_path / "run", planned)
-    assert len(stand.bench.chamber.light) <= 3, "poses that are over are forgotten"
+    assert len(stand.emulated.chamber.light) <= 3, "poses that are over are forgotten"
     assert dict(planned.lines())["focus planes"].startswith("3 at ")
+
+
+def test_a_web_that_was_moved_knows_its_speed(tmp_path: Path) -> None:
+    made = web(tmp_path / "web.vam", speed=0.9)
+    moved = made.rename(tmp_path / "other name")
+    assert float(plan(moved, read_rig("emulated")).schedule.speed) == pytest.approx(0.9)
+    with pytest.raises(BadInput, match="does not say how fast"):
+        plan(web(tmp_path / "silent.vam"), read_rig("emulated"))
 
 
 def test_a_web_of_one_focus_wants_no_lens(tmp_path: Path) -> None:
@@ -135,30 +147,39 @@ def test_a_web_of_one_focus_wants_no_lens(tmp_path: Path) -> None:
     rehearsed(tmp_path / "run", planned)
 
 
-class Shifted:
-    """Pictures as they would be one slot later."""
+def test_a_lens_that_the_host_tells_has_one_focus(tmp_path: Path) -> None:
+    told = parse_rig(ALP + LENS + 'told_by = "host"\n')
+    with pytest.raises(BadInput, match="among 3 planes in time with its frames"):
+        plan(web(tmp_path / "web.vam"), told, speed=0.8)
+    planned = plan(web(tmp_path / "one.vam", None), told, speed=0.8)
+    bare = plan(tmp_path / "one.vam", parse_rig(ALP), speed=0.8)
+    assert len(planned.focus) <= 1 and (planned.schedule.on == bare.schedule.on).all(), "no time for its settling"
 
-    def __init__(self, pictures: Any) -> None:
-        self._pictures = pictures
+
+class Shifted:
+    """Frames as they would be one slot later."""
+
+    def __init__(self, frames: Any) -> None:
+        self._sources = frames
 
     def levels(self, numbers: np.ndarray) -> np.ndarray:
-        return self._pictures.levels(np.maximum(numbers - 1, 0))
+        return self._sources.levels(np.maximum(numbers - 1, 0))
 
 
 @pytest.mark.parametrize("make", [vial, web])
 def test_a_shift_by_one_slot_is_seen(tmp_path: Path, make: Callable[[Path], Path]) -> None:
     planned = plan(make(tmp_path / "job.vam"), read_rig("emulated"), speed=0.8 if make is web else 40)
     stand = rehearsal(planned)
-    stand.witness._pictures = tuple(map(Shifted, stand.witness._pictures))
+    stand.monitor._sources = tuple(map(Shifted, stand.monitor._sources))
     carry_out(planned, stand.machines, tmp_path / "run")
-    assert stand.witness.verdict().greatest > 0.5
+    assert stand.monitor.verdict().greatest > 0.5
 
 
-def test_webs_are_the_same_bytes_from_the_device_and_the_host(tmp_path: Path) -> None:
+def test_webs_are_the_same_bytes_from_the_device_and_the_host(tmp_path: Path, processor: str) -> None:
     from vamgpu.backend import open_device
 
     folder = WebFolder.open(web(tmp_path / "web.vam"))
-    mirrors, numbers = Mirrors(8, 128, 16), np.array([7, NONE, 131, 132, 269, 0])
+    mirrors, numbers = MirrorArray(8, 128, 16), np.array([7, NONE, 131, 132, 269, 0])
     asked: list[int] = []
 
     def read(low: int, high: int) -> np.ndarray:
@@ -166,13 +187,13 @@ def test_webs_are_the_same_bytes_from_the_device_and_the_host(tmp_path: Path) ->
         return folder.read("frames", low, high)
 
     shape = (8, 8, 16)
-    host = source(WebPictures(read, POSES, mirrors, MASKS), shape, 3 * POSES, 8)
-    assert isinstance(host, PackedSource)
+    host = packer(WebFrames(read, POSES, mirrors, MASKS), shape, 3 * POSES, 8)
+    assert not isinstance(host, DevicePacker)
     one, outs = np.full((8, *shape), 9, np.uint8), []
     host.read(numbers, one)
-    for name in ("numpy", "opencl:pocl:0"):
-        made = source(WebPictures(read, POSES, mirrors, MASKS, open_device(name)), shape, 3 * POSES, 8)
-        assert isinstance(made, RunSource)
+    for name in ("numpy", processor):
+        made = packer(WebFrames(read, POSES, mirrors, MASKS, open_device(name)), shape, 3 * POSES, 8)
+        assert isinstance(made, DevicePacker)
         outs.append(np.full((8, *shape), 9, np.uint8))
         made.read(numbers, outs[-1])
     assert np.array_equal(one, outs[0]) and np.array_equal(one, outs[1])
@@ -186,7 +207,7 @@ def test_two_colors_are_printed_in_step(tmp_path: Path) -> None:
     assert planned.schedule.engines == 2 and len(planned.schedule) == 72
     stand = rehearsed(tmp_path / "run", planned)
     for engine in (0, 1):
-        frames = planned.works[engine].frames
+        frames = planned.jobs[engine].frames
         assert frames is not None
         assert np.array_equal(stand.seen(planned, engine).images.numpy(), frames.images.numpy())
 
@@ -205,9 +226,9 @@ def test_a_vial_before_a_video_projector(tmp_path: Path) -> None:
     planned = plan(vial(tmp_path / "part.vam", images=60), parse_rig(HDMI), rehearsed=True)
     assert planned.display is not None and (planned.schedule.unit, len(planned.schedule)) == ("deg", 60)
     stand = rehearsal(planned)
-    assert carry_out(planned, stand.machines, tmp_path / "run")[0] is State.COMPLETE
-    verdict = stand.witness.verdict()
-    assert verdict.pictures == 60 and verdict.greatest < STEP / 3, "as far as the stage is in step with the cable"
+    assert carry_out(planned, stand.machines, tmp_path / "run")[0] is PrintState.COMPLETE
+    verdict = stand.monitor.verdict()
+    assert verdict.frames == 60 and verdict.greatest < STEP / 3, "as far as the stage is in step with the cable"
 
 
 def test_one_bit(tmp_path: Path) -> None:
@@ -226,16 +247,16 @@ def test_another_host_goes_on_where_one_died(tmp_path: Path) -> None:
             begun.player.wait()
             assert begun.step()
         begun.guard._release_process()  # the host is gone: nobody leaves the guard
-    stand.bench.clock.sleep(SECOND)
-    stand.bench.alps[0].forsake()
-    again = stand.bench.machines(stand.bench.microsteps / float(planned.schedule.advance))
+    stand.emulated.clock.sleep(SECOND)
+    stand.emulated.alps[0].forsake()
+    again = stand.emulated.machines(stand.emulated.microsteps / float(planned.schedule.advance))
     other = plan(tmp_path / "web.vam", read_rig("emulated"), speed=0.7)
     with pytest.raises(BadInput, match="another print, with speed"):
         carry_out(other, again, place, resume=True)
-    assert carry_out(planned, again, place, resume=True)[0] is State.COMPLETE
+    assert carry_out(planned, again, place, resume=True)[0] is PrintState.INCOMPLETE, "its last frames are in doubt"
     assert read_run(place).shown["slot"].tolist() == list(range(270))
-    verdict = stand.witness.verdict()
-    assert verdict.pictures == 270 and verdict.beside < 1e-9, "every picture through its own focus"
+    verdict = stand.monitor.verdict()
+    assert verdict.frames == 270 and verdict.beside < 1e-9, "every frame through its own focus"
 
 
 def lab(text: str = ALP, **changes: str) -> RigConfig:
@@ -248,7 +269,7 @@ def test_jobs_that_do_not_fit_the_rig_are_told(tmp_path: Path) -> None:
     part, film = vial(tmp_path / "part.vam"), web(tmp_path / "web.vam")
     cone = slices(tmp_path / "cone", **CONTINUOUS)
     again = vial(tmp_path / "again.vam", images=40)
-    dual = lab(ALP + '[[projector]]\ndriver = "alp"\nlibrary = "libalpD43.so"\nserial = 7\n')
+    dual = lab(ALP + '[[display]]\ndriver = "alp"\nlibrary = "libalpD43.so"\nserial = 7\n')
     cases: tuple[tuple[Any, RigConfig, dict[str, Any], type[VamError], str], ...] = (
         (film, lab(machine="vial"), {"speed": 0.8}, BadInput, "prints vials, .* is for webs"),
         (part, lab(machine="slices"), {}, BadInput, "prints slices"),
@@ -292,16 +313,15 @@ def test_folders_that_cannot_be_printed_are_told(tmp_path: Path) -> None:
 
 def test_rigs_that_cannot_be_are_told() -> None:
     for text, why in (
-        (ALP + '[stage]\ndriver = "zaber"\nport = "/dev/x"\n', "motor that the controller itself moves"),
-        (ALP + 'refresh = "60 Hz"\n', 'driver "alp" takes no refresh'),
+        (ALP + 'refresh = "60 Hz"\n', "refresh: unknown key"),
         (ALP + "serail = 3\n", "did you mean 'serial'"),
         (ALP + LENS + "lowest = 9.0\n", "lowest below highest"),
-        (HDMI.replace('machine = "vial"', 'machine = "web"'), "prints vials"),
-        (HDMI[: HDMI.index("[stage]")], r"wanted a table \[stage\]"),
-        (HDMI + LENS, "want no lens"),
+        (HDMI.replace('machine = "vial"', 'machine = "slices"'), "prints vials and webs"),
+        (HDMI[: HDMI.index("[motion]")], "a stage, whose angle chooses"),
+        (HDMI + LENS, "takes no lens"),
         (HDMI.replace("size = [8, 12]", 'order = ["green", "green"]'), "each once"),
-        (HDMI.replace("[projector]", '[[projector]]\ndriver = "hdmi"\n[[projector]]'), "one projector"),
-        (ALP.replace("[[projector]]", "[other]"), "projector is missing"),
+        (HDMI.replace("[display]", '[[display]]\ndriver = "video"\n[[display]]'), "one projector"),
+        (ALP.replace("[[display]]", "[other]"), "display is missing"),
     ):
         with pytest.raises(JobError, match=why):
             parse_rig(text)
@@ -317,7 +337,7 @@ def test_the_command_prints_each_kind(tmp_path: Path, capsys: pytest.CaptureFixt
     ):  # fmt: skip
         assert main(["print", *jobs, "--out", str(tmp_path / f"{len(list(tmp_path.iterdir()))}.run")]) == 0
         told = capsys.readouterr().out
-        assert "complete: " in told and "pictures differ from their frames by" in told
+        assert "complete: " in told and "frames differ in the resin from the job by" in told
     assert main(["print", film, "--rig", "emulated"]) == 1
     assert "how fast" in capsys.readouterr().err
     assert main(["print", film, "--rig", "emulated", "--speed", "1", "--resume", str(tmp_path)]) == 1

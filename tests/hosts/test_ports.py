@@ -14,12 +14,11 @@ from vamgpu.errors import BadInput, DeviceBusy, DeviceNotFound, WrongDevice
 from vamgpu.hosts.drivers.camera import GenicamCamera
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
-from vamgpu.hosts.drivers.lens import TunableLens
+from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.drivers.projector import PygletWindow
 from vamgpu.hosts.drivers.scpi import PowerMeter
-from vamgpu.hosts.drivers.standa import StandaStage
+from vamgpu.hosts.drivers.stages import StandaStage, ZaberStage
 from vamgpu.hosts.drivers.wire import open_wire
-from vamgpu.hosts.drivers.zaber import ZaberStage
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.servers import PtyServer, TcpServer
@@ -27,7 +26,7 @@ from vamgpu.hosts.emulators.servers import PtyServer, TcpServer
 
 def test_a_missing_machine_is_an_error_that_says_what_to_check() -> None:
     for open_it in (
-        lambda: TunableLens.open("/dev/no-such-port"),
+        lambda: LensDriver.open("/dev/no-such-port"),
         lambda: Controller.open("/dev/no-such-port"),
         lambda: ZaberStage.open("socket://127.0.0.1:1", 100.0),
         lambda: PowerMeter.open("usbtmc:/dev/no-such-meter"),
@@ -51,7 +50,7 @@ def test_a_port_has_one_user() -> None:
 
 def test_another_machine_on_the_port_is_told() -> None:
     with PtyServer(EmulatedController()) as server, pytest.raises(WrongDevice):
-        TunableLens.open(server.url, timeout_s=0.05)
+        LensDriver.open(server.url, timeout_s=0.05)
     with PtyServer(EmulatedLens()) as server, pytest.raises(WrongDevice):
         Controller.open(server.url, timeout_s=0.05)
     with TcpServer(EmulatedLens()) as server, pytest.raises(WrongDevice):
@@ -62,7 +61,8 @@ def test_no_driver_imports_what_it_does_not_use() -> None:
     code = (
         "import sys, pkgutil, importlib, vamgpu.hosts.drivers as d\n"
         "for m in pkgutil.iter_modules(d.__path__): importlib.import_module(d.__name__ + '.' + m.name)\n"
-        "bad = {'serial', 'pyglet', 'harvesters', 'libximc', 'vamgpu.hosts.emulators'} & set(sys.modules)\n"
+        "bad = {'serial', 'pyglet', 'harvesters', 'libximc', 'zaber_motion', 'pyvisa', 'pymmcore_plus', 'hid'}\n"
+        "bad = (bad | {'vamgpu.hosts.emulators'}) & set(sys.modules)\n"
         "sys.exit(', '.join(bad) or 0)\n"
     )
     environment = os.environ | {"PYTHONPATH": str(Path(vamgpu.__file__).parents[1])}

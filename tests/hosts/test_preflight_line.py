@@ -95,7 +95,7 @@ def test_a_rig_is_checked_for_it(tmp_path: Path) -> None:
     assert told.value.limit == "serial line"
 
 
-def test_black_pictures_before_the_first_take_memory_too() -> None:
+def test_black_frames_before_the_first_take_memory_too() -> None:
     schedule = table(60)
     for free, wanted in (((360 + PREROLL) * 8, Residence.RESIDENT), ((360 + PREROLL) * 8 - 1, Residence.STREAMED)):
         found = preflight(schedule, FAST, 1e9, memory=free)

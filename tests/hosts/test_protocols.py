@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from binascii import crc_hqx
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ from hypothesis import strategies as st
 
 from vamgpu import hosts
 from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
-from vamgpu.hosts.emulators.controller import ARGUMENTS, EmulatedController, line_check
-from vamgpu.hosts.emulators.lens import LENGTHS, check_sum
-from vamgpu.hosts.protocols import controller, slots, zaber
+from vamgpu.hosts.drivers import projector as slots
+from vamgpu.hosts.emulators import controller as emulated
+from vamgpu.hosts.emulators.controller import ARGUMENTS, EmulatedController
+from vamgpu.hosts.emulators.lens import LENGTHS
+from vamgpu.hosts.protocols import controller, zaber
 from vamgpu.hosts.protocols import optotune as ld4
 from vamgpu.hosts.protocols.checks import crc16_arc, crc16_ccitt, lrc
 
@@ -48,14 +51,14 @@ PUBLIC = [value for value in vars(ld4).values() if isinstance(value, ld4.Request
 @pytest.mark.parametrize(("request_", "frame"), REQUESTS)
 def test_the_lens_drivers_frames_are_the_makers(request_: ld4.Request, frame: str) -> None:
     assert request_.frame == bytes.fromhex(frame)
-    assert check_sum(request_.frame) == 0, "the emulator's own check sum disagrees"
+    assert crc16_arc(request_.frame) == 0, "a frame with its check sum is 0"
     name = max((known for known in LENGTHS if request_.frame.startswith(known)), key=len)
     assert LENGTHS[name] == len(request_.frame)
 
 
 def test_every_check_sum_has_its_published_value() -> None:
-    assert crc16_arc(b"123456789") == check_sum(b"123456789") == 0xBB3D
-    assert crc16_ccitt(b"123456789") == line_check(b"123456789") == 0x29B1
+    assert crc16_arc(b"123456789") == 0xBB3D
+    assert crc16_ccitt(b"123456789") == crc_hqx(b"123456789", 0xFFFF) == 0x29B1
     assert lrc(b"\x01\x03\x04\x01\x00\x01") == 0xF6
 
 
@@ -84,7 +87,7 @@ def test_golden_replies() -> None:
 def test_every_refusal_has_its_number_and_what_to_do(number: int) -> None:
     body = b"E" + bytes((number,))
     with pytest.raises(DeviceRefused, match=ld4.REFUSALS.get(number, "reason 9")) as refused:
-        ld4.parse(ld4.GET_STATUS, body + check_sum(body).to_bytes(2, "little") + b"\r\n")
+        ld4.parse(ld4.GET_STATUS, body + crc16_arc(body).to_bytes(2, "little") + b"\r\n")
     assert refused.value.code == f"E{number}"
 
 
@@ -137,10 +140,10 @@ def test_status_bits_have_names() -> None:
 
 
 def test_controller_lines_keep_their_words() -> None:
-    line = controller.encode(7, "row", *controller.Row(3, 1000, None, 5000, 20000, 2).words())
+    line = controller.encode(7, "row", *controller.ControllerRow(3, 1000, None, 5000, 20000, 2).words())
     assert line.startswith(b"7 row 3 1000 - 5000 20000 2*") and line.endswith(b"\n")
     assert controller.check(line) == ("7", "row", "3", "1000", "-", "5000", "20000", "2")
-    assert int(line[-5:-1], 16) == line_check(line[:-6])
+    assert int(line[-5:-1], 16) == crc_hqx(line[:-6], 0xFFFF)
 
 
 @given(st.integers(0, 30), st.integers(0, 7))
@@ -173,15 +176,15 @@ def test_stage_messages() -> None:
             zaber.parse(bad)
 
 
-def test_slots_keep_pictures_apart_and_levels_in_place() -> None:
+def test_slots_keep_frames_apart_and_levels_in_place() -> None:
     rng = np.random.default_rng(0)
     first, second, third = rng.integers(0, 256, (3, 5, 7), dtype=np.uint8)
     frame = slots.compose([first, second], slots.TWO_OF_8)
     assert np.array_equal(frame[..., 1], first) and np.array_equal(frame[..., 0], second) and not frame[..., 2].any()
     frame = slots.compose([first, second, third], slots.THREE_OF_7)
     assert not (frame & 1).any()
-    for channel, picture in zip((1, 0, 2), (first, second, third), strict=True):
-        assert np.abs((frame[..., channel] >> 1) / 127 - picture / 255).max() <= 0.5 / 127 + 1e-9
+    for channel, own in zip((1, 0, 2), (first, second, third), strict=True):
+        assert np.abs((frame[..., channel] >> 1) / 127 - own / 255).max() <= 0.5 / 127 + 1e-9
     with pytest.raises(BadInput):
         slots.compose([first], slots.TWO_OF_8)
 
@@ -197,9 +200,11 @@ def test_protocol_emulator_and_sketch_know_the_same_verbs() -> None:
     verbs = set(re.findall(r"\n([a-z]+) ", table))
     files = sorted((Path(hosts.__file__).parent / "firmware" / "controller").iterdir())
     sketch = "".join(file.read_text(encoding="utf-8") for file in files)
-    assert len(verbs) == 15
+    assert len(verbs) == 18
     counts = {verb: int(words) for verb, words in re.findall(r'\{"(\w+)", (\d)\}', sketch)}
     assert verbs == set(counts) and counts == ARGUMENTS
     assert verbs == {name.removeprefix("_do_") for name in dir(EmulatedController) if name.startswith("_do_")}
     assert f'"{controller.NAME} {controller.VERSION} "' in sketch
-    assert f"LONGEST_LINE = {controller.LONGEST_LINE};" in sketch
+    for name in ("LONGEST_LINE", "LONGEST_LEASE_MS", "FASTEST", "STEEPEST"):
+        assert f" {name} = {getattr(controller, name)};" in sketch
+        assert getattr(emulated, name) == getattr(controller, name)

@@ -1,4 +1,4 @@
-"""A run's folder is complete up to the last picture, whatever ends the run."""
+"""A run's folder is complete up to the last frame, whatever ends the run."""
 
 from __future__ import annotations
 
@@ -14,58 +14,58 @@ from typing import Any
 import pytest
 
 from vamgpu.errors import StorageError
-from vamgpu.hosts.record import RESERVE, RunFolder, Shown, read_run, timing
-from vamgpu.hosts.state import Change, State, States
+from vamgpu.hosts.record import RESERVE, FrameRecord, RunFolder, read_run, timing
+from vamgpu.hosts.state import PrintState, PrintStates, StateChange
 
-RIG = 'name = "bench"\n'
+RIG = 'name = "lab"\n'
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
-    states = States()
+    states = PrintStates()
     with RunFolder.begin(tmp_path / "run", {"job": "boat"}, RIG) as folder:
         states.listen(folder.state)
-        states.to(State.PRINTING)
+        states.to(PrintState.PRINTING)
         folder.event("light", 5, on=True)
         for number in range(100):
-            folder.shown(Shown(number, number % 7, -number, 10 * number, 4, late=1000 * number, engine=1))
-        states.to(State.COMPLETE, "done")
+            folder.shown(FrameRecord(number, number % 7, -number, 10 * number, 4, late=1000 * number, engine=1))
+        states.to(PrintState.COMPLETE, "done")
     run = read_run(tmp_path / "run")
-    assert (run.asked, run.state, run.message, run.torn) == ({"job": "boat"}, State.COMPLETE, "done", 0)
+    assert (run.asked, run.state, run.message, run.torn) == ({"job": "boat"}, PrintState.COMPLETE, "done", 0)
     assert run.shown["position"].tolist() == [-number for number in range(100)]
     assert run.events[0]["event"] == "light" and run.events[0]["on"] is True
     found = timing(run.shown)
-    assert found["pictures"] == 100 and found["late_ns"]["max"] == 99_000 and sum(found["histogram"]["counts"]) == 100
+    assert found["frames"] == 100 and found["late_ns"]["max"] == 99_000 and sum(found["histogram"]["counts"]) == 100
     assert (tmp_path / "run" / "rig.toml").read_text() == RIG and (tmp_path / "run" / "timing.json").is_file()
-    with pytest.raises(StorageError, match="a folder of its own"):
+    with pytest.raises(StorageError, match="expected a new folder"):
         RunFolder.begin(tmp_path / "run", {}, RIG)
 
 
 def test_a_torn_record_is_cut_off(tmp_path: Path) -> None:
     with RunFolder.begin(tmp_path / "run", {}, RIG) as folder:
         for number in range(3):
-            folder.shown(Shown(number, number, 0, 0, 1))
+            folder.shown(FrameRecord(number, number, 0, 0, 1))
     with open(tmp_path / "run" / "shown.bin", "ab") as file:
         file.write(b"\x01" * 20)
     assert len(read_run(tmp_path / "run").shown) == 3 and read_run(tmp_path / "run").torn == 20
     with RunFolder.again(tmp_path / "run") as folder:
-        folder.shown(Shown(3, 3, 0, 0, 1))
+        folder.shown(FrameRecord(3, 3, 0, 0, 1))
     run = read_run(tmp_path / "run")
     assert run.shown["slot"].tolist() == [0, 1, 2, 3] and run.torn == 0
 
 
 def test_a_full_disk_is_told(tmp_path: Path) -> None:
     with RunFolder.begin(tmp_path / "run", {}, RIG) as folder:
-        folder.shown(Shown(0, 0, 0, 0, 1))
+        folder.shown(FrameRecord(0, 0, 0, 0, 1))
 
         def full(file: int, data: bytes) -> int:
             raise OSError(errno.ENOSPC, "No space left on device")
 
         folder._write = full
         with pytest.raises(StorageError, match="disk is full"):
-            folder.shown(Shown(1, 1, 0, 0, 1))
+            folder.shown(FrameRecord(1, 1, 0, 0, 1))
         folder._write = lambda file, data: os.write(file, data[:7])
-        with pytest.raises(StorageError, match="7 of 56"):
-            folder.shown(Shown(1, 1, 0, 0, 1))
+        with pytest.raises(StorageError, match="7 of 60"):
+            folder.shown(FrameRecord(1, 1, 0, 0, 1))
         folder._write = os.write
     assert len(read_run(tmp_path / "run").shown) == 1
 
@@ -83,19 +83,19 @@ def test_a_full_disk_still_learns_how_the_print_ended(
         return write(place, *rest, **options)
 
     monkeypatch.setattr(Path, "write_text", full)
-    folder.state(Change(State.PRINTING, State.ERROR, "the disk is full"))
+    folder.state(StateChange(PrintState.PRINTING, PrintState.ERROR, "the disk is full"))
     assert not reserve.exists()
     folder.close()
-    assert read_run(tmp_path / "run").state is State.ERROR
+    assert read_run(tmp_path / "run").state is PrintState.ERROR
 
 
-def test_a_killed_host_loses_no_picture(tmp_path: Path) -> None:
+def test_a_killed_host_loses_no_frame(tmp_path: Path) -> None:
     script = """
         import sys
-        from vamgpu.hosts.record import RESERVE, RunFolder, Shown
+        from vamgpu.hosts.record import RESERVE, FrameRecord, RunFolder
         folder = RunFolder.begin(sys.argv[1], {}, "")
         for number in range(10**9):
-            folder.shown(Shown(number, number, 0, 0, 1))
+            folder.shown(FrameRecord(number, number, 0, 0, 1))
             print(number, flush=True)
     """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -15,23 +16,23 @@ from doubles import LAB
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, TimingInfeasible
 from vamgpu.hosts.players.triggered import PREROLL
-from vamgpu.hosts.protocols.controller import Row
-from vamgpu.hosts.record import RunFolder, Shown, read_run
-from vamgpu.hosts.rig import Plan, Rehearsal, carry_out, check, limits, may_go_on, plan, player, rehearsal
+from vamgpu.hosts.protocols.controller import ControllerRow
+from vamgpu.hosts.record import FrameRecord, RunFolder, read_run
+from vamgpu.hosts.resume import asked_for, left_by_a_host
+from vamgpu.hosts.rig import PrintPlan, Rehearsal, carry_out, check, limits, may_go_on, plan, player, rehearsal
 from vamgpu.hosts.rigs.config import EMULATED, parse_rig
-from vamgpu.hosts.rigs.runs import asked_for, left_by_a_host
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import State
+from vamgpu.hosts.state import PrintState
 
 
-def planned(job: Path, *settings: str) -> Plan:
+def planned(job: Path, *settings: str) -> PrintPlan:
     return plan(job, parse_rig(EMULATED, settings, source="emulated"), speed=40.0)
 
 
-def begun(wanted: Plan, path: Path, pictures: int) -> tuple[Rehearsal, Print]:
-    """A print that has shown some pictures and more, held by its host."""
+def begun(wanted: PrintPlan, path: Path, frames: int) -> tuple[Rehearsal, Print]:
+    """A print that has shown some frames and more, held by its host."""
     stand = rehearsal(wanted)
     job = Print(
         player(wanted, stand.machines), RunFolder.begin(path, asked_for(wanted), wanted.rig.text),
@@ -39,18 +40,18 @@ def begun(wanted: Plan, path: Path, pictures: int) -> tuple[Rehearsal, Print]:
     )  # fmt: skip
     job.guard.__enter__()
     job.begin(0)
-    while job.next < pictures:
+    while job.next < frames:
         job.player.wait()
         assert job.step()
     return stand, job
 
 
-def until(stand: Rehearsal, job: Print, pictures: int) -> None:
+def until(stand: Rehearsal, job: Print, frames: int) -> None:
     """The leg goes on, and nobody looks at it."""
-    while stand.bench.controller.shown < pictures:
+    while stand.emulated.controller.shown < frames:
         job.lease.beat()
         job.lease.keep(force=True)
-        stand.bench.clock.sleep(SECOND // 100)
+        stand.emulated.clock.sleep(SECOND // 100)
 
 
 def pause(job: Print) -> int:
@@ -68,39 +69,44 @@ def gone(stand: Rehearsal, job: Print, at_once: bool = False) -> None:
     """The host dies; its lease runs out. at_once: the system takes its mirrors back before that."""
     job.guard._release_process()
     if at_once:
-        stand.bench.alps[0].forsake()
+        stand.emulated.alps[0].forsake()
     job.folder.close()
-    stand.bench.clock.sleep(SECOND)
-    assert not stand.bench.controller.light
-    stand.bench.alps[0].forsake()
+    stand.emulated.clock.sleep(SECOND)
+    assert not stand.emulated.controller.light
+    stand.emulated.alps[0].forsake()
 
 
-def died(wanted: Plan, path: Path) -> tuple[Rehearsal, Any]:
+def died(wanted: PrintPlan, path: Path) -> tuple[Rehearsal, Any]:
     """A print whose host is gone in the midst, and the machines as the next host opens them."""
     stand, job = begun(wanted, path, 12)
     gone(stand, job)
     return stand, again(stand, wanted)
 
 
-def again(stand: Rehearsal, wanted: Plan) -> Any:
+def again(stand: Rehearsal, wanted: PrintPlan) -> Any:
     """The machines, as another host opens them."""
-    return stand.bench.machines(stand.bench.microsteps / float(wanted.schedule.advance))
+    return stand.emulated.machines(stand.emulated.microsteps / float(wanted.schedule.advance))
 
 
-def test_a_print_goes_on_and_all_its_light_is_counted(job: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("earlier", [False, True])
+def test_a_print_goes_on_and_all_its_light_is_counted(job: Path, tmp_path: Path, earlier: bool) -> None:
+    """Also one whose folder an earlier version wrote, with other names of events."""
     wanted = planned(job, "light.power=0.5")
     stand, machines = died(wanted, tmp_path / "run")
+    events = tmp_path / "run" / "events.jsonl"
+    if earlier:
+        events.write_text(events.read_text().replace('"segment"', '"leg"').replace('"poll"', '"look"'))
     before = len(read_run(tmp_path / "run").shown)
     state, again = carry_out(wanted, machines, tmp_path / "run", resume=True)
     run, budget = read_run(tmp_path / "run"), again.guard.budget
-    assert state is State.COMPLETE and run.shown["slot"].tolist() == list(range(36)) and before < 36
+    assert state is PrintState.INCOMPLETE and run.shown["slot"].tolist() == list(range(36)) and before < 36
     assert budget is not None and budget.spent == pytest.approx(0.5e-9 * run.shown["on_time"].sum())
-    assert run.asked["settings"] == ["light.power=0.5"] and stand.witness.verdict().pictures == 36
+    assert run.asked["settings"] == ["light.power=0.5"] and stand.monitor.verdict().frames == 36
 
 
 @pytest.mark.parametrize(
     ("settings", "told"),
-    [(("light.power=0.6",), r"\[light\]"), (("light.power=0.5", "controller.microsteps=1600.0"), r"\[controller\]")],
+    [(("light.power=0.6",), r"\[light\]"), (("light.power=0.5", "motion.microsteps=1600.0"), r"\[motion\]")],
 )
 def test_another_light_or_motion_is_refused(job: Path, tmp_path: Path, settings: tuple[str, ...], told: str) -> None:
     _, machines = died(planned(job, "light.power=0.5"), tmp_path / "run")
@@ -110,15 +116,15 @@ def test_another_light_or_motion_is_refused(job: Path, tmp_path: Path, settings:
 
 def test_what_leaves_the_light_as_it_is_may_change(job: Path, tmp_path: Path) -> None:
     _, machines = died(planned(job), tmp_path / "run")
-    calmer = planned(job, "safety.resume=20 s", "camera.exposure=4 ms")
-    assert carry_out(calmer, machines, tmp_path / "run", resume=True)[0] is State.COMPLETE
+    calmer = planned(job, "safety.resume=20 s", "camera_stage.middle=19 mm")
+    assert carry_out(calmer, machines, tmp_path / "run", resume=True)[0] is PrintState.INCOMPLETE
 
 
 def test_a_refusal_forgets_nothing(job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether machines were opened for it or not; the print still goes on."""
     path = tmp_path / "run"
     stand, _ = died(planned(job, "light.power=0.5"), path)
-    shown = stand.bench.controller.shown
+    shown = stand.emulated.controller.shown
     with pytest.raises(BadInput, match=r"\[light\].*--set 'light.power=0.5'"):
         may_go_on(planned(job), path)
     with pytest.raises(BadInput, match="speed 40.0 in place of 50.0"):
@@ -126,13 +132,13 @@ def test_a_refusal_forgets_nothing(job: Path, tmp_path: Path, monkeypatch: pytes
     may_go_on(planned(job, "light.power=0.5"), path)
     wanted = planned(job, "light.power=0.5")
     for _ in range(2):
-        stand.bench.alps[0].forsake()
+        stand.emulated.alps[0].forsake()
         with monkeypatch.context() as patch, pytest.raises(TimingInfeasible, match="too slow"):
             patch.setattr("vamgpu.hosts.rig.judged", too_slow)
             check(wanted, again(stand, wanted))
-    assert stand.bench.controller.shown == shown
-    stand.bench.alps[0].forsake()
-    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is State.COMPLETE
+    assert stand.emulated.controller.shown == shown
+    stand.emulated.alps[0].forsake()
+    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is PrintState.INCOMPLETE
     assert read_run(path).shown["slot"].tolist() == list(range(36))
 
 
@@ -141,7 +147,7 @@ def too_slow(*_: Any, **__: Any) -> None:
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_a_leg_that_nobody_wrote_down_is_known_after_refusals(job: Path, tmp_path: Path, stopped: bool) -> None:
+def test_a_segment_that_nobody_wrote_down_is_known_after_refusals(job: Path, tmp_path: Path, stopped: bool) -> None:
     """The host died before its first look at a leg that was shown in part; others open the controller, or stop it."""
     wanted, path = planned(job), tmp_path / "run"
     stand, old = begun(wanted, path, 12)
@@ -149,26 +155,26 @@ def test_a_leg_that_nobody_wrote_down_is_known_after_refusals(job: Path, tmp_pat
     old.begin(rested)
     until(stand, old, PREROLL + 3)
     gone(stand, old)
-    shown = stand.bench.controller.shown - PREROLL
+    shown = stand.emulated.controller.shown - PREROLL
     for _ in range(2):
         machines = again(stand, wanted)
         if stopped:
             machines.controller.stop()
         found = left_by_a_host(wanted, machines, path)
         assert (found.unseen, found.first) == (rested, rested + shown) and shown >= 3
-        stand.bench.alps[0].forsake()
+        stand.emulated.alps[0].forsake()
 
 
-def test_pictures_that_another_program_played_are_not_taken_for_its_own(job: Path, tmp_path: Path) -> None:
+def test_frames_that_another_program_played_are_not_taken_for_its_own(job: Path, tmp_path: Path) -> None:
     wanted, path = planned(job), tmp_path / "run"
     stand, machines = died(wanted, path)
     other = machines.controller
     other.mode("time")
     other.end(24)
     for number in range(24):
-        other.row(Row(number, 1000 * number, None, 0, 0, 0))
+        other.row(ControllerRow(number, 1000 * number, None, 0, 0, 0))
     other.go(5)
-    stand.bench.clock.sleep(SECOND)
+    stand.emulated.clock.sleep(SECOND)
     assert other.status().shown == 24
     with pytest.raises(BadInput, match="another program let the controller play"):
         left_by_a_host(wanted, machines, path)
@@ -180,9 +186,9 @@ def test_a_host_that_died_before_the_first_slot(job: Path, tmp_path: Path, black
     stand, old = begun(wanted, path, 0)
     until(stand, old, black)
     gone(stand, old)
-    assert stand.bench.controller.shown == black
+    assert stand.emulated.controller.shown == black
     state, _ = carry_out(wanted, again(stand, wanted), path, resume=True)
-    assert state is State.COMPLETE and read_run(path).shown["slot"].tolist() == list(range(36))
+    assert state is PrintState.COMPLETE and read_run(path).shown["slot"].tolist() == list(range(36))
 
 
 def test_what_the_last_lease_showed_is_told_as_unseen(job: Path, tmp_path: Path) -> None:
@@ -190,16 +196,16 @@ def test_what_the_last_lease_showed_is_told_as_unseen(job: Path, tmp_path: Path)
     wanted, path = planned(job, "safety.lease=1 s"), tmp_path / "run"
     stand, old = begun(wanted, path, 12)
     gone(stand, old, at_once=True)
-    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is State.COMPLETE
+    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is PrintState.INCOMPLETE
     run = read_run(path)
     unseen = next(event for event in run.events if event["event"] == "unseen")
-    lit = stand.bench.chamber.seconds(0, 36, 36).sum(axis=(0, 2, 3))
+    lit = stand.emulated.chamber.seconds(0, 36, 36).sum(axis=(0, 2, 3))
     black = np.flatnonzero(lit == 0).tolist()
     assert black and set(black) <= set(range(unseen["first"], unseen["stop"]))
     assert run.shown["slot"].tolist() == list(range(36))
 
 
-def test_a_picture_that_the_lease_cut_is_told_as_unseen(job: Path, tmp_path: Path) -> None:
+def test_a_frame_that_the_lease_cut_is_told_as_unseen(job: Path, tmp_path: Path) -> None:
     """It is lit for longer than the lease: the host that died had seen it begin."""
     rig = parse_rig(EMULATED, ("safety.resume=60 s",), source="emulated")
     wanted, path = plan(job, rig, speed=10.0), tmp_path / "run"
@@ -207,17 +213,17 @@ def test_a_picture_that_the_lease_cut_is_told_as_unseen(job: Path, tmp_path: Pat
     gone(stand, old)
     found = left_by_a_host(wanted, again(stand, wanted), path)
     assert (found.unseen, found.first) == (11, 12)
-    stand.bench.alps[0].forsake()
-    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is State.COMPLETE
-    frames = wanted.works[0].frames
+    stand.emulated.alps[0].forsake()
+    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is PrintState.INCOMPLETE
+    frames = wanted.jobs[0].frames
     assert frames is not None
-    lit = stand.bench.chamber.seconds(0, 36, 36).sum(axis=(0, 2, 3)) / frames.levels().sum(axis=(1, 2))
+    lit = stand.emulated.chamber.seconds(0, 36, 36).sum(axis=(0, 2, 3)) / frames.levels().sum(axis=(1, 2))
     assert np.flatnonzero(np.abs(lit / np.median(lit) - 1) > 1e-3).tolist() == [11]
     unseen = [event for event in read_run(path).events if event["event"] == "unseen"]
     assert [(event["first"], event["stop"]) for event in unseen] == [(11, 12)]
 
 
-def test_a_play_of_another_program_is_not_taken_for_a_leg_that_never_began(job: Path, tmp_path: Path) -> None:
+def test_a_play_of_another_program_is_not_taken_for_a_segment_that_never_began(job: Path, tmp_path: Path) -> None:
     wanted, path = planned(job), tmp_path / "run"
     stand, old = begun(wanted, path, 12)
     rested = pause(old)
@@ -245,17 +251,17 @@ def test_a_clock_that_was_set_back_in_the_light_hides_no_rest(
         assert old.step()
     gone(stand, old)
     ahead[0] = 20.0
-    assert 20 * SECOND <= left_by_a_host(wanted, again(stand, wanted), path).rest <= 25 * SECOND
-    stand.bench.alps[0].forsake()
+    assert 20 * SECOND <= left_by_a_host(wanted, again(stand, wanted), path).pause <= 25 * SECOND
+    stand.emulated.alps[0].forsake()
     ahead[0] = 40.0
-    with pytest.raises(BadInput, match="rested 4"):
+    with pytest.raises(BadInput, match="paused for 4"):
         left_by_a_host(wanted, again(stand, wanted), path)
 
 
-def test_black_before_the_first_slot_is_no_light_after_a_rest(
+def test_black_before_the_first_slot_is_no_light_after_a_pause(
     job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The second host dies in its black pictures; the controller shows more until the lease is over."""
+    """The second host dies in its black frames; the controller shows more until the lease is over."""
     wanted, path, real, later = planned(job, "safety.lease=1 s"), tmp_path / "run", time.time, [0.0]
     for module in ("resume", "record"):
         monkeypatch.setattr(f"vamgpu.hosts.{module}.time", SimpleNamespace(time=lambda: real() + later[0]))
@@ -265,20 +271,20 @@ def test_black_before_the_first_slot_is_no_light_after_a_rest(
     with RunFolder.again(path) as folder:
         left.take_up(folder, wanted.schedule, machines.clock.now())
         second = Print(player(wanted, machines, origin=left.origin), folder, limits=limits(wanted.rig))
-        second.recall(read_run(path).shown, left.rest)
+        second.recall(read_run(path).shown, left.pause)
         second.guard.__enter__()
         second.begin(left.first)
-        while stand.bench.controller.shown < PREROLL:
+        while stand.emulated.controller.shown < PREROLL:
             second.player.wait()
             assert second.step()
         gone(stand, second, at_once=True)
-    assert stand.bench.controller.shown > PREROLL
+    assert stand.emulated.controller.shown > PREROLL
     later[0] = 25.0
     found = left_by_a_host(wanted, again(stand, wanted), path)
-    assert found.first > left.first and found.rest >= 25 * SECOND
+    assert found.first > left.first and found.pause >= 25 * SECOND
 
 
-def test_a_rest_is_counted_over_several_hosts(job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pause_is_counted_over_several_hosts(job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second host dies before its light; the dark began with the first."""
     wanted, path, later = planned(job), tmp_path / "run", [0.0]
     real = time.time
@@ -287,11 +293,11 @@ def test_a_rest_is_counted_over_several_hosts(job: Path, tmp_path: Path, monkeyp
     stand, machines = died(wanted, path)
     later[0] = 20.0
     left = left_by_a_host(wanted, machines, path)
-    assert 20 * SECOND <= left.rest <= 25 * SECOND
+    assert 20 * SECOND <= left.pause <= 25 * SECOND
     with RunFolder.again(path) as folder:
         left.take_up(folder, wanted.schedule, machines.clock.now())
         second = Print(player(wanted, machines, origin=left.origin), folder, limits=limits(wanted.rig))
-        second.recall(read_run(path).shown, left.rest)
+        second.recall(read_run(path).shown, left.pause)
         second.guard.__enter__()
         second.player.start = lambda: None  # type: ignore[method-assign]
         second.begin(left.first)
@@ -299,30 +305,31 @@ def test_a_rest_is_counted_over_several_hosts(job: Path, tmp_path: Path, monkeyp
     later[0] = 29.0
     may_go_on(wanted, path)
     later[0] = 45.0
-    with pytest.raises(BadInput, match="rested [45]"):
+    with pytest.raises(BadInput, match="paused for [45]"):
         left_by_a_host(wanted, again(stand, wanted), path)
 
 
-def test_a_print_whose_every_look_sees_pictures_leaves_signs(job: Path, tmp_path: Path) -> None:
+def test_a_print_whose_every_poll_sees_frames_leaves_signs(job: Path, tmp_path: Path) -> None:
     stand, old = begun(planned(job), tmp_path / "run", 12)
-    begin, seen = stand.bench.clock.now(), old.player.look()
+    begin, seen = stand.emulated.clock.now(), old.player.poll()
     for slot in range(12, 30):
-        stand.bench.clock.sleep(SECOND // 10)
-        old._keep(replace(seen, pictures=(Shown(slot, slot, slot, 0, 0),)))
+        stand.emulated.clock.sleep(SECOND // 10)
+        old._keep(replace(seen, frames=(FrameRecord(slot, slot, slot, 0, 0),)))
     gone(stand, old)
-    looks = [event["at"] for event in read_run(tmp_path / "run").events if event["event"] == "look"]
+    events = map(json.loads, (tmp_path / "run" / "events.jsonl").read_text().splitlines())
+    looks = [event["at"] for event in events if event["event"] == "poll"]
     assert sum(at > begin for at in looks) == 3, "in 1.8 s, at least every 0.6"
 
 
 def test_an_open_door_does_not_cost_the_print(job: Path, tmp_path: Path) -> None:
     wanted, path = planned(job), tmp_path / "run"
     stand, machines = died(wanted, path)
-    stand.bench.controller.open_interlock(stand.bench.clock.now())
+    stand.emulated.controller.open_interlock(stand.emulated.clock.now())
     with pytest.raises(InterlockOpen, match="close the enclosure"):
         carry_out(wanted, machines, path, resume=True)
-    stand.bench.controller.interlock_closed = True
-    stand.bench.alps[0].forsake()
-    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is State.COMPLETE
+    stand.emulated.controller.interlock_closed = True
+    stand.emulated.alps[0].forsake()
+    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is PrintState.INCOMPLETE
 
 
 def test_the_command_asks_before_it_opens_machines(
@@ -335,4 +342,4 @@ def test_the_command_asks_before_it_opens_machines(
     rig.write_text(LAB)
     assert main(["print", str(job), "--rig", str(rig), "--resume", str(tmp_path / "run")]) == 1
     told = capsys.readouterr().err
-    assert "the rig has other values in [controller], [projector]" in told and not opened
+    assert "the rig has other values in [controller], [motion], [display]" in told and not opened

@@ -11,19 +11,18 @@ from doubles import LAB
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, DeviceNotFound, JobError, StorageError, TimingInfeasible
-from vamgpu.hosts.board import Board
-from vamgpu.hosts.pictures.stream import Mirrors
-from vamgpu.hosts.record import RunFolder, Shown, read_run
-from vamgpu.hosts.rig import Plan, carry_out, opened, plan, player, rehearsal
+from vamgpu.hosts.frames.sources import MirrorArray
+from vamgpu.hosts.record import FrameRecord, RunFolder, read_run
+from vamgpu.hosts.rig import PrintPlan, carry_out, opened, plan, player, rehearsal
 from vamgpu.hosts.rigs.config import EMULATED, parse_rig, read_rig
 from vamgpu.hosts.run import Print
-from vamgpu.hosts.state import State
+from vamgpu.hosts.state import Board, PrintState
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 
 
-def planned(job: Path, speed: float = 40.0, turns: int = 1) -> Plan:
+def planned(job: Path, speed: float = 40.0, turns: int = 1) -> PrintPlan:
     return plan(job, read_rig("emulated"), speed=speed, turns=turns)
 
 
@@ -31,16 +30,16 @@ def test_a_rehearsal_shows_every_byte(job: Path, tmp_path: Path) -> None:
     wanted = planned(job, turns=2)
     stand, board = rehearsal(wanted), Board()
     state, _ = carry_out(wanted, stand.machines, tmp_path / "run", board)
-    verdict = stand.witness.verdict()
-    assert state is State.COMPLETE and verdict.pictures == 36 and verdict.greatest < 1e-6 and verdict.beside < 1e-9
-    frames = wanted.works[0].frames
+    verdict = stand.monitor.verdict()
+    assert state is PrintState.COMPLETE and verdict.frames == 36 and verdict.greatest < 1e-6 and verdict.beside < 1e-9
+    frames = wanted.jobs[0].frames
     assert frames is not None and np.array_equal(stand.seen(wanted).images.numpy(), frames.images.numpy())
     run = read_run(tmp_path / "run")
-    assert (run.shown["late"] < 0).all(), "every picture was at the mirrors before its trigger"
+    assert (run.shown["late"] < 0).all(), "every frame was at the mirrors before its trigger"
     assert run.shown["frame"].tolist() == [*range(36), *range(36)] and run.asked["rig"] == "emulated"
     assert (run.path / "rig.toml").read_text() == EMULATED
     assert [event["to"] for event in run.events if event["event"] == "light"] == ["on", "off"]
-    assert board.now.state is State.COMPLETE and not board.now.light and board.now.spent == pytest.approx(1 / 1.01)
+    assert board.now.state is PrintState.COMPLETE and not board.now.light and board.now.spent == pytest.approx(1 / 1.01)
 
 
 def test_a_rehearsal_repeats_exactly(job: Path, tmp_path: Path) -> None:
@@ -50,47 +49,47 @@ def test_a_rehearsal_repeats_exactly(job: Path, tmp_path: Path) -> None:
     assert (tmp_path / "one" / "shown.bin").read_bytes() == (tmp_path / "two" / "shown.bin").read_bytes()
 
 
-def begun(wanted: Plan, place: Path, at: int, act: str) -> tuple[Print, Any, RunFolder]:
-    """A print to which something is done from its own pictures, in the midst."""
+def begun(wanted: PrintPlan, place: Path, at: int, act: str) -> tuple[Print, Any, RunFolder]:
+    """A print to which something is done from its own frames, in the midst."""
     stand = rehearsal(wanted)
     folder = RunFolder.begin(place, {}, "")
     job = Print(player(wanted, stand.machines), folder)
     keep = folder.shown
 
-    def kept(shown: Shown) -> None:
+    def kept(shown: FrameRecord) -> None:
         keep(shown)
         if shown.slot == at:
             getattr(job, act)()
 
     folder.shown = kept
-    return job, stand.bench, folder
+    return job, stand.emulated, folder
 
 
 def test_an_emergency_stop_is_dark_at_once(job: Path, tmp_path: Path) -> None:
-    run, bench, folder = begun(planned(job), tmp_path / "run", 5, "stop")
-    assert run.run() is State.CANCELLED
-    assert not bench.controller.light and not bench.controller.armed and run.guard.fault == "emergency stop"
+    run, emulated, folder = begun(planned(job), tmp_path / "run", 5, "stop")
+    assert run.run() is PrintState.CANCELLED
+    assert not emulated.controller.light and not emulated.controller.armed and run.guard.fault == "emergency stop"
     folder.close()
     found = read_run(tmp_path / "run")
-    assert found.state is State.CANCELLED and len(found.shown) == 6
+    assert found.state is PrintState.CANCELLED and len(found.shown) == 6
 
 
 def test_a_pause_is_resumed_where_it_was(job: Path, tmp_path: Path) -> None:
-    run, bench, folder = begun(planned(job), tmp_path / "run", 9, "pause")
-    assert run.run() is State.PAUSED and not bench.controller.light
-    bench.clock.sleep(5_000_000_000)
-    assert run.run() is State.COMPLETE
+    run, emulated, folder = begun(planned(job), tmp_path / "run", 9, "pause")
+    assert run.run() is PrintState.PAUSED and not emulated.controller.light
+    emulated.clock.sleep(5_000_000_000)
+    assert run.run() is PrintState.COMPLETE
     folder.close()
     assert read_run(tmp_path / "run").shown["slot"].tolist() == list(range(36))
 
 
-def test_a_long_rest_is_not_resumed(job: Path, tmp_path: Path) -> None:
-    run, bench, _ = begun(planned(job), tmp_path / "run", 9, "pause")
+def test_a_long_pause_is_not_resumed(job: Path, tmp_path: Path) -> None:
+    run, emulated, _ = begun(planned(job), tmp_path / "run", 9, "pause")
     run.run()
-    bench.clock.sleep(31_000_000_000)
+    emulated.clock.sleep(31_000_000_000)
     with pytest.raises(BadInput, match="forgotten"):
         run.run()
-    assert not bench.controller.light and run.states.state is State.ERROR
+    assert not emulated.controller.light and run.states.state is PrintState.ERROR
 
 
 def test_a_missing_machine_is_an_error_and_never_a_simulation() -> None:
@@ -101,15 +100,15 @@ def test_a_missing_machine_is_an_error_and_never_a_simulation() -> None:
 def test_bad_rigs_are_told(tmp_path: Path) -> None:
     for change, why in (
         (("[controller]", "[controler]"), "did you mean 'controller'"),
-        (('"vam-controller"', '"emulated"'), r"rig, line \d+: controller: is emulated and projector is real"),
-        (('port = "/dev/does-not-exist"\n', ""), r"rig, line \d+: controller: .*wanted port"),
-        (('library = "/does/not/exist.so"\n', ""), "wanted library"),
-        (('[rig]', '[safety]\nlease = "0 furlongs"\n[rig]'), "furlongs"),
-        (('[rig]', '[safety]\nlease = "1.1 s"\n[rig]'), "wanted 20 ms to 1000 ms"),
-        (('[rig]', '[safety]\nlease = "1 ms"\n[rig]'), "wanted 20 ms to 1000 ms"),
-        (("[projector]", "microsteps = 3.2e9\n[projector]"), "less than or equal to 1000000"),
-        (("[projector]", "ramp = 1e5\n[projector]"), "wanted 1e.08 at most"),
-        (("[projector]", "channel = 0\n[projector]"), "channel"),
+        (('"vam-controller"', '"emulated"'), r"rig, line \d+: controller: is emulated and motion is real"),
+        (('port = "/dev/does-not-exist"\n', ""), r"rig, line \d+: controller: .*expected port"),
+        (('library = "/does/not/exist.so"\n', ""), "add library"),
+        (("[rig]", '[safety]\nlease = "0 furlongs"\n[rig]'), "furlongs"),
+        (("[rig]", '[safety]\nlease = "1.1 s"\n[rig]'), "expected 20 ms to 1000 ms"),
+        (("[rig]", '[safety]\nlease = "1 ms"\n[rig]'), "expected 20 ms to 1000 ms"),
+        (("[display]", "microsteps = 3.2e9\n[display]"), "less than or equal to 1000000"),
+        (("[display]", "ramp = 1e5\n[display]"), "expected 1e.08 at most"),
+        (("[display]", "channel = 0\n[display]"), "channel"),
     ):
         with pytest.raises(JobError, match=why):
             parse_rig(LAB.replace(*change))
@@ -120,12 +119,12 @@ def test_bad_rigs_are_told(tmp_path: Path) -> None:
 def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
     with pytest.raises(TimingInfeasible):
         planned(job, speed=4000.0)
-    real = parse_rig(LAB.replace("[projector]", "microsteps = 8000\n[projector]"))
+    real = parse_rig(LAB.replace("[display]", "microsteps = 8000\n[display]"))
     with pytest.raises(TimingInfeasible, match="3.2e.05 microsteps/s.*move at 25 deg/s at most"):
         plan(job, real, speed=40.0, device="numpy")
     assert len(plan(job, real, speed=25.0, device="numpy").schedule) == 36
     with pytest.raises(BadInput, match="another projector"):
-        Mirrors(4, 8, 1).place(6, 10)
+        MirrorArray(4, 8, 1).place(6, 10)
     with pytest.raises(StorageError):
         planned(tmp_path / "nothing")
 
@@ -133,7 +132,7 @@ def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_command(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["print", "demo", "--rig", "emulated", "--out", str(tmp_path / "demo.run")]) == 0
-    assert "complete: 120 pictures" in capsys.readouterr().out
+    assert "complete: 120 frames" in capsys.readouterr().out
     assert (tmp_path / "demo.run" / "report.html").stat().st_size > 10_000
     (tmp_path / "lab.toml").write_text(LAB)
     assert main(["print", str(job), "--rig", str(tmp_path / "lab.toml"), "--out", str(tmp_path / "x")]) == 1
@@ -143,14 +142,14 @@ def test_the_command(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
 def test_a_print_that_was_stopped_has_the_status_of_a_command_that_was(
     job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def pressed(wanted: Plan, machines: Any, folder: Path, _: Any, *rest: Any) -> Any:
+    def pressed(wanted: PrintPlan, machines: Any, folder: Path, _: Any, *rest: Any, **named: Any) -> Any:
         board = Board()
         board.stop("pressed")
-        return carry_out(wanted, machines, folder, board, *rest)
+        return carry_out(wanted, machines, folder, board, *rest, **named)
 
-    monkeypatch.setattr("vamgpu.hosts.rig.carry_out", pressed)
+    monkeypatch.setattr("vamgpu.hosts.realtime.printing.carry_out", pressed)
     assert main(["print", str(job), "--rig", "emulated", "--out", str(tmp_path / "run")]) == 130
-    assert "cancelled: 0 pictures" in capsys.readouterr().out
+    assert "cancelled: 0 frames" in capsys.readouterr().out
     assert read_run(tmp_path / "run").message == "pressed"
 
 

@@ -10,15 +10,15 @@ import pytest
 
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.hosts.emulators.array import ArrayModel
-from vamgpu.hosts.emulators.bench import Bench
-from vamgpu.hosts.pictures.stream import FramePictures, Mirrors, Pictures, WebPictures
+from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
+from vamgpu.hosts.frames.sources import FrameSource, MirrorArray, VialFrames, WebFrames
 from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
 from vamgpu.hosts.schedules.moving import turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.hosts.state import State
+from vamgpu.hosts.state import PrintState
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.web import WebProjection
 from vamgpu.optics.film import Film
@@ -29,7 +29,7 @@ from vamgpu.printing.gray import GrayCurve
 from vamgpu.web import WebGrid
 
 MODEL = ArrayModel(height=24, width=64)
-MIRRORS = Mirrors(24, 64, 8)
+MIRRORS = MirrorArray(24, 64, 8)
 TIMING = MirrorTiming(pixels=(64, 24), row_bytes=8, dark=3e-3)
 STEPS = 1000
 """Microsteps of the motion in a pose."""
@@ -38,14 +38,14 @@ STEPS = 1000
 class Shifted:
     """Pictures that come one slot late."""
 
-    def __init__(self, pictures: Any) -> None:
-        self._pictures, self.bits = pictures, pictures.bits
+    def __init__(self, source: Any) -> None:
+        self._source, self.bits = source, source.bits
 
     def planes(self, numbers: np.ndarray) -> np.ndarray:
-        return self._pictures.planes((np.asarray(numbers) - 1) % self._pictures.count)
+        return self._source.planes((np.asarray(numbers) - 1) % self._source.count)
 
-    def picture(self, number: int) -> np.ndarray:
-        return self._pictures.picture(number)
+    def frame(self, number: int) -> np.ndarray:
+        return self._source.frame(number)
 
 
 def frames_of(bytes_: np.ndarray, bits: int = 8) -> Frames:
@@ -53,15 +53,15 @@ def frames_of(bytes_: np.ndarray, bits: int = 8) -> Frames:
     return Frames.from_bytes(bytes_ if bits == 8 else np.packbits(bytes_ > 127, axis=-1), "numpy", **fields)
 
 
-def printed(path: Path, schedule: Schedule, pictures: list[Any], powers: tuple[float, ...] = ()) -> Bench:
-    bench = Bench(STEPS, MODEL, schedule.engines, powers)
-    machines = bench.machines(STEPS / float(schedule.advance))
+def printed(path: Path, schedule: Schedule, sources: list[Any], powers: tuple[float, ...] = ()) -> EmulatedMirrorRig:
+    emulated = EmulatedMirrorRig(STEPS, MODEL, schedule.engines, powers)
+    machines = emulated.machines(STEPS / float(schedule.advance))
     with RunFolder.begin(path, {}, "") as folder:
-        assert Print(TriggeredPlayer(schedule, machines, pictures), folder).run() is State.COMPLETE
+        assert Print(TriggeredPlayer(schedule, machines, sources), folder).run() is PrintState.COMPLETE
     run = read_run(path)
-    assert run.state is State.COMPLETE and not run.shown["dark"].any()
+    assert run.state is PrintState.COMPLETE and not run.shown["dark"].any()
     assert len(run.shown) == len(schedule) * schedule.engines
-    return bench
+    return emulated
 
 
 def seen(seconds: np.ndarray, schedule: Schedule, shape: tuple[int, ...]) -> np.ndarray:
@@ -94,13 +94,13 @@ def test_vial(tmp_path: Path, vial: tuple[Projection, np.ndarray], bits: int) ->
     frames = frames_of(bytes_, bits)
     schedule = turned(40, speed=40, engines=TIMING, turns=2, bits=bits)
     wanted = A.T(frames.irradiance()).numpy()
-    pictures = FramePictures(frames, MIRRORS)
-    bench = printed(tmp_path / "run", schedule, [pictures])
-    light = seen(bench.chamber.seconds(0, 40, turn=40)[0], schedule, frames.shape)
+    source = VialFrames(frames, MIRRORS)
+    emulated = printed(tmp_path / "run", schedule, [source])
+    light = seen(emulated.chamber.seconds(0, 40, turn=40)[0], schedule, frames.shape)
     assert off(shone(A, light) / 2, wanted) < 1e-4
     inverted = light[-np.arange(40)]
     assert off(shone(A, inverted) / 2, wanted) > 0.01
-    shifted = printed(tmp_path / "shifted", schedule, [Shifted(pictures)])
+    shifted = printed(tmp_path / "shifted", schedule, [Shifted(source)])
     light = seen(shifted.chamber.seconds(0, 40, turn=40)[0], schedule, frames.shape)
     assert off(shone(A, light) / 2, wanted) > 0.01
 
@@ -109,12 +109,12 @@ def test_a_stage_that_turns_the_other_way_is_seen(tmp_path: Path, vial: tuple[Pr
     A, bytes_ = vial
     frames = frames_of(bytes_)
     schedule = turned(40, speed=40, engines=TIMING)
-    bench = Bench(STEPS, MODEL)
-    bench.chamber._position = lambda now: -bench.controller.web.position(now) / STEPS
-    machines = bench.machines(STEPS / float(schedule.advance))
+    emulated = EmulatedMirrorRig(STEPS, MODEL)
+    emulated.chamber._position = lambda now: -emulated.controller.web.position(now) / STEPS
+    machines = emulated.machines(STEPS / float(schedule.advance))
     with RunFolder.begin(tmp_path / "run", {}, "") as folder:
-        Print(TriggeredPlayer(schedule, machines, [FramePictures(frames, MIRRORS)]), folder).run()
-    light = seen(bench.chamber.seconds(0, 40, turn=40)[0], schedule, frames.shape)
+        Print(TriggeredPlayer(schedule, machines, [VialFrames(frames, MIRRORS)]), folder).run()
+    light = seen(emulated.chamber.seconds(0, 40, turn=40)[0], schedule, frames.shape)
     assert off(shone(A, light), A.T(frames.irradiance()).numpy()) > 0.01
 
 
@@ -123,11 +123,11 @@ def test_dual_color(tmp_path: Path, vial: tuple[Projection, np.ndarray]) -> None
     A, bytes_ = vial
     colors = [frames_of(bytes_), frames_of(np.random.default_rng(2).integers(0, 256, bytes_.shape, dtype=np.uint8))]
     schedule = turned(40, speed=40, engines=(TIMING, TIMING))
-    pictures: list[Pictures] = [FramePictures(each, MIRRORS) for each in colors]
-    bench = printed(tmp_path / "run", schedule, pictures)
+    sources: list[FrameSource] = [VialFrames(each, MIRRORS) for each in colors]
+    emulated = printed(tmp_path / "run", schedule, sources)
     doses = []
     for engine, frames in enumerate(colors):
-        light = seen(bench.chamber.seconds(engine, 40, turn=40)[0], schedule, frames.shape)
+        light = seen(emulated.chamber.seconds(engine, 40, turn=40)[0], schedule, frames.shape)
         doses.append(shone(A, light))
         assert off(doses[-1], A.T(frames.irradiance()).numpy()) < 1e-4
     assert off(doses[0], doses[1]) > 0.01
@@ -148,25 +148,24 @@ def film() -> tuple[WebProjection, FocusMasks, np.ndarray, float]:
     return A, masks, np.random.default_rng(3).integers(0, 256, shape, dtype=np.uint8), machine.advance
 
 
+@pytest.mark.slow
 def test_web_with_three_depth_bins(tmp_path: Path, film: tuple[WebProjection, FocusMasks, np.ndarray, float]) -> None:
     A, masks, bytes_, advance = film
     frames, powers = frames_of(bytes_), (0.0, 0.7, 1.4)
     lens = LensTiming(settle=6e-3, latency=1e-3)
     options: dict[str, Any] = {"advance": advance, "speed": 0.8, "engines": TIMING, "lens": lens, "focus": powers}
     schedule = web(len(bytes_), **options)
-    pictures = WebPictures(lambda low, high: bytes_[low:high], len(bytes_), MIRRORS, masks)
-    bench = printed(tmp_path / "run", schedule, [pictures], powers)
-    assert bench.chamber.astray == 0.0, "no light while the lens moves"
-    seconds = bench.chamber.seconds(0, len(bytes_))
+    source = WebFrames(lambda low, high: bytes_[low:high], len(bytes_), MIRRORS, masks)
+    emulated = printed(tmp_path / "run", schedule, [source], powers)
+    assert emulated.chamber.astray == 0.0, "no light while the lens moves"
+    seconds = emulated.chamber.seconds(0, len(bytes_))
     parts = [seen(plane, schedule, frames.shape) for plane in seconds]
     for part, wanted in zip(parts, split(frames, masks), strict=True):
         assert off(part, wanted.irradiance().numpy()) < 1e-4, "every column through its own focus"
     wanted = A.T(frames.irradiance()).numpy()
     assert off(shone(A, np.sum(parts, axis=0)), wanted) < 1e-4
-    shifted = printed(tmp_path / "shifted", schedule, [Shifted(pictures)], powers)
-    light = np.sum(
-        [seen(plane, schedule, frames.shape) for plane in shifted.chamber.seconds(0, len(bytes_))], axis=0
-    )
+    shifted = printed(tmp_path / "shifted", schedule, [Shifted(source)], powers)
+    light = np.sum([seen(plane, schedule, frames.shape) for plane in shifted.chamber.seconds(0, len(bytes_))], axis=0)
     assert off(shone(A, light), wanted) > 0.01
 
 
@@ -178,6 +177,6 @@ def test_a_lens_that_settles_slower_than_told_is_seen(
     lens = LensTiming(settle=1e-3)
     options: dict[str, Any] = {"advance": advance, "speed": 0.8, "engines": TIMING, "lens": lens}
     schedule = web(len(bytes_), focus=(0.0, 0.7, 1.4), **options)
-    pictures = WebPictures(lambda low, high: bytes_[low:high], len(bytes_), MIRRORS, masks)
-    bench = printed(tmp_path / "run", schedule, [pictures], (0.0, 0.7, 1.4))
-    assert bench.chamber.astray > 0.0
+    source = WebFrames(lambda low, high: bytes_[low:high], len(bytes_), MIRRORS, masks)
+    emulated = printed(tmp_path / "run", schedule, [source], (0.0, 0.7, 1.4))
+    assert emulated.chamber.astray > 0.0

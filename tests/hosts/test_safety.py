@@ -12,10 +12,9 @@ import pytest
 
 from vamgpu.errors import BadInput, DeviceBusy
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, OverDose
-from vamgpu.hosts.safety.lease import Lease
+from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, Lease, OverDose
 from vamgpu.hosts.safety.light import LightGuard
-from vamgpu.hosts.state import NEXT, State, States, WrongState
+from vamgpu.hosts.state import NEXT, PrintState, PrintStates, WrongState
 
 MS = 1_000_000
 GOOD = {"armed": True, "motion": 0.0, "shown": 3, "scheduled": 3}
@@ -52,7 +51,7 @@ class Held:
         self.guard = LightGuard(self.bulb, self.lease, **options)  # type: ignore[arg-type]
 
     def light(self) -> LightGuard:
-        self.guard.look(**GOOD)
+        self.guard.observe(**GOOD)
         self.guard.on(0.8)
         assert self.guard.lit and self.bulb.power == 0.8
         return self.guard
@@ -65,17 +64,17 @@ def test_light_needs_everything_and_says_what_is_missing() -> None:
     with held.guard as light:
         for change, why in (
             ({"armed": False}, "not armed"),
-            ({"motion": None}, "nobody has looked"),
+            ({"motion": None}, "nobody has asked"),
             ({"motion": 0.6}, "0.5 is allowed"),
             ({"motion": float("nan")}, "nan"),
-            ({"shown": 2}, "picture 2 stands where 3"),
-            ({"scheduled": None, "shown": None}, "is scheduled"),
+            ({"shown": 2}, "frame 2 is on show; expected frame 3"),
+            ({"scheduled": None, "shown": None}, "expected frame None"),
             ({"fault": "the lens is silent"}, "lens is silent"),
         ):
-            light.look(**(GOOD | change))
+            light.observe(**(GOOD | change))
             with pytest.raises(InterlockOpen, match=why):
                 light.on(1.0)
-            light.look(fault=None)
+            light.observe(fault=None)
         held.light()
     assert held.bulb.power == 0.0 and not held.guard.lit
 
@@ -88,9 +87,9 @@ def test_what_stops_holding_puts_the_light_out_for_good(change: dict[str, object
     with held.guard as light:
         held.light()
         with pytest.raises(InterlockOpen, match="went off"):
-            light.look(**change)
+            light.observe(**change)
         assert held.bulb.power == 0.0 and not held.lease.fresh()
-        light.look(**(GOOD | {"fault": None}))
+        light.observe(**(GOOD | {"fault": None}))
         with pytest.raises(InterlockOpen):
             light.on(0.8)
 
@@ -121,7 +120,7 @@ def test_any_exception_is_dark_first() -> None:
 def test_a_lamp_that_fails_on_is_put_out() -> None:
     held = Held()
     with held.guard as light:
-        light.look(**GOOD)
+        light.observe(**GOOD)
         held.bulb.unplugged = True
         with pytest.raises(OSError, match="unplugged"):
             light.on(0.5)
@@ -168,7 +167,7 @@ def test_a_budget_counts_light_that_was_on() -> None:
         held.light()
         for _ in range(10):
             light.spend(0.8, 10 * MS)
-        with pytest.raises(OverDose, match="wants no more"):
+        with pytest.raises(OverDose, match="no more than the plan"):
             light.spend(0.8, 10 * MS)
         assert held.bulb.power == 0.0 and light.budget is not None and light.budget.left == 0.0
     with pytest.raises(BadInput):
@@ -184,7 +183,7 @@ def test_signals_are_dark_first(number: signal.Signals) -> None:
         import os, signal, sys, time
         signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have told its children to ignore it
         from vamgpu.hosts.emulators.clock import VirtualClock
-        from vamgpu.hosts.safety.lease import Lease
+        from vamgpu.hosts.safety.interlock import Lease
         from vamgpu.hosts.safety.light import LightGuard
         class Lamp:
             def on(self, power): os.write(1, b"on ")
@@ -192,7 +191,7 @@ def test_signals_are_dark_first(number: signal.Signals) -> None:
         guard = LightGuard(Lamp(), Lease(VirtualClock(), lambda length: None), tolerance=1.0)
         try:
             with guard as light:
-                light.look(armed=True, motion=0.0, shown=0, scheduled=0)
+                light.observe(armed=True, motion=0.0, shown=0, scheduled=0)
                 light.on(1.0)
                 signal.raise_signal(int(sys.argv[1]))
         except BaseException as error:
@@ -206,15 +205,20 @@ def test_signals_are_dark_first(number: signal.Signals) -> None:
 
 
 def test_states_go_only_where_they_may() -> None:
-    states, heard = States(), []
+    states, heard = PrintStates(), []
     states.listen(heard.append)
     with pytest.raises(WrongState, match="standby and cannot become paused"):
-        states.to(State.PAUSED)
-    assert states.to(State.PRINTING, "go") and not states.to(State.PRINTING)
-    states.to(State.PAUSED)
-    states.to(State.PRINTING)
-    assert states.end(State.ERROR, "lens")
-    assert not states.end(State.CANCELLED, "later"), "the first reason stays"
-    assert (states.state, states.message) == (State.ERROR, "lens")
-    assert [change.after for change in heard] == [State.PRINTING, State.PAUSED, State.PRINTING, State.ERROR]
-    assert all(not NEXT[state] for state in State if state.ended)
+        states.to(PrintState.PAUSED)
+    assert states.to(PrintState.PRINTING, "go") and not states.to(PrintState.PRINTING)
+    states.to(PrintState.PAUSED)
+    states.to(PrintState.PRINTING)
+    assert states.end(PrintState.ERROR, "lens")
+    assert not states.end(PrintState.CANCELLED, "later"), "the first reason stays"
+    assert (states.state, states.message) == (PrintState.ERROR, "lens")
+    assert [change.after for change in heard] == [
+        PrintState.PRINTING,
+        PrintState.PAUSED,
+        PrintState.PRINTING,
+        PrintState.ERROR,
+    ]
+    assert all(not NEXT[state] for state in PrintState if state.ended)

@@ -16,7 +16,7 @@ from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedules.moving import turned
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.schedules.video import vial
-from vamgpu.hosts.state import State
+from vamgpu.hosts.state import PrintState
 from vamgpu.printing.folder import load_frames, save_frames
 from vamgpu.units import deg
 
@@ -26,7 +26,7 @@ ARC = vam.Turntable.arc(24, 120 * deg, start=-60 * deg)
 
 
 @pytest.mark.parametrize("motion", [MEASURED, ARC])
-def test_pictures_are_lit_from_their_angles(motion: vam.Turntable) -> None:
+def test_frames_are_lit_from_their_angles(motion: vam.Turntable) -> None:
     schedule = turned(motion, speed=40, engines=TIMING, turns=3)
     degrees = np.degrees(motion.poses) - np.floor(np.degrees(motion.poses[0]) / 360) * 360
     assert schedule.position == pytest.approx(np.concatenate([degrees + 360 * turn for turn in range(3)]))
@@ -70,7 +70,7 @@ def test_the_nearest_angles_decide_how_fast_a_vial_may_turn() -> None:
         (vam.Turntable([0.0, 1.0, 0.5]), r"go from 57\.2958° to 28\.6479°; expected them to rise within one turn"),
         (vam.Turntable([0.0, 1.0, 1.0]), r"rise within one turn, as a vial turns forward: sort .* drop"),
         (vam.Turntable(np.linspace(0, 2 * np.pi, 5)), r"go from 0° to 360°"),
-        (vam.Turntable(4, dwell=[1, 2, 1, 1]), r"expected pictures that are lit as long.*Turntable without dwell"),
+        (vam.Turntable(4, dwell=[1, 2, 1, 1]), r"expected frames that are lit as long.*Turntable without dwell"),
     ],
 )
 def test_angles_that_a_vial_cannot_meet_are_refused(motion: vam.Turntable, said: str) -> None:
@@ -97,7 +97,7 @@ def solved(path: Path, motion: vam.Turntable) -> vam.Projection:
 
 
 @pytest.mark.parametrize("motion", [MEASURED, ARC])
-def test_a_rehearsed_print_shows_every_picture_at_its_angle(tmp_path: Path, motion: vam.Turntable) -> None:
+def test_a_rehearsed_print_shows_every_frame_at_its_angle(tmp_path: Path, motion: vam.Turntable) -> None:
     A = solved(tmp_path / "part.vam", motion)
     frames = load_frames(tmp_path / "part.vam", "numpy")
     assert frames.motion == motion
@@ -106,8 +106,8 @@ def test_a_rehearsed_print_shows_every_picture_at_its_angle(tmp_path: Path, moti
     assert places % 360 == pytest.approx(np.degrees(motion.poses) % 360)
     rehearsed = rehearsal(planned)
     state, _ = carry_out(planned, rehearsed.machines, tmp_path / "part.run")
-    assert state is State.COMPLETE
-    verdict = rehearsed.witness.verdict()
+    assert state is PrintState.COMPLETE
+    verdict = rehearsed.monitor.verdict()
     assert verdict.greatest < 1e-3 and verdict.beside == pytest.approx(0.0, abs=1e-6)
     seen = rehearsed.seen(planned)
     assert seen.motion == motion and np.array_equal(seen.levels(), frames.levels())

@@ -21,7 +21,7 @@ from vamgpu.optics.film import Film
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller
 from vamgpu.webs.display import Display
-from vamgpu.webs.limits import Limits
+from vamgpu.webs.limits import WebLimits
 
 POSE = 9.0 * pi / 360  # mm of a film's middle at 9 mm, half a degree
 
@@ -35,7 +35,7 @@ def webs(draw: st.DrawFn) -> tuple[Schedule, LensTiming, MirrorTiming]:
     settle = draw(st.lists(st.lists(milliseconds, min_size=planes, max_size=planes), min_size=planes, max_size=planes))
     lens = LensTiming(settle=settle, baud=draw(st.sampled_from([9600, 38400, 115200])), latency=draw(milliseconds))
     mirrors = MirrorTiming(
-        picture={8: draw(st.integers(50, 9000)) * 1e-6}, trigger_delay=draw(milliseconds), dark=draw(milliseconds)
+        frame={8: draw(st.integers(50, 9000)) * 1e-6}, trigger_delay=draw(milliseconds), dark=draw(milliseconds)
     )
 
     def built(speed: float) -> Schedule:
@@ -62,7 +62,7 @@ def test_a_web_shows_every_frame_once_in_its_own_time(case: tuple[Schedule, Lens
     assert (np.diff(schedule.light) > 0).all() and (schedule.command[0] == NONE or schedule.command[0] >= 0)
     assert (schedule.on > 0).all() and (schedule.dark - schedule.light == schedule.on).all()
     assert (schedule.light - schedule.trigger == mirrors.delay).all()
-    assert (schedule.trigger[1:] >= schedule.dark[:-1] + mirrors.pause).all()  # no trigger into a picture
+    assert (schedule.trigger[1:] >= schedule.dark[:-1] + mirrors.pause).all()  # no trigger into a frame
     assert (np.diff(schedule.light) >= mirrors.least(8)).all()
     first = schedule.frame.min()
     assert np.array_equal(np.sort(schedule.frame), first + np.arange(len(schedule)))
@@ -135,12 +135,12 @@ def test_position_follows_the_frame_not_the_clock() -> None:
 
 @pytest.mark.parametrize("turning", [False, True])
 def test_a_web_agrees_with_the_limits_of_its_machine(turning: bool) -> None:
-    limits = Limits(Roller(8.8, Film(0.4, 1.5, 1.45, 1.0), pi / 360), TunableLens(), Display(turning=turning))
+    limits = WebLimits(Roller(8.8, Film(0.4, 1.5, 1.45, 1.0), pi / 360), TunableLens(), Display(turning=turning))
     schedule = web(
         100, advance=limits.advance, speed=0.8, engines=MirrorTiming(), lens=LensTiming(), focus=(5.0, 7.0, 9.0),
         turning=turning,
     )  # fmt: skip
-    assert schedule.rate == pytest.approx(limits.picture_rate, rel=1e-9)
+    assert schedule.rate == pytest.approx(limits.frame_rate, rel=1e-9)
     assert schedule.duty == pytest.approx(limits.duty, rel=2e-2)  # before the first pose there is darkness
     most = greatest(
         lambda speed: web(
@@ -153,7 +153,7 @@ def test_a_web_agrees_with_the_limits_of_its_machine(turning: bool) -> None:
             turning=turning,
         )  # fmt: skip
     )
-    assert most == pytest.approx(limits.binding.speed, rel=1e-6)
+    assert most == pytest.approx(limits.limiting.speed, rel=1e-6)
 
 
 def test_the_error_names_what_binds() -> None:
@@ -185,7 +185,7 @@ def test_a_vial_at_forty_images_a_second_takes_three_slots_each() -> None:
     schedule = vial(360, speed=40, display=display, turns=2)
     assert len(schedule) == 720 and schedule.speed == 40 and schedule.engines == 1
     assert set(np.diff(schedule.light).tolist()) == {25_000_000}
-    beat = np.round(schedule.trigger * 60 / SECOND).astype(np.int64)  # a picture waits for its video frame
+    beat = np.round(schedule.trigger * 60 / SECOND).astype(np.int64)  # a frame waits for its video frame
     assert np.array_equal(beat, np.arange(720) * 3 // 2) and np.array_equal(schedule.trigger, beat * SECOND // 60)
     cable = video_frames(schedule, display)
     assert cable.shape == (1080, 2) and cable[:3].tolist() == [[0, 0], [0, 1], [1, 1]]
@@ -243,7 +243,7 @@ def test_continuous_sla_shows_a_slice_every_pitch() -> None:
 
 
 def test_what_makes_no_sense_is_refused() -> None:
-    with pytest.raises(BadInput, match="want a lens"):
+    with pytest.raises(BadInput, match="no lens"):
         web(3, advance=1, speed=1, engines=MirrorTiming(), focus=(1.0, 2.0))
     with pytest.raises(BadInput, match="speed"):
         web(3, advance=1, speed=float("nan"), engines=MirrorTiming())

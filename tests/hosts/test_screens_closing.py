@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import DeviceLost, DeviceNotFound
-from vamgpu.hosts.drivers.projector import HdmiProjector, PygletWindow
-from vamgpu.hosts.protocols.slots import TWO_OF_8
+from vamgpu.hosts.drivers.projector import TWO_OF_8, HdmiProjector, PygletWindow
 
 SIZE: tuple[int, int] = (4, 5)
 

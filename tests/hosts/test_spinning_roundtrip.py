@@ -8,45 +8,45 @@ import numpy as np
 import pytest
 
 from vamgpu.geometry import Beam, Grid, Turntable
-from vamgpu.hosts.emulators.booth import Booth
-from vamgpu.hosts.players.cable import CablePictures, VideoPictures
+from vamgpu.hosts.emulators.rigs import EmulatedVideoRig
+from vamgpu.hosts.players.machines import CableFrames, VideoFrames
 from vamgpu.hosts.players.spinning import SpinningPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.video import vial
-from vamgpu.hosts.state import State
+from vamgpu.hosts.state import PrintState
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 
 
 class Shifted:
-    """Pictures that come one pose late."""
+    """Frames that come one pose late."""
 
-    def __init__(self, pictures: CablePictures, count: int) -> None:
-        self._pictures, self._count = pictures, count
+    def __init__(self, frames: CableFrames, count: int) -> None:
+        self._pictures, self._count = frames, count
 
-    def picture(self, number: int) -> np.ndarray:
-        return self._pictures.picture((number - 1) % self._count)
+    def frame(self, number: int) -> np.ndarray:
+        return self._pictures.frame((number - 1) % self._count)
 
 
-def printed(path: Path, booth: Booth, pictures: VideoPictures, images: int, latency: int) -> np.ndarray:
+def printed(path: Path, emulated: EmulatedVideoRig, frames: VideoFrames, images: int, latency: int) -> np.ndarray:
     """Light [pose, r, z] in shares of full-on, decoded here: the highest z is the top row, the least r the left."""
-    (rows, columns), share = booth.screen.size, booth.screen.share
-    display = HdmiTiming(pixels=(columns, rows), bits=booth.screen.bits, latency=latency)
+    (rows, columns), share = emulated.screen.size, emulated.screen.share
+    display = HdmiTiming(pixels=(columns, rows), bits=emulated.screen.bits, latency=latency)
     schedule = vial(images, speed=45, display=display, turns=2)
-    player = SpinningPlayer(schedule, display, booth.machines(latency), pictures)
+    player = SpinningPlayer(schedule, display, emulated.machines(latency), frames)
     with RunFolder.begin(path, {}, "") as folder:
-        assert Print(player, folder).run() is State.COMPLETE
+        assert Print(player, folder).run() is PrintState.COMPLETE
     assert len(read_run(path).shown) == len(schedule)
-    seconds = booth.chamber.seconds(0, images, turn=images)[0]
+    seconds = emulated.chamber.seconds(0, images, turn=images)[0]
     shown = seconds[:, 4:12, 8:24]
-    assert shown.sum() == pytest.approx(seconds.sum(), rel=1e-12), "no light beside the pictures"
+    assert shown.sum() == pytest.approx(seconds.sum(), rel=1e-12), "no light beside the frames"
     return shown[:, ::-1, :].transpose(0, 2, 1) / (2 * share * 360 / 45 / images)
 
 
-@pytest.mark.parametrize("bits", [8, 7])
+@pytest.mark.parametrize("bits", [8, pytest.param(7, marks=pytest.mark.slow)])
 def test_the_dose_is_the_librarys_own_and_a_shift_or_a_wrong_turn_is_seen(tmp_path: Path, bits: int) -> None:
     images, size, top = 120, (16, 32), 2**bits - 1
     A = Projection(Grid((16, 16, 8), 0.5), Beam((16, 8), 0.5, spread=0.0), Turntable(images), device="numpy")
@@ -57,14 +57,14 @@ def test_the_dose_is_the_librarys_own_and_a_shift_or_a_wrong_turn_is_seen(tmp_pa
     if bits < 8:  # the cable carries fewer levels than the job has
         irradiance = (levels / top)[:, ::-1].transpose(0, 2, 1)
     wanted = A.T(A.device.upload(irradiance)).numpy()
-    pictures = CablePictures(frames, size)
+    frames = CableFrames(frames, size)
 
-    def off(name: str, pictures: VideoPictures = pictures, told: int = 1, scale: float = 1.0) -> float:
-        booth = Booth(images, size, bits=bits, share=0.9, scale=scale)
-        light = printed(tmp_path / name, booth, pictures, images, told)
+    def off(name: str, frames: VideoFrames = frames, told: int = 1, scale: float = 1.0) -> float:
+        emulated = EmulatedVideoRig(images, size, bits=bits, share=0.9, scale=scale)
+        light = printed(tmp_path / name, emulated, frames, images, told)
         return float(np.abs(A.T(A.device.upload(light)).numpy() - wanted).max() / np.abs(wanted).max())
 
     assert off("good") < 1e-4
-    assert off("shifted", Shifted(pictures, images)) > 0.01
+    assert off("shifted", Shifted(frames, images)) > 0.01
     assert off("inverted", scale=-1.0) > 0.01
     assert off("a video frame earlier than told", told=2) > 0.01

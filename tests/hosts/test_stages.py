@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from vamgpu.errors import BadInput, DeviceRefused
-from vamgpu.hosts.drivers.stage import Stage
-from vamgpu.hosts.drivers.standa import StandaStage
+from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, DeviceRefused
+from vamgpu.hosts.drivers.stages import Stage, StandaStage, Triggering, ZaberStage
 from vamgpu.hosts.drivers.wire import Wire
-from vamgpu.hosts.drivers.zaber import ZaberStage
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.emulators.line import Faults, LineMachine
-from vamgpu.hosts.emulators.ports import plug
+from vamgpu.hosts.emulators.line import Faults, LineMachine, plug
 from vamgpu.hosts.emulators.servers import TcpServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
 
@@ -29,7 +27,7 @@ def test_the_zaber_stage_over_a_socket() -> None:
     machine = EmulatedStage(rotary=True, acceleration=3_000_000.0)
     with TcpServer(machine) as server, ZaberStage.open(server.url, microsteps=1000.0) as stage:
         assert isinstance(stage, Stage)
-        stage.move(36.0, 600.0)
+        stage.move(36.0, 36.0)
         assert stage.busy()
         stage.wait()
         assert stage.position() == 36.0
@@ -55,6 +53,39 @@ def test_the_zaber_stage_stays_within_its_limits() -> None:
     assert 5 * SECOND < clock.now() < 6 * SECOND and machine.true_position(clock.now()) == 50_000
     with pytest.raises(BadInput):
         ZaberStage(_wire(machine, clock), 0.0)
+
+
+def test_the_zaber_stage_gives_an_edge_each_pose() -> None:
+    clock, machine = VirtualClock(), EmulatedStage(rotary=True, acceleration=1e9)
+    stage = ZaberStage(_wire(machine, clock), 1000.0)
+    assert isinstance(stage, Triggering) and stage.measured
+    stage.trigger_every(3.0)
+    assert machine.rising_edges(clock.now()) == 0
+    stage.run(30.0)
+    clock.sleep(SECOND)
+    assert machine.rising_edges(clock.now()) == 10
+    stage.trigger_every(0)
+    assert machine.rising_edges(clock.now()) == 0
+    with pytest.raises(BadInput, match="drifts"):
+        stage.trigger_every(1.0015)
+    with pytest.raises(BadInput, match="two microsteps"):
+        stage.trigger_every(0.0001)
+    with pytest.raises(DeviceRefused, match="BADDATA"):
+        stage.trigger_every(3.0, output=7)
+
+
+def test_a_zaber_stage_that_is_unplugged_is_lost() -> None:
+    with TcpServer(EmulatedStage(rotary=True)) as server:
+        stage = ZaberStage.open(server.url, 1000.0, timeout_s=0.2)
+        server.faults.dead = True
+        with pytest.raises(DeviceLost, match="get pos"):
+            stage.position()
+        server.close()
+        with pytest.raises(DeviceLost):
+            stage.run(10.0)
+        stage.close()
+    with pytest.raises(BadInput, match="socket"):
+        ZaberStage.open("socket://nowhere", 1000.0)
 
 
 class _Ximc:
@@ -87,3 +118,19 @@ def test_the_standa_stage_counts_in_steps_and_fractions() -> None:
         stage.run(-1.0)
         assert axis.calls[-1] == ("command_left",)
     assert axis.calls[-2:] == [("command_sstp",), ("close_device",)]
+
+
+def test_the_standa_stage_on_the_makers_virtual_axis(tmp_path: Path) -> None:
+    with StandaStage.open(f"xi-emu://{tmp_path / 'axis.bin'}", steps=80.0) as stage:
+        start = stage.position()
+        stage.move(start + 2.5, 20.0)
+        stage.wait()
+        assert stage.position() == pytest.approx(start + 2.5, abs=1 / 80 / 256) and stage.measured
+        stage.run(5.0)
+        time.sleep(0.1)
+        stage.run(0)
+        stage.wait()
+        assert stage.position() > start + 2.5
+    stage.close()
+    with pytest.raises(DeviceNotFound, match="check address"):
+        StandaStage.open("xi-com:///dev/no-such-axis", steps=80.0)

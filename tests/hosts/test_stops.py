@@ -14,49 +14,48 @@ import pytest
 from doubles import MIRRORS, Scene, late, roll
 
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.hosts.board import Board
 from vamgpu.hosts.players.triggered import PREROLL
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.limits import LensTiming
 from vamgpu.hosts.schedules.moving import turned
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import State, WrongState
+from vamgpu.hosts.state import Board, PrintState, WrongState
 
 
-def test_a_stop_at_rest_is_not_forgotten(run: Path) -> None:
+def test_a_stop_in_a_pause_is_not_forgotten(run: Path) -> None:
     scene = Scene(run, roll())
     scene.paused(3)
-    before = len(scene.bench.controller.intervals)
+    before = len(scene.emulated.controller.intervals)
     scene.print.stop("at rest")
     scene.print.pause()
-    assert scene.print.run() is State.CANCELLED and scene.print.guard.fault == "at rest"
-    assert len(scene.bench.controller.intervals) == before, "no light after the stop"
+    assert scene.print.run() is PrintState.CANCELLED and scene.print.guard.fault == "at rest"
+    assert len(scene.emulated.controller.intervals) == before, "no light after the stop"
 
 
 def test_a_stop_while_a_resumed_print_gets_ready_is_not_forgotten(run: Path) -> None:
     scene = Scene(run, roll())
     scene.paused(3)
-    before, wait = len(scene.bench.controller.intervals), scene.bench.clock.sleep_until
+    before, wait = len(scene.emulated.controller.intervals), scene.emulated.clock.sleep_until
 
     def stopping(until: int) -> None:
-        scene.bench.clock.sleep_until = wait  # type: ignore[method-assign]
+        scene.emulated.clock.sleep_until = wait  # type: ignore[method-assign]
         scene.print.stop("in the run-up")
         wait(until)
 
-    scene.bench.clock.sleep_until = stopping  # type: ignore[method-assign]
-    assert scene.print.run() is State.CANCELLED
-    assert len(scene.bench.controller.intervals) == before and not scene.bench.controller.light
+    scene.emulated.clock.sleep_until = stopping  # type: ignore[method-assign]
+    assert scene.print.run() is PrintState.CANCELLED
+    assert len(scene.emulated.controller.intervals) == before and not scene.emulated.controller.light
 
 
 def test_a_stop_before_the_print_exists_or_runs_is_not_forgotten(run: Path, tmp_path: Path) -> None:
     board = Board()
     board.stop("before")
     early = Scene(run, roll(), board)
-    assert early.print.run() is State.CANCELLED and not early.lit()
+    assert early.print.run() is PrintState.CANCELLED and not early.lit()
     late = Scene(tmp_path / "late", roll())
     late.print.stop("not yet")
-    assert late.print.run() is State.CANCELLED and not late.lit()
+    assert late.print.run() is PrintState.CANCELLED and not late.lit()
     assert late.read().message == "not yet"
 
 
@@ -87,19 +86,19 @@ def test_signals_that_end_a_process_cancel(run: Path, number: signal.Signals, re
     scene = signalling(run, number)
     with pytest.raises(SystemExit):
         scene.print.run()
-    assert not scene.bench.controller.light and signal.getsignal(number) == signal.SIG_DFL
+    assert not scene.emulated.controller.light and signal.getsignal(number) == signal.SIG_DFL
     found = scene.read()
-    assert found.state is State.CANCELLED and found.message == number.name
+    assert found.state is PrintState.CANCELLED and found.message == number.name
 
 
 def test_a_print_outlives_its_terminal_where_that_is_asked(run: Path, request: pytest.FixtureRequest) -> None:
     """Under `nohup`, SIGHUP is ignored from the start."""
     request.addfinalizer(partial(signal.signal, signal.SIGHUP, signal.signal(signal.SIGHUP, signal.SIG_IGN)))
-    assert signalling(run, signal.SIGHUP).print.run() is State.COMPLETE
+    assert signalling(run, signal.SIGHUP).print.run() is PrintState.COMPLETE
 
 
 def signalling(run: Path, number: signal.Signals) -> Scene:
-    """A print that hears a signal after its fifth picture."""
+    """A print that hears a signal after its fifth frame."""
     scene = Scene(run, roll())
     wait = scene.player.wait
 
@@ -117,19 +116,19 @@ def test_what_was_shown_before_a_fault_is_kept(run: Path) -> None:
     with scene.print.guard:
         scene.print.begin(0)
         scene.until(20)
-        scene.bench.lose_triggers = 1
-        scene.bench.clock.sleep(SECOND // 10)
+        scene.emulated.lose_triggers = 1
+        scene.emulated.clock.sleep(SECOND // 10)
         with pytest.raises(InterlockOpen) as error:
             scene.until(60)
     scene.print.ended(error.value)
     slots = scene.read().shown["slot"]
-    assert len(slots) == scene.bench.controller.shown - PREROLL and slots.tolist() == list(range(len(slots)))
+    assert len(slots) == scene.emulated.controller.shown - PREROLL and slots.tolist() == list(range(len(slots)))
 
 
 def test_each_engine_has_its_own_power(run: Path) -> None:
     scene = Scene(run, turned(12, speed=40, engines=(MIRRORS, MIRRORS), power=(1.0, 0.25)))
-    assert scene.print.run() is State.COMPLETE
-    assert scene.bench.controller.powers == [65535, round(0.25 * 65535)]
+    assert scene.print.run() is PrintState.COMPLETE
+    assert scene.emulated.controller.powers == [65535, round(0.25 * 65535)]
     budget = scene.print.guard.budget
     assert budget is not None and budget.spent == pytest.approx(1.25e-9 * scene.schedule.on.sum())
 
@@ -137,7 +136,7 @@ def test_each_engine_has_its_own_power(run: Path) -> None:
 def test_an_added_turn_lights_only_the_engine_that_missed(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     late(monkeypatch, set(), {10, 12, 14, 16, 18, 20})
     scene = Scene(run, turned(24, speed=40, engines=(MIRRORS, MIRRORS)), depth=2)
-    assert scene.print.run() is State.COMPLETE
+    assert scene.print.run() is PrintState.COMPLETE
     for engine in (0, 1):
         seconds = scene.seconds(engine, 24)
         assert np.abs(seconds / seconds[0] - 1).max() < 2e-3
@@ -150,7 +149,7 @@ def test_an_added_turn_lights_only_the_engine_that_missed(run: Path, monkeypatch
 def test_two_lost_poses_are_borne_at_any_rate(run: Path, monkeypatch: pytest.MonkeyPatch, speed: float) -> None:
     late(monkeypatch, {298, 398})
     scene = Scene(run, roll(500, speed), depth=50)
-    assert scene.print.run() is State.COMPLETE
+    assert scene.print.run() is PrintState.INCOMPLETE
     shown = scene.read().shown
     assert shown["slot"][shown["dark"] > 0].tolist() == [298, 398]
 
@@ -176,7 +175,7 @@ def test_a_full_disk_still_learns_how_the_print_ended(run: Path, monkeypatch: py
             scene.until(60)
     scene.print.ended(error.value)
     scene.print.folder._write = write
-    assert scene.read().state is State.ERROR
+    assert scene.read().state is PrintState.HELD
 
 
 def test_half_a_line_does_not_spoil_the_record(run: Path) -> None:
@@ -196,13 +195,13 @@ def test_a_lens_is_brought_back_to_its_focus_by_another_host(run: Path) -> None:
     schedule = roll(40, lens=LensTiming(settle=6e-3), focus=powers)
     for first in range(1, 7):
         scene = Scene(run.with_name(f"run{first}"), schedule, powers=powers)
-        assert scene.print.run(first) is State.COMPLETE
-        assert scene.bench.chamber.astray == 0.0
+        assert scene.print.run(first) is PrintState.INCOMPLETE
+        assert scene.emulated.chamber.astray == 0.0
 
 
 def test_light_of_an_earlier_host_counts(run: Path) -> None:
     scene = Scene(run, roll(20))
-    assert scene.print.run() is State.COMPLETE
+    assert scene.print.run() is PrintState.COMPLETE
     budget, shown = scene.print.guard.budget, scene.read().shown
     later = Scene(run.with_name("later"), roll(20))
     later.print.recall(shown, 0)

@@ -54,17 +54,20 @@ def test_units_become_mm_s_and_mj(text: str, kind: str, value: float) -> None:
     "text", ["12.4", "mm", "", "12.4 s", "12.4 mm mm", "nan mm", "-1 mm", "0 mm", "1e400 mm", 12.4, True]
 )
 def test_what_is_no_length_is_refused_with_an_example(text: object) -> None:
-    with pytest.raises(ValueError, match=r"wanted a length.*12\.4 mm"):
+    with pytest.raises(ValueError, match=r"expected a length.*12\.4 mm"):
         parse(text, "a length")
 
 
 @pytest.mark.parametrize(
     ("text", "kind", "said"),
     [
-        ("65 mW", "an irradiance", r"unit 'mW'; wanted an irradiance in mW/cm2, W/cm2, mW/mm2.*65 mW/cm2"),
+        ("65 mW", "an irradiance", r"unit 'mW'; expected an irradiance in mW/cm2, W/cm2, mW/mm2.*65 mW/cm2"),
         ("65 mJ/cm2", "an irradiance", "unit 'mJ/cm2'"),
-        ("100 mJ/cm²", "a dose", r"unit 'mJ/cm²'; wanted a dose in mJ/cm3, J/cm3, mJ/mm3.*100 mJ/cm3"),
+        ("100 mJ/cm²", "a dose", r"unit 'mJ/cm²'; expected a dose in mJ/cm3, J/cm3, mJ/mm3.*100 mJ/cm3"),
         ("100", "a dose", "no unit"),
+        ("0.2 in", "a length", r"unit 'in': 0\.2 × 25\.4 mm = 5\.08 mm; expected a length .*like \"5\.08 mm\""),
+        ("0.01in", "a length", r"0\.01 × 25\.4 mm = 0\.254 mm"),
+        ("5 mil", "a length", r"= 0\.127 mm"),
         ("100 mJ cm-2", "a dose", "unit 'mJ cm-2'"),
     ],
 )

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from vamgpu.errors import JobError
+from vamgpu import SquareBath
+from vamgpu.errors import BadInput, JobError
 from vamgpu.jobs.curethrough import parse_curethrough
 from vamgpu.jobs.demo import JOB
+from vamgpu.jobs.keys import EXAMPLES, FILES, commented, explained, keys_of
 from vamgpu.jobs.lines import key_lines, line_of
 from vamgpu.jobs.read import parse_job, read_job, toml_value
+from vamgpu.jobs.web import parse_web
+from vamgpu.schema.explain import keys
+from vamgpu.schema.read import model_in
 
 
 def test_the_demo_reads_in_mm_and_mj() -> None:
-    wanted = parse_job(JOB).wanted
+    wanted = parse_job(JOB).file
     assert wanted.target.pitch == pytest.approx(0.09)
     assert wanted.vial is not None and wanted.vial.radius == 12.4
     assert wanted.print is not None and wanted.print.irradiance == pytest.approx(0.65)
@@ -41,19 +48,24 @@ def line_with(text: str, words: str) -> int:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('"12.4 mm"', '"12.4 s"', "vial.radius: got '12.4 s'; unit 's'; wanted a length"),
-        ('"12.4 mm"', "12.4", "vial.radius: got 12.4; wanted a length with its unit in quotes"),
+        ('"12.4 mm"', '"12.4 s"', "vial.radius: got '12.4 s'; unit 's'; expected a length"),
+        ('"12.4 mm"', "12.4", "vial.radius: got 12.4; expected a length with its unit in quotes"),
         ('radius = "12.4 mm"', 'raduis = "12.4 mm"', "vial.raduis: unknown key; did you mean 'radius'?"),
         ("[frames]", "[framse]", "framse: unknown key; did you mean 'frames'?"),
-        ("bits = 8", "bits = 7", "frames.bits: got 7; wanted 1 or 8"),
-        ("bits = 8", "flip_r = 1", "frames.flip_r: got 1; wanted a valid boolean"),
-        ("iterations = 40", "iterations = 0", "solve.iterations: got 0; wanted greater than or equal to 1"),
-        ("iterations = 40", "iterations = 4.5", "solve.iterations: got 4.5; wanted a valid integer"),
-        ("angles = 360", 'angles = "many"', "turntable.angles: got 'many'; wanted a whole number of angles ≥ 1, or"),
-        ("angles = 360", "angles = true", "turntable.angles: got True; wanted a whole number of angles ≥ 1"),
-        ("angles = 360", 'range = "361 deg"', "turntable.range: got 6.30064 rad; wanted 360 deg at most"),
+        ("bits = 8", "bits = 7", "frames.bits: got 7; expected 1 or 8"),
+        ("bits = 8", "shift = 3", "frames.shift: got 3; expected a list in brackets"),
+        ("bits = 8", "shift = [3]", "frames.shift: got [3]; expected a list of at least 2 values"),
+        ("bits = 8", "shift = [3, 1, 2]", "frames.shift: got [3, 1, 2]; expected a list of at most 2 values"),
+        ("angles = 360", "angles = 60000000", "turntable.angles: got 60000000; expected 1,000,000 angles"),
+        ('height = "11.5 mm"', 'height = "0.5 in"', "target.height: got '0.5 in'; unit 'in': 0.5 × 25.4 mm = 12.7 mm"),
+        ("bits = 8", "flip_r = 1", "frames.flip_r: got 1; expected true or false"),
+        ("iterations = 40", "iterations = 0", "solve.iterations: got 0; expected greater than or equal to 1"),
+        ("iterations = 40", "iterations = 4.5", "solve.iterations: got 4.5; expected a whole number without quotes"),
+        ("angles = 360", 'angles = "many"', "turntable.angles: got 'many'; expected a whole number of angles ≥ 1, or"),
+        ("angles = 360", "angles = true", "turntable.angles: got True; expected a whole number of angles ≥ 1"),
+        ("angles = 360", 'range = "361 deg"', "turntable.range: got 6.30064 rad; expected 360 deg at most"),
         ("resin_index = 1.49962", "resin_index = nan", "vial.resin_index: got nan"),
-        ("bath_index = 1.0", 'polarization = "x"', "vial.polarization: got 'x'; wanted 'none', 's' or 'p'"),
+        ("bath_index = 1.0", 'polarization = "x"', "vial.polarization: got 'x'; expected 'none', 's' or 'p'"),
         ("resin_index = 1.49962", "resin_index = 0.9", "vial.resin_index: got 0.9"),
     ],
 )
@@ -67,12 +79,15 @@ def test_a_wrong_value_is_named_with_its_line(old: str, new: str, said: str) -> 
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("fill = 1.2", "beam.fill: got 1.2; wanted less than or equal to 1"),
-        ("fill = 0", "beam.fill: got 0; wanted greater than 0"),
-        ("spread = 0.025", "beam.spread: got 0.025; wanted a length with its unit in quotes"),
-        ('spread = "25"', "beam.spread: got '25'; no unit; wanted a length in mm"),
-        ('spread = "-1 um"', 'wanted a length ≥ 0: write it like "12.4 mm"; or the path of a calibration: spread = "'),
-        ('footprint = "area"', "beam.footprint: got 'area'; wanted 'exact' or 'joseph'"),
+        ("fill = 1.2", "beam.fill: got 1.2; expected less than or equal to 1"),
+        ("fill = 0", "beam.fill: got 0; expected greater than 0"),
+        ("spread = 0.025", "beam.spread: got 0.025; expected a length with its unit in quotes"),
+        ('spread = "25"', "beam.spread: got '25'; no unit; expected a length in mm"),
+        (
+            'spread = "-1 um"',
+            'expected a length ≥ 0: write it like "12.4 mm"; or the path of a calibration: spread = "',
+        ),
+        ('footprint = "area"', "beam.footprint: got 'area'; expected 'exact' or 'joseph'"),
     ],
 )
 def test_a_wrong_optic_of_the_beam_is_named_with_its_line(line: str, said: str) -> None:
@@ -80,6 +95,19 @@ def test_a_wrong_optic_of_the_beam_is_named_with_its_line(line: str, said: str) 
     with pytest.raises(JobError) as caught:
         parse_job(text, source="boat.toml")
     assert f"boat.toml, line {line_with(text, line)}: beam." in str(caught.value) and said in str(caught.value)
+
+
+def test_a_renamed_key_is_complained_of_on_its_own_line() -> None:
+    text = JOB.replace("[solve]", "[solve]\n# in all\npairs = 0")
+    with pytest.warns(FutureWarning, match="evaluations"), pytest.raises(JobError) as told:
+        parse_job(text)
+    assert f"line {line_with(text, 'pairs = 0')}: solve.evaluations: got 0" in str(told.value)
+
+
+def test_the_old_name_of_a_job_s_file_warns() -> None:
+    job = parse_job(JOB)
+    with pytest.warns(DeprecationWarning, match="Job.wanted is called file"):
+        assert job.wanted is job.file
 
 
 def test_every_wrong_value_is_named_at_once() -> None:
@@ -117,16 +145,30 @@ def test_settings_are_toml_values_else_text(text: str, value: object) -> None:
 
 def test_settings_replace_what_the_file_says() -> None:
     job = parse_job(JOB, ["frames.flip_r=false", "frames.flip_z=true", "target.height=9 mm", "solve.iterations = 3"])
-    assert job.wanted.frames.flip_r is False and job.wanted.frames.flip_z is True
-    assert (job.wanted.target.height, job.wanted.solve.iterations) == (9.0, 3)
+    assert job.file.frames.flip_r is False and job.file.frames.flip_z is True
+    assert (job.file.target.height, job.file.solve.iterations) == (9.0, 3)
     with pytest.raises(JobError, match=r"--set: solve\.iterations: got False"):
         parse_job(JOB, ["solve.iterations=false"])
     with pytest.raises(JobError, match=r"--set: solve\.itrations: unknown key; did you mean 'iterations'"):
         parse_job(JOB, ["solve.itrations=3"])
-    with pytest.raises(JobError, match="wanted key=value"):
+    with pytest.raises(JobError, match="expected key=value"):
         parse_job(JOB, ["iterations"])
     with pytest.raises(JobError, match="no table"):
         parse_job(JOB, ["frames.bits.x=1"])
+
+
+def test_files_that_are_not_there_are_named_with_their_lines(tmp_path: Path) -> None:
+    text = JOB.replace('shape = "boat"', 'mesh = "boat.stl"').replace("angles = 360", 'angles = "a.csv"')
+    text = text.replace("bits = 8", 'gray = "gray.toml"')
+    (tmp_path / "a.csv").write_text("angle_deg\n0\n90\n", encoding="utf-8")
+    (tmp_path / "boat.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(JobError) as refused:
+        read_job(tmp_path / "boat.toml", ["beam.spread=mtf/result.toml"])
+    for line, name in enumerate(("boat.stl", "mtf/result.toml", "gray.toml")):
+        key = ("target.mesh", "beam.spread", "frames.gray")[line]
+        place = "--set" if name.startswith("mtf") else f"line {line_with(text, name)}"
+        assert f"{place}: {key}: got {name!r}; there is no file {str(tmp_path / name)!r}" in str(refused.value)
+    assert "a.csv" not in str(refused.value) and str(refused.value).count("\n") == 2
 
 
 def test_what_is_no_job_file_is_refused(tmp_path: Path) -> None:
@@ -139,8 +181,40 @@ def test_what_is_no_job_file_is_refused(tmp_path: Path) -> None:
         read_job(tmp_path / "bytes.toml")
 
 
-def test_the_readme_shows_a_job_that_reads() -> None:
-    readme = Path(__file__).resolve().parents[2] / "README.md"
-    vial, slices = re.findall(r"```toml\n(.*?)```", readme.read_text(encoding="utf-8"), re.DOTALL)
-    assert parse_job(vial, source="README.md").wanted.vial is not None
-    assert parse_curethrough(slices, source="README.md").given["slices"] == {"path": "slices"}
+def shown(page: str) -> list[str]:
+    """The job files on a page."""
+    return re.findall(r"```toml\n(.*?)```", (Path(__file__).resolve().parents[2] / page).read_text("utf-8"), re.DOTALL)
+
+
+def test_the_pages_show_jobs_that_read() -> None:
+    (first,), (vial, bath), (slices,) = shown("README.md"), shown("docs/jobs.md"), shown("docs/curethrough.md")
+    assert first == vial and parse_job(vial, source="README.md").file.vial is not None
+    bathed = re.sub(r"\[vial\]\n.*?(?=\[beam\])", bath, vial, flags=re.DOTALL)
+    assert isinstance(parse_job(bathed, source="jobs.md").file.vessel, SquareBath)
+    assert parse_curethrough(slices, source="curethrough.md").given["slices"] == {"path": "slices"}
+
+
+@pytest.mark.parametrize(
+    ("what", "read"), [("vial", parse_job), ("web", parse_web), ("slices", parse_curethrough), ("machine", None)]
+)
+def test_a_file_to_begin_with_is_sound_and_names_every_key(what: str, read: Any) -> None:
+    text = commented(what)
+    given = tomllib.loads(text)
+    assert given == {
+        key: part for key, part in tomllib.loads(EXAMPLES[what]).items() if key in FILES[what].model_fields
+    }
+    if read is not None:
+        assert read(text).given == given
+    for table, field in FILES[what].model_fields.items():
+        assert f"[{table}]" in text
+        model = model_in(field.annotation, field.metadata, given.get(table, {}))
+        for key in () if model is None else keys(model):
+            assert re.search(rf"^(# )?{key.name} = ", text, re.M), (table, key.name)
+    assert max(map(len, text.splitlines())) <= 140
+
+
+def test_kinds_and_single_keys_are_explained() -> None:
+    assert "vessel.fan" in [key.name for key in explained("vessel")]
+    assert [key.name for key in explained("target.pitch")] == ["pitch"] and explained("beam") == keys_of("beam")
+    with pytest.raises(BadInput, match="no table 'a.b'"):
+        explained("a.b")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
@@ -11,21 +12,24 @@ import pytest
 from vamgpu.backend import devices, open_device
 from vamgpu.errors import BadInput, Cancelled, JobError, OpticsWarning, StorageError, TargetTooLarge
 from vamgpu.geometry import Beam
-from vamgpu.jobs.build import describe, projection_from, projection_of, target_of
-from vamgpu.jobs.demo import JOB, demo
+from vamgpu.jobs.build import projection_of, target_of
+from vamgpu.jobs.demo import JOB, Demo, demo
 from vamgpu.jobs.read import parse_job
-from vamgpu.jobs.run import prove, solve
+from vamgpu.jobs.run import is_interrupted, prove, solve
+from vamgpu.methods.saved import describe, projection_from
 from vamgpu.storage.folder import Folder
 
 SMALL = ["target.pitch=500 um", "beam.pitch=700 um", "turntable.angles=24", "solve.iterations=3"]
 
 
-@pytest.mark.parametrize("name", devices())
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name == "numpy" else pytest.mark.slow) for name in devices()]
+)
 def test_a_job_is_solved_written_and_proven(name: str, tmp_path: Path) -> None:
-    told: list[str] = []
+    progress: list[str] = []
     job = parse_job(JOB, [*SMALL, f"solve.device={name}"])
-    folder = solve(job, tmp_path / "boat.vam", told=lambda stage, share: told.append(stage))
-    assert list(dict.fromkeys(told)) == ["voxels", "light", "frames", "folder"]
+    folder = solve(job, tmp_path / "boat.vam", progress=lambda stage, share: progress.append(stage))
+    assert list(dict.fromkeys(progress)) == ["voxels", "light", "frames", "folder"]
     assert folder.manifest.inputs["job"]["vial"]["radius"] == "12.4 mm"
     proven = prove(tmp_path / "boat.vam", name)
     assert proven.proof.scores.in_voxels > 100
@@ -42,29 +46,38 @@ def test_a_proof_is_the_same_from_another_device(tmp_path: Path) -> None:
     assert np.abs(here.dose.numpy() - there.dose.numpy()).max() <= 1e-5 * here.scores.peak
 
 
-def test_a_demo_leaves_a_job_frames_and_a_report(tmp_path: Path) -> None:
-    done = demo(tmp_path / "demo", SMALL)
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Demo:
+    """The demo, made once for the tests that look at it."""
+    return demo(tmp_path_factory.mktemp("run") / "demo", SMALL)
+
+
+@pytest.mark.slow
+def test_a_demo_leaves_a_job_frames_and_a_report(done: Demo) -> None:
     page = done.report.read_text(encoding="utf-8")
     assert "boat" in page and page.rstrip().endswith("</html>")
     Folder.open(done.folder).verify()
-    again = demo(tmp_path / "demo", SMALL)
+    place = done.folder.parent
+    again = demo(place, SMALL)
     assert again.proven.proof.scores == done.proven.proof.scores
-    assert sorted(path.name for path in (tmp_path / "demo").iterdir()) == ["boat.toml", "boat.vam", "report.html"]
+    assert sorted(path.name for path in place.iterdir()) == ["boat.toml", "boat.vam", "report.html"]
 
 
 def test_a_geometry_reads_back_from_its_description() -> None:
-    for vessel in ("", "\n[vat]\nwidth = \"30 mm\"\nabsorption = \"0.1 1/mm\"\n"):
+    for vessel in ("", '\n[vat]\nwidth = "30 mm"\nabsorption = "0.1 1/mm"\n'):
         text = JOB if not vessel else JOB.replace("[vial]", "[nothing]").split("[nothing]")[0] + vessel
         job = parse_job(text, SMALL[:3])
         device = open_device("numpy")
-        A = projection_of(job.wanted, target_of(job, device), device)
+        A = projection_of(job.file, target_of(job, device), device)
         B = projection_from(describe(A), device)
         assert (A.grid, A.beam, A.motion, A.vessel) == (B.grid, B.beam, B.motion, B.vessel)
 
 
+@pytest.mark.slow
 def test_a_beam_s_optics_go_into_the_job_folder_and_come_back(tmp_path: Path) -> None:
     (tmp_path / "result.toml").write_text(
-        'calibration = "mtf"\n[measured]\npositions_mm = [0.0]\nblur_mm = [0.5]\npixel_mm = 0.01\n', encoding="utf-8")
+        'calibration = "mtf"\n[measured]\npositions_mm = [0.0]\nblur_mm = [0.5]\npixel_mm = 0.01\n', encoding="utf-8"
+    )
     optics = ["beam.fill=0.92", "beam.spread=25 um"]
     cases = (
         ([], Beam((4, 4), 0.6), "exact"),
@@ -75,7 +88,7 @@ def test_a_beam_s_optics_go_into_the_job_folder_and_come_back(tmp_path: Path) ->
     device = open_device("numpy")
     for settings, beam, footprint in cases:
         job = parse_job(JOB, [*SMALL[:3], "beam.pitch=0.6 mm", "beam.pixels=[4, 4]", *settings], folder=tmp_path)
-        A = projection_of(job.wanted, target_of(job, device), device, job.folder)
+        A = projection_of(job.file, target_of(job, device), device, job.folder)
         assert A.beam.fill == beam.fill and A.footprint == footprint
         assert A.beam.spread == (None if beam.spread is None else pytest.approx(beam.spread, rel=1e-12))
         described = json.loads(json.dumps(describe(A)))
@@ -85,29 +98,36 @@ def test_a_beam_s_optics_go_into_the_job_folder_and_come_back(tmp_path: Path) ->
             assert described["beam"][name] == value
 
 
-def test_a_folder_from_before_the_optics_is_read_as_it_was_meant(tmp_path: Path) -> None:
-    done = demo(tmp_path, SMALL)
-    file = done.folder / "manifest.json"
+@pytest.mark.slow
+def test_a_folder_from_before_the_optics_is_read_as_it_was_meant(done: Demo, tmp_path: Path) -> None:
+    folder = copytree(done.folder, tmp_path / "boat.vam")
+    file = folder / "manifest.json"
     data = json.loads(file.read_text(encoding="utf-8"))
     for name in ("fill", "spread", "footprint"):
         del data["inputs"]["geometry"]["beam"][name]
     del data["inputs"]["geometry"]["vessel"]["polarization"]
     file.write_text(json.dumps(data), encoding="utf-8")
     with pytest.warns(OpticsWarning, match="fill 1, spread 0.*solve it again"):
-        proof = prove(done.folder, "numpy").proof
+        proof = prove(folder, "numpy").proof
     A = proof.operator
     assert (A.beam.fill, A.beam.spread, A.footprint) == (1.0, 0.0, "exact")
     assert A.vessel == done.proven.proof.operator.vessel
 
 
-def test_an_interrupted_job_leaves_nothing(tmp_path: Path) -> None:
-    def stop(stage: str, share: float) -> None:
-        if stage == "light" and share > 0:
+@pytest.mark.parametrize(
+    ("stage", "share", "left"), [("light", 0.1, ["boat.toml", "boat.vam"]), ("voxels", 0.0, ["boat.toml"])]
+)
+def test_an_interrupted_job_leaves_the_plan_it_had_or_nothing(
+    stage: str, share: float, left: list[str], tmp_path: Path
+) -> None:
+    def stop(now: str, done: float) -> None:
+        if now == stage and done >= share:
             raise KeyboardInterrupt
 
     with pytest.raises((KeyboardInterrupt, Cancelled)):
-        demo(tmp_path, SMALL, told=stop)
-    assert [path.name for path in tmp_path.iterdir()] == ["boat.toml"]
+        demo(tmp_path, SMALL, progress=stop)
+    assert sorted(path.name for path in tmp_path.iterdir()) == left
+    assert is_interrupted(tmp_path / "boat.vam") == ("boat.vam" in left)
 
 
 @pytest.mark.parametrize(
@@ -127,12 +147,26 @@ def test_what_cannot_be_done_is_refused(setting: str, error: type[BadInput], sai
 
 def test_a_place_that_is_taken_is_refused_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "boat.vam").mkdir()
-    told: list[str] = []
+    progress: list[str] = []
     with pytest.raises(StorageError, match="overwrit"):
-        solve(parse_job(JOB, SMALL), tmp_path / "boat.vam", told=lambda stage, share: told.append(stage))
-    assert not told
+        solve(parse_job(JOB, SMALL), tmp_path / "boat.vam", progress=lambda stage, share: progress.append(stage))
+    assert not progress
 
 
 def test_a_folder_without_a_job_is_refused(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="no finished job"):
         prove(tmp_path)
+
+
+def test_a_proof_tells_how_wide_a_window_any_light_can_have(tmp_path: Path) -> None:
+    coarse = ["target.pitch=900 um", "beam.pitch=900 um", "turntable.angles=12", "solve.device=numpy"]
+    solve(parse_job(JOB, [*coarse, "solve.method=widest", "solve.iterations=70"]), tmp_path / "boat.vam")
+    assert prove(tmp_path / "boat.vam", "numpy").proof.bound is None
+    proven = prove(tmp_path / "boat.vam", "numpy", evaluations=120)
+    bound = proven.proof.bound
+    assert bound is not None and proven.proof.claimed.window < bound.value < 1.0
+    lines = {line.name: line for line in proven.proof.lines()}
+    assert lines["process window, at most"].value == f"{bound.value:+.4f}"
+    assert proven.plan.bound is not None and proven.plan.window < proven.plan.bound
+    page = proven.report(tmp_path / "boat.html").read_text(encoding="utf-8")
+    assert "process window, at most" in page and f"{proven.plan.bound:+.4f}, by what its solver found" in page

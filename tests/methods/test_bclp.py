@@ -8,14 +8,14 @@ import pytest
 from vamgpu import Beam, Grid, Projection, Turntable
 from vamgpu.backend.device import Device
 from vamgpu.methods import BCLP, Logistic
-from vamgpu.methods.work import Work
+from vamgpu.methods.state import OptimizerState
 
 N = 12
 
 
 def test_the_papers_choices_are_its_numbers() -> None:
     method = BCLP.paper_002()
-    assert (method.p, method.slack, method.price, method.ridge) == (3.0, (0.05, 0.01), (1.0, 1.0), 0.04)
+    assert (method.p, method.slack, method.penalty, method.ridge) == (3.0, (0.05, 0.01), (1.0, 1.0), 0.04)
     assert method.momentum == 0.5 and method.q in (None, 3.0)
     assert method.response == Logistic(10.0, 0.5)
 
@@ -27,12 +27,12 @@ def test_the_loss_is_the_papers_sum(device: Device, fractional: bool) -> None:
     rng = np.random.default_rng(3)
     target = rng.random((N, N, N)) if fractional else (rng.random((N, N, N)) > 0.6).astype(float)
     dose = rng.random((N, N, N)) * 1.2
-    work = Work(operator, device.upload(target), {})
+    state = OptimizerState(operator, device.upload(target), {})
     field = device.upload(dose)
-    found = work.loss(field, BCLP.paper_002().band())
+    found = state.loss(field, BCLP.paper_002().band())
 
     place = np.arange(N) - 0.5 * (N - 1)
-    near = (np.hypot(place[:, None], place) <= work.reach)[:, :, None]
+    near = (np.hypot(place[:, None], place) <= state.reach)[:, :, None]
     made = 1.0 / (1.0 + np.exp(-10.0 * (dose - 0.5)))
     slack = 0.05 + (0.01 - 0.05) * target
     excess = np.maximum(0.0, np.abs(made - target) - slack)

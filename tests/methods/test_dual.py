@@ -18,7 +18,7 @@ from vamgpu.methods.dual import (
     Tolerant,
     superpose,
 )
-from vamgpu.methods.dual.passes import Bench
+from vamgpu.methods.dual.passes import DualState
 
 N = 32
 
@@ -50,7 +50,7 @@ def device_colors(place: Device, nz: int = 1) -> Colors:
 @pytest.mark.parametrize("width", [1.0, 0.3])
 def test_points_have_an_exact_transpose(width: float) -> None:
     A = PointProjection(Grid((9, 12, 1), 0.5), Turntable(14), width, 0.1)
-    assert A.prove() < 1e-12
+    assert A.dot_test() < 1e-12
 
 
 def test_a_point_falls_into_one_bin_and_fades() -> None:
@@ -72,6 +72,7 @@ def test_empty_bins_between_points() -> None:
 
 
 # ---- rules ----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_light_is_never_negative_and_the_dose_is_the_plans(method: str) -> None:
     colors, design = points(), letter()
@@ -88,8 +89,8 @@ def test_light_is_never_negative_and_the_dose_is_the_plans(method: str) -> None:
 def test_one_color_is_the_design_projected() -> None:
     colors, design = points(), letter()
     plan = superpose(colors, design, "sc")
-    assert colors.painter is not None
-    light = colors.painter(design)
+    assert colors.projector is not None
+    light = colors.projector(design)
     np.testing.assert_allclose(plan.visible.numpy() / plan.visible.numpy().max(), light / light.max(), rtol=1e-12)
     assert plan.dose().numpy().max() == pytest.approx(1.0) and plan.uv is None
 
@@ -104,7 +105,7 @@ def test_tolerance_bounds_what_is_out_of_the_part() -> None:
 
 def test_the_rule_of_the_text_trades_under_for_oversupply() -> None:
     plan = superpose(points(0.25), letter(), DualColor(recompute=True))
-    assert len(plan.history) == 23 and plan.history[-1].pairs == 47
+    assert len(plan.history) == 23 and plan.history[-1].evaluations == 47
     assert plan.history[-1].undersupply < 0.2 * plan.history[0].undersupply
     assert plan.history[-1].oversupply > plan.history[0].oversupply
     assert plan.dose().numpy().max() == pytest.approx(1.0)
@@ -113,11 +114,11 @@ def test_the_rule_of_the_text_trades_under_for_oversupply() -> None:
 def test_the_first_pass_of_the_text_by_hand() -> None:
     colors, design = points(), letter()
     plan = superpose(colors, design, DualColor(passes=1))
-    assert colors.painter is not None
-    light = colors.painter(design)
+    assert colors.projector is not None
+    light = colors.projector(design)
     dose = colors.visible.T(light)
-    uv = colors.painter(np.maximum(0.0, dose / dose.max() - design))
-    uv *= min(1.0, dose.max() / colors.uv.T(colors.painter(np.ones_like(design))).max())
+    uv = colors.projector(np.maximum(0.0, dose / dose.max() - design))
+    uv *= min(1.0, dose.max() / colors.uv.T(colors.projector(np.ones_like(design))).max())
     buildup = dose - colors.uv.T(uv)
     np.testing.assert_allclose(plan.dose().numpy(), buildup / buildup.max(), atol=1e-12)
     gap = buildup / buildup.max() - design
@@ -125,6 +126,7 @@ def test_the_first_pass_of_the_text_by_hand() -> None:
     assert plan.history[0].oversupply == pytest.approx(np.sqrt(np.mean(np.maximum(gap, 0) ** 2)))
 
 
+@pytest.mark.slow
 def test_two_colors_beat_one() -> None:
     colors, design = points(0.25), letter()
     window = {m: Contrast.of(superpose(colors, design, m).dose(), design).window for m in METHODS}
@@ -145,16 +147,17 @@ def test_least_squares_falls_and_stays_on_the_device(fast_device: Device) -> Non
     design = np.repeat(letter(), 5, 2)
     design[:, :, 4] = design[::-1, :, 0]
     field = device.upload(design)
-    method, bench = LeastSquares(30), Bench(colors, field)
-    steps = method.steps(bench)
+    method, state = LeastSquares(30), DualState(colors, field)
+    steps = method.steps(state)
     history = [next(steps)]
     with device.no_transfers():
         history.extend(steps)
     errors = [record.error for record in history]
     assert errors[-1] < 0.25 * errors[0]
-    assert Contrast.of(colors.dose(bench.light, bench.uv), design).window > 0
+    assert Contrast.of(colors.dose(state.light, state.uv), design).window > 0
 
 
+@pytest.mark.slow
 def test_least_squares_reaches_the_bounded_minimum() -> None:
     """Against scipy's non-negative solver on the dense matrices of both colors."""
     from scipy.optimize import nnls
@@ -171,6 +174,7 @@ def test_least_squares_reaches_the_bounded_minimum() -> None:
     assert loss == pytest.approx(0.5 * float(residual) ** 2, rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [3, 7, 12, 25])
 def test_least_squares_returns_the_best_light_it_looked_at(count: int) -> None:
     design = letter()

@@ -14,7 +14,7 @@ from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.kernels.update import linear
 from vamgpu.losses.band import Band
 from vamgpu.methods import BCLP, LBFGS, METHODS, OSMO, GradientDescent, PenaltyMinimization, ProcessWindow, optimize
-from vamgpu.methods.work import Work
+from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.projection import Projection
 
 SHAPE = (12, 12, 4)
@@ -68,12 +68,12 @@ def test_a_weight_of_nothing_is_refused(fast_device: Device, value: float, told:
 @pytest.mark.parametrize(
     "wrong",
     [
-        lambda: BCLP(price=(1e300, 1.0)),
+        lambda: BCLP(penalty=(1e300, 1.0)),
         lambda: BCLP(slack=(np.nan, 0.0)),
         lambda: BCLP(ridge=1e300),
         lambda: BCLP(p=1e3),
         lambda: BCLP(share=1e400),
-        lambda: PenaltyMinimization(price=(1.0, 1e300)),
+        lambda: PenaltyMinimization(penalty=(1.0, 1e300)),
         lambda: PenaltyMinimization(share=np.inf),
         lambda: GradientDescent(growth=np.inf),
         lambda: GradientDescent(share=np.nan),
@@ -82,8 +82,8 @@ def test_a_weight_of_nothing_is_refused(fast_device: Device, value: float, told:
         lambda: LBFGS(power=1e3),
         lambda: ProcessWindow(step=np.inf),
         lambda: Band((np.nan, 1.0), (0.0, 0.0)),
-        lambda: optimize(operator(), block(), pairs=0.0),
-        lambda: optimize(operator(), block(), pairs=float("nan")),
+        lambda: optimize(operator(), block(), evaluations=0.0),
+        lambda: optimize(operator(), block(), evaluations=float("nan")),
     ],
 )
 def test_numbers_that_would_leave_float32_are_refused(wrong: Any) -> None:
@@ -92,7 +92,7 @@ def test_numbers_that_would_leave_float32_are_refused(wrong: Any) -> None:
 
 
 def test_great_weights_still_give_light(fast_device: Device) -> None:
-    plan = optimize(operator(fast_device), block(), BCLP(price=(1e11, 1e11), weight=np.full(SHAPE, 10.0)), 8)
+    plan = optimize(operator(fast_device), block(), BCLP(penalty=(1e11, 1e11), weight=np.full(SHAPE, 10.0)), 8)
     losses = [step.loss for step in plan.history]
     assert np.isfinite(losses).all() and losses[-1] < losses[0]
     assert np.isfinite(plan.sinogram.numpy()).all()
@@ -134,6 +134,6 @@ def test_a_part_that_reaches_the_wall_is_answered_and_one_beyond_it_told(fast_de
 
 
 def test_light_that_reaches_nothing_is_the_worst() -> None:
-    work = Work(operator(), operator().device.upload(block()), {})
+    state = OptimizerState(operator(), operator().device.upload(block()), {})
     for value in (0.0, -1.0):
-        assert work.window(work.device.upload(np.full(SHAPE, value)))[0] == -1.0
+        assert state.window(state.device.upload(np.full(SHAPE, value)))[0] == -1.0

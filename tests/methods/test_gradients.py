@@ -14,7 +14,7 @@ from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.losses.band import Band
 from vamgpu.methods import BCLP, LBFGS, GeneralizedLogistic, Interpolated, Linear, Logistic, optimize
 from vamgpu.methods.ramp import capped_ramp, ramp
-from vamgpu.methods.work import Work
+from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.projection import Projection
 
 SHAPE = (12, 12, 12)
@@ -29,24 +29,24 @@ BANDS = [
 ]
 
 
-def bench(device: str | Device = "numpy") -> Work:
+def bench(device: str | Device = "numpy") -> OptimizerState:
     operator = Projection(Grid(SHAPE, 0.25), Beam(SHAPE[1:], 0.25), Turntable(16), device=device)
     rng = np.random.default_rng(2)
-    return Work(operator, operator.device.upload(rng.random(SHAPE)), {})
+    return OptimizerState(operator, operator.device.upload(rng.random(SHAPE)), {})
 
 
 @pytest.mark.parametrize("band", BANDS, ids=range(len(BANDS)))
 @pytest.mark.parametrize("weighted", [False, True])
 def test_the_gradient_by_light_is_the_slope_of_the_loss(band: Band, weighted: bool) -> None:
-    work, rng = bench(), np.random.default_rng(7)
-    light, way = rng.random(work.operator.range.shape) * 0.4, rng.normal(size=work.operator.range.shape)
-    weight = work.device.upload(rng.random(SHAPE)) if weighted else None
+    state, rng = bench(), np.random.default_rng(7)
+    light, way = rng.random(state.operator.range.shape) * 0.4, rng.normal(size=state.operator.range.shape)
+    weight = state.device.upload(rng.random(SHAPE)) if weighted else None
 
     def loss(step: float) -> tuple[float, np.ndarray]:
-        dose, gradient = work.volume(), work.sinogram()
-        work.expose(work.device.upload(light + step * way), dose)
-        value = work.loss(dose, replace(band, weight=weight))
-        work.project(dose, gradient)
+        dose, gradient = state.volume(), state.sinogram()
+        state.expose(state.device.upload(light + step * way), dose)
+        value = state.loss(dose, replace(band, weight=weight))
+        state.project(dose, gradient)
         return value, gradient.numpy()
 
     small = 1e-7
@@ -55,21 +55,21 @@ def test_the_gradient_by_light_is_the_slope_of_the_loss(band: Band, weighted: bo
 
 
 def test_the_price_of_light_has_the_right_slope(device: Device) -> None:
-    work, rng = bench(device), np.random.default_rng(8)
-    light = rng.random(work.operator.range.shape)
+    state, rng = bench(device), np.random.default_rng(8)
+    light = rng.random(state.operator.range.shape)
     gradient = device.upload(np.zeros_like(light))
-    price = work.free(device.upload(light), gradient, 0.3, 4.0, hold=False)
-    assert price == pytest.approx(0.3 * np.sum(light**4), rel=1e-5)
+    penalty = state.apply_penalty(device.upload(light), gradient, 0.3, 4.0, hold=False)
+    assert penalty == pytest.approx(0.3 * np.sum(light**4), rel=1e-5)
     assert np.allclose(gradient.numpy(), 1.2 * light**3, rtol=1e-5, atol=1e-6)
 
 
 def test_dark_light_is_held(device: Device) -> None:
-    work = bench(device)
-    shape = work.operator.range.shape
+    state = bench(device)
+    shape = state.operator.range.shape
     light = np.where(np.arange(shape[0])[:, None, None] % 2, 0.0, 1.0) * np.ones(shape)
     slope = np.random.default_rng(9).normal(size=shape).astype(np.float32)
     gradient = device.upload(slope)
-    work.free(device.upload(light), gradient)
+    state.apply_penalty(device.upload(light), gradient)
     assert np.array_equal(gradient.numpy(), np.where((light <= 0) & (slope > 0), 0.0, slope))
 
 
@@ -99,11 +99,11 @@ def test_the_ramp_inverts_a_projection(fast_device: Device) -> None:
     operator = Projection(Grid((n, n, 1), 0.3), Beam((n, 1), 0.3, spread=0.0), Turntable(180), device=fast_device)
     x, y, _ = np.meshgrid(*operator.grid.axes(), indexing="ij")
     blob = np.exp(-((x - 1.0) ** 2 + (y + 2.0) ** 2) / 2.0)
-    work = Work(operator, fast_device.upload(blob), {})
-    shadow, filtered, back = work.sinogram(), work.sinogram(), work.volume()
-    work.project(work.target, shadow)
-    work.filter(shadow, ramp(operator), filtered)
-    work.expose(filtered, back)
+    state = OptimizerState(operator, fast_device.upload(blob), {})
+    projected, filtered, back = state.sinogram(), state.sinogram(), state.volume()
+    state.project(state.target, projected)
+    state.filter(projected, ramp(operator), filtered)
+    state.expose(filtered, back)
     got = back.numpy()
     assert np.vdot(got, blob) / np.vdot(blob, blob) == pytest.approx(1.0, abs=0.02)
     assert np.abs(got - blob).max() <= 0.04  # the transpose of Joseph's projector is no smooth back projector
@@ -132,8 +132,8 @@ def test_a_price_on_bright_light_makes_it_even() -> None:
     operator, target = bench().operator, np.zeros(SHAPE)
     target[4:9, 3:8, 2:10] = 1.0
 
-    def efficiency(price: float) -> float:
-        light = optimize(operator, target, LBFGS(efficiency=price), 15).sinogram.numpy()
+    def efficiency(penalty: float) -> float:
+        light = optimize(operator, target, LBFGS(efficiency=penalty), 15).sinogram.numpy()
         return float(light.mean() / light.max())
 
     assert efficiency(0.5) > 1.2 * efficiency(0.0)

@@ -10,21 +10,22 @@ import pytest
 import vamgpu
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.kinetics import advance
-from vamgpu.chemistry.species import Light, Rates, State
-from vamgpu.errors import BadInput, DeviceError, ShapeMismatch
+from vamgpu.chemistry.species import LightCycle, Rates, SpeciesState
+from vamgpu.errors import BadInput, Cancelled, DeviceError, ShapeMismatch
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.kernels.inhibition import inhibition_step
 from vamgpu.methods.joint import (
-    Aims,
+    ColorPlan,
     EffectiveContrast,
     KineticModel,
     LinearModel,
+    LossWeights,
     Pair,
     PoseRuns,
     TwoColorResin,
     optimize_colors,
 )
-from vamgpu.methods.work import Work
+from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat
 
@@ -61,8 +62,8 @@ def test_steps_converge_to_the_equations(pairing: float) -> None:
     seconds, visible, ultraviolet = 30.0, 0.7, 1.5
     rates = Rates(1 / 30, 0.2138 / 30, 1.0, pairing, supply=5.0, order=1)
     resin = plain(pairing=pairing, floor=1e-7)
-    light = Light([visible], [resin.ultraviolet * 5.0 * ultraviolet / 30.0], [seconds])
-    wanted = advance(rates, State(1.0, 0.0, 5.0), light, tolerance=1e-10, device="numpy").states
+    light = LightCycle([visible], [resin.ultraviolet * 5.0 * ultraviolet / 30.0], [seconds])
+    wanted = advance(rates, SpeciesState(1.0, 0.0, 5.0), light, tolerance=1e-10, device="numpy").states
     exact = np.array([np.asarray(v)[0] for v in (wanted.a, wanted.b, wanted.c)])
     errors = [np.abs(stepped(resin, visible, ultraviolet, seconds, n)[:3] - exact).max() for n in (50, 100, 200)]
     assert errors[2] < 1e-4
@@ -105,15 +106,15 @@ def test_runs_of_poses_add_up_to_the_turn(device: Device) -> None:
         for operator in (A, straight):
             rng = np.random.default_rng(1)
             light, volume = device.upload(rng.random(A.range.shape)), device.upload(rng.random(A.domain.shape))
-            runs, part, shadow = PoseRuns(operator, count), device.empty(A.domain.shape), device.empty(A.range.shape)
+            runs, part, projected = PoseRuns(operator, count), device.empty(A.domain.shape), device.empty(A.range.shape)
             total = np.zeros(A.domain.shape)
             for run in range(count):
                 runs.expose(run, light, part)
                 total += part.numpy()
-                runs.project(run, volume, shadow)
+                runs.project(run, volume, projected)
             dose, wanted = operator.T(light).numpy(), operator(volume).numpy()
             assert np.abs(total - dose).max() <= 1e-5 * dose.max()
-            assert np.abs(shadow.numpy() - wanted).max() <= 1e-5 * wanted.max()
+            assert np.abs(projected.numpy() - wanted).max() <= 1e-5 * wanted.max()
 
 
 def loss_of(dose: np.ndarray, part: np.ndarray) -> np.ndarray:
@@ -125,11 +126,11 @@ def slope_of(dose: np.ndarray, part: np.ndarray) -> np.ndarray:
 
 
 def test_the_adjoint_agrees_with_finite_differences(device: Device) -> None:
-    """20 random pixels of both colors at 64³ through three turns with depletion, pairing and cross-reactivity.
+    """20 random pixels of both colors at 32³ through three turns with depletion, pairing and cross-reactivity.
 
     No two of them share a slice, so that one pair of exposures gives all differences: slices do not know one another.
     """
-    n, poses, count = 64, 20, 20
+    n, poses, count = 32, 20, 20
     A, B = both((n, n, n), poses, device)
     rng = np.random.default_rng(0)
     light = [rng.random(A.range.shape), rng.random(A.range.shape)]
@@ -137,7 +138,7 @@ def test_the_adjoint_agrees_with_finite_differences(device: Device) -> None:
     resin = TwoColorResin(0.5 / means[0], 0.3 / means[1], 1.0, 0.8, 0.02, 0.02 / means[1])
     model = KineticModel(A, B, resin, 3, period=20.0, runs=5)
     x, y, _ = np.meshgrid(*A.grid.axes(), indexing="ij")
-    part = (np.hypot(x, y) < 2.0) & (np.hypot(x - 0.5, y) > 0.8)
+    part = (np.hypot(x, y) < 1.0) & (np.hypot(x - 0.25, y) > 0.4)
 
     def exposed(values: list[np.ndarray]) -> np.ndarray:
         return model.expose(Pair(*map(device.upload, values))).numpy().astype(np.float64)
@@ -145,7 +146,7 @@ def test_the_adjoint_agrees_with_finite_differences(device: Device) -> None:
     dose = exposed(light)
     assert dose.max() > 1.25  # beyond the event, which the floor makes smooth
     gradient = [g.numpy() for g in model.gradient(device.upload(slope_of(dose, part)))]
-    color, pose, column = rng.integers(0, 2, count), rng.integers(0, poses, count), rng.integers(14, 50, count)
+    color, pose, column = rng.integers(0, 2, count), rng.integers(0, poses, count), rng.integers(7, 25, count)
     row = rng.permutation(n)[:count]
     small, sums = (1e-4 if device.name == "numpy" else 0.05), []
     for side in (small, -small):
@@ -179,11 +180,11 @@ def part_of(grid: Grid) -> np.ndarray:
 def test_both_colors_through_the_kinetics_beat_the_linear_model() -> None:
     """Judged by the kinetics; B pairs up fast, so that the linear model counts on light that is long forgotten."""
     A, B = both((40, 40, 4), 40, vamgpu.devices()[0])
-    target, aims = part_of(A.grid), Aims(0.7, 1.4, 1.6)
+    target, weights = part_of(A.grid), LossWeights(0.7, 1.4, 1.6)
     model = KineticModel(A, B, TwoColorResin.of(RATES, A, B), 3, period=10.0, runs=8)
-    found = optimize_colors(model, target, aims, 30)
-    line = optimize_colors(LinearModel(A, B, model.resin, 3), target, aims, 30)
-    dark = optimize_colors(model, target, replace(aims, share=0.0), 25)
+    found = optimize_colors(model, target, weights, 30)
+    line = optimize_colors(LinearModel(A, B, model.resin, 3), target, weights, 30)
+    dark = optimize_colors(model, target, replace(weights, share=0.0), 25)
     joint, linear, single = found.contrast(), line.contrast(model), dark.contrast()
     assert joint.window > linear.window + 0.05 > single.window + 0.1
     assert joint.bulk > linear.bulk and joint.overcured == joint.uncured == 0.0
@@ -194,8 +195,29 @@ def test_both_colors_through_the_kinetics_beat_the_linear_model() -> None:
     assert found.history[-1].loss < 0.1 * found.history[0].loss  # the first is that of the linear model's light
     # from the light of the linear model, which stays as it is, it goes on
     kept = line.visible.numpy()
-    again = optimize_colors(model, target, aims, 12, start=line)
+    again = optimize_colors(model, target, weights, 12, start=line)
     assert again.history[-1].loss < again.history[0].loss and np.array_equal(line.visible.numpy(), kept)
+
+
+def test_a_stopped_run_goes_on_bit_by_bit(device: Device) -> None:
+    A, B = both((12, 12, 2), 12, device)
+    target = part_of(A.grid)
+    model = KineticModel(A, B, TwoColorResin.of(RATES, A, B), 2, period=10.0, runs=4)
+    whole, seen = optimize_colors(model, target, iterations=7, warm=2), []
+    with pytest.raises(Cancelled, match="resume=") as stopped:
+        optimize_colors(model, target, warm=2, progress=seen.append, cancel=lambda: len(seen) == 3)
+    part = stopped.value.plan
+    assert isinstance(part, ColorPlan) and len(part.history) == 3
+    kept = [light.numpy().copy() for light in part.light]
+    again = optimize_colors(model, target, iterations=7, resume=part)
+    assert again.history == whole.history and again.best_iteration == whole.best_iteration
+    for found, wanted, before, now in zip(again.light, whole.light, kept, part.light, strict=True):
+        assert np.array_equal(found.numpy(), wanted.numpy()) and np.array_equal(before, now.numpy())
+    assert again.seconds > part.seconds
+    with pytest.raises(BadInput, match="begin anew"):
+        optimize_colors(model, target, LossWeights(0.7), resume=part)
+    with pytest.raises(BadInput, match="one"):
+        optimize_colors(model, target, start=part, resume=part)
 
 
 def test_gains_follow_from_rates() -> None:
@@ -218,7 +240,7 @@ def test_the_model_follows_the_kinetics_of_the_same_rates() -> None:
     light = Pair(*(A.device.upload(np.full(A.range.shape, value)) for value in per_pose))
     dose = model.expose(light).numpy()[15:17, 15:17].mean()
     seen = [16 * value * np.exp(-mu * 1.6) / period for value, mu in zip(per_pose, (0.05, 0.1), strict=True)]
-    end = advance(rates, rates.start(), Light(seen[0], seen[1], turns * period), device="numpy")
+    end = advance(rates, rates.start(), LightCycle(seen[0], seen[1], turns * period), device="numpy")
     assert not end.depleted.any() and end.b[0, 0] > 0.1
     wanted = 1.0 - (end.a[0, 0] + end.b[0, 0] / rates.alpha) / rates.oxygen
     assert dose == pytest.approx(wanted, abs=5e-3)
@@ -266,7 +288,7 @@ def test_wrong_input_is_refused() -> None:
     with pytest.raises(BadInput, match="expose some"):
         model.gradient(A.device.upload(target))
     with pytest.raises(BadInput, match="outside < 1"):
-        Aims(1.1, 1.4)
+        LossWeights(1.1, 1.4)
     with pytest.raises(BadInput, match="iterations"):
         optimize_colors(model, target, iterations=0)
     with pytest.raises(ShapeMismatch):
@@ -282,12 +304,12 @@ def test_the_best_light_looked_at_is_returned() -> None:
     A, B = both((12, 12, 1), 12, "numpy")
     x, y, _ = np.meshgrid(*A.grid.axes(), indexing="ij")
     part = np.where((np.hypot(x, y) < 0.45) & (np.hypot(x, y) > 0.2), 1.0, 0.0)
-    model, aims = LinearModel(A, B, TwoColorResin(11.0, 0.2, 3.0, 0.5), 3), Aims()
+    model, weights = LinearModel(A, B, TwoColorResin(11.0, 0.2, 3.0, 0.5), 3), LossWeights()
     for count in (4, 9, 14):
-        plan = optimize_colors(model, part, aims, count, warm=2)
+        plan = optimize_colors(model, part, weights, count, warm=2)
         losses = [step.loss for step in plan.history]
-        work = Work(A, A.device.upload(part), {})
-        loss = work.loss(plan.effective_dose(), aims.band(model.resin))
+        state = OptimizerState(A, A.device.upload(part), {})
+        loss = state.loss(plan.effective_dose(), weights.band(model.resin))
         assert loss == pytest.approx(min(losses), rel=1e-9, abs=1e-12)
         assert plan.best_iteration == 1 + max(i for i, loss in enumerate(losses) if loss == min(losses))
         assert plan.visible.numpy().min() >= 0.0 and plan.ultraviolet.numpy().min() >= 0.0

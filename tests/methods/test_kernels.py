@@ -12,7 +12,7 @@ from vamgpu.backend.device import Device
 from vamgpu.kernels.filter import filter_rows, filtered_step
 from vamgpu.kernels.loss import band_loss, sampled_loss
 from vamgpu.kernels.signature import Field, Kernel
-from vamgpu.kernels.update import correct_by_difference, correct_by_ratio, free_gradient, linear, paint
+from vamgpu.kernels.update import apply_penalty, correct_by_difference, correct_by_ratio, fill_background, linear
 from vamgpu.operators.reductions import folded, parts_for
 
 FLAT = np.array([0.0, 1.0])
@@ -34,9 +34,9 @@ BAND = {
 LINE = {"start": 0.0, "density": 1.0}
 CASES: list[tuple[Kernel, dict[str, Any]]] = [
     (linear, {"a": 0.5, "b": -1.5, "floor": 0.0}),
-    (free_gradient, {"weight": 0.1, "power": 4.0, "hold": 0}),
-    (free_gradient, {"weight": 0.0, "power": 1.0, "hold": 1}),
-    (paint, {"low": 0.6, "high": 1.0, "reach": 11.0}),
+    (apply_penalty, {"weight": 0.1, "power": 4.0, "hold": 0}),
+    (apply_penalty, {"weight": 0.0, "power": 1.0, "hold": 1}),
+    (fill_background, {"low": 0.6, "high": 1.0, "reach": 11.0}),
     (correct_by_ratio, {"scale": 1.2, "low": 0.6, "high": 1.0, "most": 3.0}),
     (
         correct_by_difference,

@@ -22,7 +22,7 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import dot
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "losses.md"
 SHAPE, REACH = (20, 20, 6), 9.0
 
 
@@ -121,14 +121,14 @@ def readme() -> Plan:
 
 
 def shown(A: Projection, target: Any) -> Plan:
-    code = next(c for c in re.findall(r"```python\n(.*?)```", README.read_text("utf-8"), re.S) if "VoxelLoss(" in c)
+    code = next(c for c in re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.S) if "VoxelLoss(" in c)
     assert len([line for line in code.splitlines() if line.strip()]) <= 10
     names: dict[str, Any] = {"vam": vam, "A": A, "target": target}
     exec(code, names)  # noqa: S102 - our own page
     return names["plan"]
 
 
-def test_the_ten_lines_of_the_readme_run_on_the_device(fast_device: Device) -> None:
+def test_the_ten_lines_of_the_page_run_on_the_device(fast_device: Device) -> None:
     A = operator(fast_device)
     target = A.device.upload(part())
     with A.device.no_transfers():
@@ -155,8 +155,8 @@ def test_a_run_goes_on_bit_by_bit_and_stops_when_asked(method: Descent) -> None:
 
 def test_quasi_newton_directions_go_lower() -> None:
     loss = Band.thresholds(0.75, 0.95)
-    plain, quick = (optimize(operator("numpy"), part(), Descent(loss, history=k), pairs=30) for k in (0, 5))
-    assert quick.history[-1].loss < plain.history[-1].loss and quick.pairs <= 30
+    plain, quick = (optimize(operator("numpy"), part(), Descent(loss, history=k), evaluations=30) for k in (0, 5))
+    assert quick.history[-1].loss < plain.history[-1].loss and quick.evaluations <= 30
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def test_what_is_no_loss_is_refused() -> None:
     for factor in (-1.0, np.nan, np.inf):
         with pytest.raises(BadInput, match="a factor ≥ 0"):
             _ = factor * OWN
-    with pytest.raises(BadInput, match="wanted a Loss"):
+    with pytest.raises(BadInput, match="expected a Loss"):
         Descent(leak)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="history is -1"):
         Descent(OWN, history=-1)

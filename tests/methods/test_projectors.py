@@ -14,15 +14,15 @@ from vamgpu.errors import BadInput
 from vamgpu.methods import optimize
 from vamgpu.operators.blur import Blur
 from vamgpu.operators.bundle import RayBundle
-from vamgpu.operators.carried import Carried
 from vamgpu.operators.compose import Composed, Sum
 from vamgpu.operators.defocus import Defocus, Defocused
+from vamgpu.operators.medium import CoRotatingMedium
 from vamgpu.operators.moves import Tiles, Wobbled
 from vamgpu.operators.oblique import Oblique
 from vamgpu.operators.traced import TracedProjection
 from vamgpu.operators.web import WebProjection
 from vamgpu.operators.wobble import Wobble
-from vamgpu.optics.beams import Aimed
+from vamgpu.optics.beams import Misaligned
 from vamgpu.optics.film import Film
 from vamgpu.optics.rising import Cone
 from vamgpu.optics.roller import Roller
@@ -42,13 +42,13 @@ def blurred() -> Composed:
 
 
 KINDS: dict[str, Callable[[], Any]] = {
-    "carried index": lambda: TracedProjection(GRID, BEAM, MOTION, Carried(BENT, bath=1.5)),
+    "carried index": lambda: TracedProjection(GRID, BEAM, MOTION, CoRotatingMedium(BENT, bath=1.5)),
     "fan of rays": lambda: TracedProjection(GRID, BEAM, MOTION, rays=RayBundle.fan(BEAM, 20.0)),
     "cone": lambda: Oblique(GRID, BEAM, MOTION, Cone(throw=20.0)),
     "out of focus": lambda: Defocused(straight(), Defocus(0.08, 6.0), 0.1),
     "wobble": lambda: Wobbled(straight(), Wobble.circle(0.05, 0.3, MOTION)),
     "tiles": lambda: Tiles(straight(), 5, 1),
-    "sub-rays": lambda: Sum([straight(Aimed(tilt=t)) for t in (-0.02, 0.02)], [0.5, 0.5]),
+    "sub-rays": lambda: Sum([straight(Misaligned(tilt=t)) for t in (-0.02, 0.02)], [0.5, 0.5]),
     "blurred": blurred,
 }
 
@@ -86,7 +86,7 @@ def test_a_web_wider_than_its_beam_is_exposed_in_tiles() -> None:
     grid, beam = WebGrid((40, 6, 12), (roller.advance, 0.1, 0.1)), vam.Beam((30, 12), 0.1)
     whole = WebProjection(grid, beam, roller)
     A = Tiles(whole, rows=7, overlap=2)
-    assert A.range.shape == (2 * whole.motion.poses, 30, 7) and A.prove() <= 2e-8
+    assert A.range.shape == (2 * whole.motion.poses, 30, 7) and A.dot_test() <= 2e-8
     light = np.random.default_rng(1).random(whole.range.shape).astype(np.float32)
     assert np.abs(A.T(A.split(light)) - whole.T(light)).max() <= 1e-5 * whole.T(light).max()
     plan = optimize(A, part(grid.shape), "bclp", 10)
@@ -97,5 +97,5 @@ def test_a_web_wider_than_its_beam_is_exposed_in_tiles() -> None:
 def test_what_projects_nothing_is_refused() -> None:
     A = straight()
     blur = Blur(A.range, A.device, np.array([1.0]), np.array([1.0]))
-    with pytest.raises(BadInput, match="wanted a projector"):
+    with pytest.raises(BadInput, match="expected a projector"):
         optimize(Composed(blur, blur), np.ones(A.range.shape, np.float32))

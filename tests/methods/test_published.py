@@ -12,10 +12,10 @@ from vamgpu.losses import Band, cross_entropy
 from vamgpu.methods import BCLP, LBFGS, OSMO, GradientDescent, Linear, PenaltyMinimization, ProcessWindow, Recipe
 from vamgpu.methods import optimize as run
 from vamgpu.methods.dual import Colors, PointProjection, Tolerant, superpose
-from vamgpu.methods.exposure import Exposure
+from vamgpu.methods.exposure import DoseObjective
 from vamgpu.methods.minimize import Channel, Pace, minimize
 from vamgpu.methods.ramp import capped_ramp, identity
-from vamgpu.methods.work import Work
+from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.projection import Projection
 
 SIZE, ANGLES, PITCH = 14, 20, 0.3
@@ -47,10 +47,10 @@ F, DISC = target().ravel(), slice_operator().grid.cylinder().ravel()
 
 def ramp(model: np.ndarray) -> np.ndarray:
     """The band-limited ramp (Ramachandran & Lakshminarayanan) of a model's projection, for pixels as wide as voxels."""
-    shadow = (matrix() @ model).reshape(ANGLES, SIZE)
+    projected = (matrix() @ model).reshape(ANGLES, SIZE)
     n = np.arange(SIZE)[:, None] - np.arange(SIZE)[None, :]
     taps = np.where(n == 0, 0.25, np.where(n % 2, -1.0 / (np.pi * np.maximum(abs(n), 1)) ** 2, 0.0))
-    return np.maximum(0.0, shadow @ taps * np.pi / ANGLES / PITCH**2).ravel()
+    return np.maximum(0.0, projected @ taps * np.pi / ANGLES / PITCH**2).ravel()
 
 
 def first_light(model: np.ndarray = F) -> np.ndarray:
@@ -111,9 +111,9 @@ def test_bclp_steps_as_printed_with_momentum_one_half() -> None:
 
 def test_no_voxel_within_its_band_is_pushed() -> None:
     """With the printed ||M − f| − ε|^p it would be."""
-    work = Work(slice_operator(), slice_operator().device.upload(target()), {})
-    dose = work.device.upload(np.where(target() > 0.5, 0.995, 0.04))
-    assert work.loss(dose, Band((0.0, 1.0), BCLP().slack, power=3.0)) == 0.0
+    state = OptimizerState(slice_operator(), slice_operator().device.upload(target()), {})
+    dose = state.device.upload(np.where(target() > 0.5, 0.995, 0.04))
+    assert state.loss(dose, Band((0.0, 1.0), BCLP().slack, power=3.0)) == 0.0
     assert not dose.numpy().any()
 
 
@@ -127,10 +127,10 @@ def test_cal_projects_the_error_of_its_sigmoid() -> None:
 
 
 def test_what_cal_descends_is_the_cross_entropy() -> None:
-    work = Work(slice_operator(), slice_operator().device.upload(target()), {})
+    state = OptimizerState(slice_operator(), slice_operator().device.upload(target()), {})
     dose = np.random.default_rng(3).random(F.size) * 1.2
-    field = work.device.upload(dose.reshape(target().shape))
-    loss = work.loss(field, cross_entropy(GradientDescent().response))
+    field = state.device.upload(dose.reshape(target().shape))
+    loss = state.loss(field, cross_entropy(GradientDescent().response))
     chance = np.where(F > 0.5, logistic(dose), 1.0 - logistic(dose))
     dark = np.where(F > 0.5, 1.0, 1.0 - logistic(np.zeros(F.size)))  # out of the part nothing is wrong in darkness
     assert loss == pytest.approx(float((DISC * np.log(dark / chance)).sum()) / 10.0, rel=1e-3)
@@ -138,15 +138,15 @@ def test_what_cal_descends_is_the_cross_entropy() -> None:
 
 
 def test_cal_of_a_linear_response_is_least_squares() -> None:
-    work = Work(slice_operator(), slice_operator().device.upload(target()), {})
+    state = OptimizerState(slice_operator(), slice_operator().device.upload(target()), {})
     dose = np.random.default_rng(4).random(F.size)
-    loss = work.loss(work.device.upload(dose.reshape(target().shape)), cross_entropy(Linear()))
+    loss = state.loss(state.device.upload(dose.reshape(target().shape)), cross_entropy(Linear()))
     assert loss == pytest.approx(0.5 * float((DISC * (dose - F) ** 2).sum()), rel=1e-3)
 
 
 # ---- penalty minimization ---------------------------------------------------------------------------------------
 def test_penalty_minimization_pays_for_wrong_voxels_alone() -> None:
-    method = PenaltyMinimization(0.3, 0.95, price=(1.0, 2.0))
+    method = PenaltyMinimization(0.3, 0.95, penalty=(1.0, 2.0))
 
     def slope(dose: np.ndarray) -> np.ndarray:
         return np.where(F > 0.5, -2.0 * (dose < method.inside), 1.0 * (dose > method.outside))
@@ -201,19 +201,19 @@ def test_the_recipe_begins_with_a_background_of_60_percent() -> None:
 # ---- accelerated descent ----------------------------------------------------------------------------------------
 def test_momentum_is_dropped_where_the_loss_rises() -> None:
     """Adaptive restart by function values: after a rise the point ahead is the light itself."""
-    work = Work(slice_operator(), slice_operator().device.upload(target()), {})
-    work.memory["light"] = work.device.upload(first_light().reshape(work.operator.range.shape))
+    state = OptimizerState(slice_operator(), slice_operator().device.upload(target()), {})
+    state.memory["light"] = state.device.upload(first_light().reshape(state.operator.range.shape))
     pace = Pace(share=0.15, soon=1.0)
-    exposure = Exposure(work, Band((0.0, 1.0), (0.0, 0.0), (0.5, 0.5)), pace)
-    steps = minimize(exposure, (Channel(work, identity(work.operator)),), pace)
+    exposure = DoseObjective(state, Band((0.0, 1.0), (0.0, 0.0), (0.5, 0.5)), pace)
+    steps = minimize(exposure, (Channel(state, identity(state.operator)),), pace)
     losses, restarts = [], 0
     for (loss, _), _ in zip(steps, range(150), strict=False):
-        apart = np.abs(work.held("ahead").numpy() - work.held("light").numpy()).max()
+        apart = np.abs(state.buffer("ahead").numpy() - state.buffer("light").numpy()).max()
         if losses and loss > losses[-1]:
             restarts += 1
             assert apart == 0.0
         elif restarts and len(losses) > 2 and losses[-1] > losses[-2]:
-            assert apart > 0.0 and work.number("run") == 2.0
+            assert apart > 0.0 and state.number("run") == 2.0
         losses.append(loss)
     assert restarts >= 2
 

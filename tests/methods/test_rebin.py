@@ -68,5 +68,5 @@ def test_bad_pairs_are_refused() -> None:
     with pytest.raises(BadInput, match="an operator with a vessel"):
         rebin(straight, straight.operator)  # type: ignore[arg-type]
     other = Projection(GRID, Beam((88, 4), 0.18), Turntable(100), VIAL, device="numpy")
-    with pytest.raises(BadInput, match="same poses"):
+    with pytest.raises(BadInput, match="same angles"):
         rebin(straight, other)

@@ -12,7 +12,7 @@ from vamgpu.metrics.limited_dose import limited_dose, random_plane, responded
 RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_contrast_falls_with_the_index_ratio(seed: int) -> None:
     target = random_plane(48, seed)
     doses = [limited_dose(target, 3.0 / 48, m, angles=120, iterations=30) for m in RATIOS]

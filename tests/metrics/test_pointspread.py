@@ -17,6 +17,7 @@ from vamgpu.metrics.segments import segment_windows
 RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
 
 
+@pytest.mark.slow
 def test_the_spread_widens_along_rho_and_narrows_along_l() -> None:
     widths = 1e3 * np.array([spread(0.0324, m) for m in RATIOS])
     assert (np.diff(widths[:, 0]) < 0).all() and (np.diff(widths[:, 1]) > 0).all()

@@ -75,7 +75,8 @@ def test_signs_agree_with_the_voxels_of_a_sharp_part() -> None:
     assert np.array_equal(Nearest(solid)(points).distance < 0, np.abs(winding) > 0.5)
 
 
-@pytest.mark.parametrize("delta", [0.05, -0.05, 0.2])
+@pytest.mark.slow
+@pytest.mark.parametrize("delta", [0.05, -0.05, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_a_ball_that_is_too_large_is_so_by_its_excess(delta: float) -> None:
     found = surface_distance(ball(2.0 + delta), ball(2.0), aligned=False)
     assert found.mean == pytest.approx(delta, rel=0.02) and found.alignment is None
@@ -83,6 +84,7 @@ def test_a_ball_that_is_too_large_is_so_by_its_excess(delta: float) -> None:
     assert surface_distance(ball(2.0 + delta).vertices, ball(2.0, 5)).mean == pytest.approx(delta, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_thicker_print_from_its_voxels() -> None:
     """The whole way: voxels, iso-surface, drawn points, distances."""
     grid = Grid((64, 64, 64), 0.1)
@@ -95,8 +97,9 @@ def test_a_thicker_print_from_its_voxels() -> None:
 
 
 @pytest.mark.parametrize(
-    ("degrees", "axis", "shift"), [(10.0, (1, 2, 3), (0.4, -0.3, 0.2)), (5.0, (0, 0, 1), (-0.5, 0.5, 0.0)),
-                                   (-10.0, (1, 0, -1), (0.1, 0.6, -0.4)), (0.0, (1, 0, 0), (0.7, 0.0, 0.7))]
+    ("degrees", "axis", "shift"), [(10.0, (1, 2, 3), (0.4, -0.3, 0.2)), (0.0, (1, 0, 0), (0.7, 0.0, 0.7)),
+                                   pytest.param(5.0, (0, 0, 1), (-0.5, 0.5, 0.0), marks=pytest.mark.slow),
+                                   pytest.param(-10.0, (1, 0, -1), (0.1, 0.6, -0.4), marks=pytest.mark.slow)]
 )  # fmt: skip
 def test_alignment_recovers_a_known_motion(degrees: float, axis: Any, shift: Any) -> None:
     part = build("boat")
@@ -109,6 +112,7 @@ def test_alignment_recovers_a_known_motion(degrees: float, axis: Any, shift: Any
     assert found.rms < 1e-3 and found.angle == pytest.approx(abs(np.radians(degrees)), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_alignment_through_noise_and_damage() -> None:
     part = build("boat")
     random = np.random.default_rng(6)

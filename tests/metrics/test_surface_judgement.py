@@ -68,7 +68,7 @@ def judged(
     return judge_surface(dose, START, FINE, 1.0, fraction, GRID, solid, **{"samples": 1000, **more})
 
 
-@pytest.mark.parametrize("excess", [0.05, 0.01, -0.05])
+@pytest.mark.parametrize("excess", [0.05, -0.05, pytest.param(0.01, marks=pytest.mark.slow)])
 def test_a_ball_printed_too_large_is_so_by_its_excess(excess: float) -> None:
     found = judged(ball_distance(2.0 + excess, points()), solid_of(ball(2.0, level=5)))
     assert found.mean == pytest.approx(excess, abs=0.02 * PITCH)
@@ -133,6 +133,7 @@ def plate() -> tuple[Solid, np.ndarray, np.ndarray]:
     return solid_of(mesh), box_distance((-2, -2, -0.5), (2, 2, 0.5), at), np.hypot(at[0], at[1]) - 0.5
 
 
+@pytest.mark.slow
 def test_a_hole_that_prints_closed() -> None:
     part, whole, hole = plate()
     right = judged(np.maximum(whole, -hole), part)
@@ -147,6 +148,7 @@ def test_a_hole_that_prints_closed() -> None:
     assert (opened.changes.holes_closed, opened.changes.holes_opened) == (0, 1)
 
 
+@pytest.mark.slow
 def test_a_lost_pin_as_a_body_and_on_a_block() -> None:
     at = points()
     block = box_distance((-2, -2, -1), (2, 2, 0), at)
@@ -173,6 +175,7 @@ def test_overlapping_bodies_leave_no_surface_inside() -> None:
     assert abs(found.greatest) < FINE and found.changes.none and found.changes.bodies == 1
 
 
+@pytest.mark.slow
 def test_specks_pores_and_filled_cavities() -> None:
     at = points()
     hollow = solid_of(ball(2.0), ball(0.8).invert())
@@ -188,6 +191,7 @@ def test_specks_pores_and_filled_cavities() -> None:
     assert (pore.changes.cavities_extra, pore.changes.cavities_filled) == (1, 0)
 
 
+@pytest.mark.slow
 def test_holes_of_a_lattice_close_as_its_struts_grow() -> None:
     grid = Grid((32, 32, 32), PITCH)
 

@@ -13,11 +13,11 @@ import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.operators.blur import gaussian, width_of
 from vamgpu.operators.defocus import Defocus, Defocused
-from vamgpu.operators.light import OpenAir
 from vamgpu.operators.moves import Tiles, Wobbled
 from vamgpu.operators.oblique import Oblique
+from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.wobble import Wobble
-from vamgpu.optics.beams import Aimed, Fan
+from vamgpu.optics.beams import Fan, Misaligned
 from vamgpu.optics.occluder import Occluded
 from vamgpu.optics.rising import Cone, Inclined
 
@@ -97,7 +97,7 @@ def test_a_fan_into_a_vial_is_the_inverse_of_its_chords() -> None:
 
 
 @pytest.mark.parametrize("light", [
-    Fan(throw=1e9), Aimed(), Fan(GLASS, throw=1e10), Inclined(elevation=0.0), Cone(throw=1e9),
+    Fan(throw=1e9), Misaligned(), Fan(GLASS, throw=1e10), Inclined(elevation=0.0), Cone(throw=1e9),
     Inclined(vam.Vat(width=30.0, absorption=0.1), elevation=0.0),
 ])  # fmt: skip
 def test_what_is_ideal_is_the_plain_projector(light: Any) -> None:
@@ -113,10 +113,10 @@ def test_what_is_ideal_is_the_plain_projector(light: Any) -> None:
 def test_an_offset_is_found_again_and_a_tilt_is_a_turn(fast_device: Device) -> None:
     grid, beam, motion = vam.Grid((40, 40, 4), PITCH), vam.Beam((60, 4), PITCH), vam.Turntable(12)
     x = blob(grid, (0.0, 0.0, 0.0), 0.4)
-    image = vam.Projection(grid, beam, motion, Aimed(offset=0.237), fast_device)(x).sum(axis=(0, 2))
+    image = vam.Projection(grid, beam, motion, Misaligned(offset=0.237), fast_device)(x).sum(axis=(0, 2))
     assert abs((image * beam.columns()).sum() / image.sum() - 0.237) <= 1e-3 * PITCH
     off = blob(grid, (0.9, 0.3, 0.0), 0.4)
-    turned = vam.Projection(grid, beam, motion, Aimed(tilt=motion.poses[2]), fast_device)(off)
+    turned = vam.Projection(grid, beam, motion, Misaligned(tilt=motion.poses[2]), fast_device)(off)
     plain = vam.Projection(grid, beam, motion, OpenAir(), fast_device)(off)
     assert np.abs(turned - np.roll(plain, -2, axis=0)).max() <= 1e-5 * plain.max()
 

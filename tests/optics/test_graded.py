@@ -71,7 +71,7 @@ def enter(vial: GradedVial, u: float) -> tuple[np.ndarray, np.ndarray, float]:
     for radius, after in ((vial.radius, vial.wall_index), (vial.inner_radius, None)):
         b = place @ along
         place = place + (-b - np.sqrt(b**2 - place @ place + radius**2)) * along
-        after = after or float(np.sqrt(vial.resin.look(np.array([[*place, 0.0]]))[1][0]))
+        after = after or float(np.sqrt(vial.resin.evaluate(np.array([[*place, 0.0]]))[1][0]))
         out = refract(along, place / radius, before, after)
         cos_in, cos_out = (np.abs(np.array([d @ place / radius])) for d in (along, out))
         faces.append((cos_in, cos_out, before, after))
@@ -79,13 +79,17 @@ def enter(vial: GradedVial, u: float) -> tuple[np.ndarray, np.ndarray, float]:
     return place, along, float(transmittance(faces, vial.polarization)[0])
 
 
-@pytest.mark.parametrize("vial", [GRADED, GRIDDED, replace(GRIDDED, polarization="s"), ROUND])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "vial",
+    [GRADED, replace(GRIDDED, polarization="s"), *(pytest.param(v, marks=pytest.mark.slow) for v in (GRIDDED, ROUND))],
+)
 def test_every_point_of_a_ray_finds_its_column_and_its_density(vial: GradedVial) -> None:
-    step, columns = 2e-4, np.array([-4.1, -2.0, 0.3, 1.7, 3.9])
+    step, columns = 2e-4, np.array([-4.1, 0.3, 1.7])
     entered = [enter(vial, u + k * step) for u in columns for k in (-1, 0, 1)]
     places, headings, shares = (np.array(part) for part in zip(*entered, strict=True))
     medium = replace(vial.resin, region=Region.cylinder(vial.inner_radius))
-    traced = march(medium, places, headings, step=0.02, rows=40, device="numpy").path.reshape(5, 3, 40, 3)
+    traced = march(medium, places, headings, step=0.02, rows=40, device="numpy").path.reshape(3, 3, 40, 3)
     for u, paths, share in zip(columns, traced, shares[1::3], strict=True):
         path = paths[1]
         inner = np.hypot(path[:, 0], path[:, 1]) < 0.98 * vial.lit_radius
@@ -109,7 +113,7 @@ def test_a_round_medium_keeps_index_times_distance() -> None:
     np.testing.assert_allclose(mirrored, 0.0, atol=1e-8)
     nearest = [np.hypot(sheet.across[ray], sheet.along[ray]).min() for ray in range(0, ROUND.rays, 64)]
     columns, _ = ROUND._column(np.arange(0.0, ROUND.rays, 64))
-    n = np.sqrt(RING.look(np.array([[r, 0.0, 0.0] for r in nearest]))[1])
+    n = np.sqrt(RING.evaluate(np.array([[r, 0.0, 0.0] for r in nearest]))[1])
     np.testing.assert_allclose(n * nearest, np.abs(columns) * ROUND.bath_index, rtol=1e-4, atol=1e-4)
     assert (ROUND.chords(u).length > ROUND.chords(np.abs(u) + 0.5).length).all()
 
@@ -127,7 +131,7 @@ def test_forward_is_the_transpose_entry_by_entry(vial: GradedVial, fast_device: 
 def test_the_dot_test_and_the_reference(vial: GradedVial, fast_device: Device) -> None:
     sizes = Grid((48, 48, 3), 0.17), Beam((60, 3), 0.17), Turntable(24)
     A = Projection(*sizes, vial, fast_device)  # noqa: N806
-    assert max(A.prove(seed) for seed in range(3)) < 1e-6
+    assert max(A.dot_test(seed) for seed in range(3)) < 1e-6
     reference = Projection(*sizes, vial, "numpy")
     x = np.random.default_rng(0).random(A.domain.shape)
     want = reference(x)

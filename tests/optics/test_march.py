@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -81,12 +83,13 @@ def test_luneburg_in_air_on_a_grid_falls_with_the_grid(device: Device) -> None:
 
 
 # ---- other lenses --------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_fish_eye_circles_close(device: Device) -> None:
     """Through a point at distance r the ray across the radius is a circle, closed after ∫ds/n of one period."""
     index, scale = 2.0, 1.5
     r = np.array([0.8, 1.2, 1.5])
     places, along = np.stack([r, 0 * r], axis=1), np.tile([0.0, 1.0], (3, 1))
-    radius = 0.5 * (r + scale**2 / r)       # the other end of the diameter is the image, at −scale²/r
+    radius = 0.5 * (r + scale**2 / r)  # the other end of the diameter is the image, at −scale²/r
     center = r - radius
     theta = np.linspace(0.0, 2.0 * np.pi, 20_001)[:-1]
     distance2 = (center[:, None] + radius[:, None] * np.cos(theta)) ** 2 + (radius[:, None] * np.sin(theta)) ** 2
@@ -139,16 +142,18 @@ def test_index_times_distance_is_conserved_in_round_media(device: Device) -> Non
     for field in (luneburg(R), FormulaField((1.0, 1.0, 0.0), (1.6, 0.3, -0.05), (1.0, 0.1), Region.cylinder(R))):
         rays = march(field, places, along, step=R / 200, device=device)
         before = places[:, 0] * along[:, 1] - places[:, 1] * along[:, 0]
-        before *= np.sqrt(field.look(np.pad(places, ((0, 0), (0, 1))))[1])
+        before *= np.sqrt(field.evaluate(np.pad(places, ((0, 0), (0, 1))))[1])
         after = rays.place[:, 0] * rays.heading[:, 1] - rays.place[:, 1] * rays.heading[:, 0]
         np.testing.assert_allclose(after, before, atol=limit(device, 1e-8) * R)
 
 
 # ---- steppers ------------------------------------------------------------------------------------------------------
+@cache
 def bent(step: float, scheme: str) -> Marched:
     return march(fish_eye(1.0), [[0.7, 0.0]], [[0.2, 1.0]], step=step, until=2.0, scheme=scheme, device="numpy")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme, order", [("sharma", 4), ("leapfrog", 2), ("yoshida", 4)])
 def test_the_order_of_a_stepper(scheme: str, order: int) -> None:
     exact = bent(2.0 / 8192, "sharma")
@@ -163,6 +168,7 @@ def test_the_order_of_a_stepper(scheme: str, order: int) -> None:
     assert (slopes[:, 0] < order + 0.5).all(), slopes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["leapfrog", "yoshida"])
 def test_symplectic_steppers_keep_the_energy_over_long_marches(scheme: str) -> None:
     """T² − n² stays within its first swing after a hundred periods, where Sharma's drifts."""
@@ -173,7 +179,7 @@ def test_symplectic_steppers_keep_the_energy_over_long_marches(scheme: str) -> N
         marcher, starts = Marcher(field, "numpy"), np.array([[0.0, 0.0, 0.0, 0.75, 0.0, 1.3]])
         for _ in range(periods):
             rays = marcher.trace(starts, period / 24, 25, method)
-            _, square = field.look(rays.place)
+            _, square = field.evaluate(rays.place)
             worst = max(worst, abs(float((rays.heading**2).sum() - square[0]) - energy))
             starts = np.concatenate([rays.place, rays.heading], axis=1)
         return worst
@@ -231,7 +237,7 @@ def test_any_function_of_the_place(device: Device) -> None:
 def test_off_center_boxes_are_sampled_where_they_are() -> None:
     field = FunctionField(lambda x, y: 1.5 + 0.01 * x - 0.02 * y, Region.box((1.0, -3.0), (3.0, 0.0)), samples=24)
     at = np.array([[1.2, -0.4, 0.0], [2.7, -2.9, 5.0]])
-    for got, want in zip(field.sampled.look(at), field.look(at), strict=True):
+    for got, want in zip(field.sampled.evaluate(at), field.evaluate(at), strict=True):
         np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-12)
 
 
@@ -244,11 +250,11 @@ def test_splines_are_exact_for_cubics_and_fourth_order_beyond() -> None:
         wave = np.sin(3.0 * x)[:, None, None] * np.cos(2.0 * x)[:, None] * np.cos(x)
         waves = GridField.from_array(1.5 + 0.1 * wave, x[1] - x[0])
         square = (1.5 + 0.1 * np.sin(3.0 * at[:, 0]) * np.cos(2.0 * at[:, 1]) * np.cos(at[:, 2])) ** 2
-        errors.append(np.abs(waves.look(at)[1] - square).max())
+        errors.append(np.abs(waves.evaluate(at)[1] - square).max())
     assert np.log2(errors[0] / errors[1]) > 3.5
     x = np.linspace(-2.0, 2.0, 9)
     cubic = GridField.from_array(np.sqrt(3.0 + 0.1 * x**3)[:, None] * np.ones(9), 0.5)
-    pull, square = cubic.look(at)
+    pull, square = cubic.evaluate(at)
     np.testing.assert_allclose(square, 3.0 + 0.1 * at[:, 0] ** 3, rtol=1e-12)
     np.testing.assert_allclose(pull[:, 0], 0.15 * at[:, 0] ** 2, atol=1e-12)
 

@@ -363,7 +363,7 @@ def test_marched_rays_keep_the_invariant_of_a_graded_film() -> None:
 def test_index_that_is_none_is_told() -> None:
     with pytest.raises(BadInput, match="at least 1"):
         roller(index=FilmIndex(lambda x, y: 0.5 + 0 * x)).trace([1.0])
-    with pytest.raises(BadInput, match="wanted a FilmIndex"):
+    with pytest.raises(BadInput, match="expected a FilmIndex"):
         roller(index=1.5)
     with pytest.raises(BadInput, match="function"):
         FilmIndex(1.5)  # type: ignore[arg-type]

@@ -38,6 +38,7 @@ def expected(start: np.ndarray, pose: float, flat: bool) -> np.ndarray:
     return slopes * [1.0, 0.0] if flat else slopes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flat", [True, False])
 @pytest.mark.parametrize("pose", [0.0, 2.1])
 def test_the_deflection_is_the_integral_of_the_gradient(device: Device, pose: float, flat: bool) -> None:

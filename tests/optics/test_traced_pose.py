@@ -7,7 +7,7 @@ import pytest
 
 import vamgpu as vam
 from vamgpu.errors import BadInput
-from vamgpu.optics.beams import Aimed, Fan
+from vamgpu.optics.beams import Fan, Misaligned
 from vamgpu.optics.graded import GradedVial
 from vamgpu.optics.index_field import FunctionField, Region
 from vamgpu.optics.occluder import Occluded
@@ -15,6 +15,11 @@ from vamgpu.optics.traced_pose import trace_pose
 from vamgpu.optics.traced_rays import resin_radius, trace_vial, traced_rays
 
 VIAL = vam.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.05)
+DOUBLE = vam.DoubleWalledVial(
+    radius=12.4, wall=1.0, gap=1.5, inner_wall=0.5, liquid_index=1.36, wall_index=1.473, resin_index=1.5,
+    absorption=0.05, liquid_absorption=0.02,
+)  # fmt: skip
+BATH = vam.SquareBath(vam.Vial(9.0, 0.5, 1.5, 1.473, 1.36, 0.05), 20.0, 1.0, 1.52, tilt=0.3, liquid_absorption=0.02)
 THIN = vam.Vial(radius=4.0, wall=0.0, resin_index=1.4, wall_index=1.4, bath_index=1.5, absorption=0.1)
 
 
@@ -29,8 +34,9 @@ def test_snells_law_in_vectors_gives_the_chords(vial: vam.Vial) -> None:
     assert np.allclose(-2.0 * np.sum(place * heading, axis=1), chords.length, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vessel", [None, VIAL, THIN, vam.Vat(width=10.0, absorption=0.03), Fan(VIAL, throw=80.0),
-                                    Aimed(THIN, offset=0.2, tilt=0.1)])  # fmt: skip
+                                    Misaligned(THIN, offset=0.2, tilt=0.1), DOUBLE, BATH])  # fmt: skip
 def test_a_ray_through_a_point_is_the_one_that_lights_it(vessel: vam.Vial | None) -> None:
     """Where one ray meets a point, its column, density and share are those of the inverse map, to its own accuracy."""
     traced = trace_pose(traced_rays(vessel, 13.0), 0.02, 3.0, 0.02)
@@ -76,10 +82,10 @@ def test_light_beside_the_resin_reaches_none_of_it() -> None:
     assert np.abs(traced_rays(VIAL, 5.0).u).max() == pytest.approx(5.0)
     assert np.abs(traced_rays(VIAL, 20.0).u).max() == pytest.approx(VIAL.aperture, abs=1e-9)
     with pytest.raises(BadInput, match="no column"):
-        traced_rays(Aimed(vam.Vat(width=2.0, radius=1.0), offset=50.0), 3.0)
+        traced_rays(Misaligned(vam.Vat(width=2.0, radius=1.0), offset=50.0), 3.0)
 
 
 def test_resin_ends_at_the_inner_wall() -> None:
     assert resin_radius(VIAL) == 11.4 and resin_radius(None) == np.inf
     assert resin_radius(Occluded(Fan(VIAL, throw=90.0), 1.0, 1.0, 0.2)) == 11.4
-    assert resin_radius(vam.Vat(width=9.0)) == 4.5 and resin_radius(Aimed(None)) == np.inf
+    assert resin_radius(vam.Vat(width=9.0)) == 4.5 and resin_radius(Misaligned(None)) == np.inf

@@ -14,7 +14,7 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.printing.export import export
+from vamgpu.printing.export import Canvas, export
 from vamgpu.printing.folder import load_frames, save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
@@ -78,7 +78,7 @@ def test_png_stack(tmp_path: Path, bits: int) -> None:
     assert [file.name for file in files[:2]] == ["frame_0000.png", "frame_0001.png"] and len(files) == 12
     opened = [Image.open(file) for file in files]
     assert {image.mode for image in opened} == {"L" if bits == 8 else "1"}
-    assert np.array_equal(np.stack([np.asarray(image.convert("L")) for image in opened]), frames.pictures())
+    assert np.array_equal(np.stack([np.asarray(image.convert("L")) for image in opened]), frames.gray_levels())
     assert json.loads((folder / "frames.json").read_text(encoding="utf-8"))["scale"] == frames.scale
 
 
@@ -89,7 +89,7 @@ def test_tiff_pages(tmp_path: Path, bits: int) -> None:
     frames = some_frames("numpy", bits)
     with tifffile.TiffFile(export(frames, tmp_path / "a.tiff")) as file:
         assert len(file.pages) == 12
-        assert np.array_equal(file.asarray(), frames.pictures())
+        assert np.array_equal(file.asarray(), frames.gray_levels())
         assert json.loads(file.pages[0].tags["ImageDescription"].value)["bits"] == bits  # type: ignore[union-attr]
 
 
@@ -111,7 +111,7 @@ def test_films_keep_every_bit(tmp_path: Path, bits: int) -> None:
     with av.open(str(export(frames, tmp_path / "a.mp4", fps=24))) as film:
         assert film.streams.video[0].average_rate == 24
         decoded = [frame.to_ndarray(format="gray") for frame in film.decode(video=0)]
-    assert np.array_equal(np.stack(decoded), frames.pictures())
+    assert np.array_equal(np.stack(decoded), frames.gray_levels())
 
 
 def test_exports_are_refused_with_a_reason(tmp_path: Path) -> None:
@@ -143,3 +143,61 @@ def test_a_full_disk_leaves_no_export_behind(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(StorageError, match="the disk is full"):
         export(frames, tmp_path / f"a{ending}")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_film_for_players_is_yuv420p_and_nearly_the_same(tmp_path: Path) -> None:
+    import av
+
+    from vamgpu.storage.films import read_film
+
+    frames = some_frames("numpy")
+    with av.open(str(export(frames, tmp_path / "a.mp4", players=True))) as film:
+        context = film.streams.video[0].codec_context
+        assert (context.pix_fmt, context.width, context.height) == ("yuv420p", 14, 22)
+        assert context.profile in ("High", "Main", "Constrained Baseline")
+    levels, remark = read_film(tmp_path / "a.mp4")
+    off = levels[:, :21, :13].astype(int) - frames.gray_levels()
+    assert np.abs(off).mean() < 1.5 and np.abs(off).max() <= 12 and json.loads(remark)["columns"] == 13
+    with pytest.raises(BadInput, match="players read films"):
+        export(frames, tmp_path / "b", players=True)
+
+
+def test_a_canvas_places_frames_and_repeats_them(tmp_path: Path) -> None:
+    from PIL import Image
+
+    frames = some_frames("numpy")
+    levels = frames.gray_levels()
+    folder = export(frames, tmp_path / "png", canvas=Canvas((64, 40), offset=(5, -3), repeats=2, flip_r=True))
+    files = sorted(folder.glob("*.png"))
+    assert len(files) == 24
+    image = np.asarray(Image.open(files[13]))
+    top, left = (40 - 21) // 2 + 3, (64 - 13) // 2 + 5
+    assert np.array_equal(image[top : top + 21, left : left + 13], levels[1, :, ::-1])
+    assert image.sum() == levels[1].sum() and image.shape == (40, 64)
+    turned = list(Canvas(rotation=90.0).images(frames))
+    assert np.array_equal(turned[0], np.rot90(levels[0]))
+    with pytest.raises(BadInput, match="do not fit a canvas of 16 × 16"):
+        export(frames, tmp_path / "b", canvas=Canvas((16, 16)))
+    with pytest.raises(BadInput, match="no canvas"):
+        export(frames, tmp_path / "b.npz", canvas=Canvas())
+
+
+def test_a_small_rotation_turns_the_light_and_not_its_levels() -> None:
+    frames = some_frames("numpy")
+    shares = [frames.gray(image) - frames.gray.black for image in (next(Canvas(rotation=1.5).images(frames)),
+                                                                  frames.gray_levels()[0])]  # fmt: skip
+    assert shares[0].sum() == pytest.approx(shares[1].sum(), rel=0.05)
+    with pytest.raises(BadInput, match="1 bit"):
+        next(Canvas(rotation=1.5).images(some_frames("numpy", bits=1)))
+
+
+def test_no_folders_are_made_at_odd_places(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="does not exist; make it"):
+        export(some_frames("numpy"), tmp_path / "od" / "a.npz")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("wrong", [{"size": (0, 3)}, {"repeats": 0}, {"rotation": float("nan")}, {"offset": 3}])
+def test_a_canvas_that_is_none_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(BadInput, match="canvas"):
+        Canvas(**wrong)

@@ -95,9 +95,11 @@ def test_frames_move_between_devices_with_their_bytes(device: Device) -> None:
     assert np.allclose(frames.irradiance(there).numpy(), frames.irradiance().numpy(), rtol=1e-6)
 
 
-def test_pictures_are_for_viewers() -> None:
-    assert set(np.unique(frames_of("numpy", 1).pictures())) == {0, 255}
-    assert frames_of("numpy", 8).pictures().shape == frames_of("numpy", 1).shape == (ANGLES, ROWS, COLUMNS)
+def test_viewers_get_full_gray_levels() -> None:
+    with pytest.warns(DeprecationWarning, match="Frames.pictures is called gray_levels"):
+        assert frames_of("numpy", 1).pictures().max() == 255
+    assert set(np.unique(frames_of("numpy", 1).gray_levels())) == {0, 255}
+    assert frames_of("numpy", 8).gray_levels().shape == frames_of("numpy", 1).shape == (ANGLES, ROWS, COLUMNS)
 
 
 def test_bad_frames_are_refused() -> None:

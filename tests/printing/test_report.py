@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from needs import WAIT, browser, optional
 from PIL import Image
 
 from vamgpu import Beam, Grid, Projection, Turntable, Vial
@@ -69,27 +70,49 @@ def proof() -> Proof:
     return small_proof()
 
 
+@pytest.fixture(scope="module")
+def judgement(proof: Proof) -> Any:
+    return judged(proof)
+
+
+PLAN = SimpleNamespace(
+    history=tuple(Record(k, 1 / (k + 1), None if k % 2 else 0.01 * k) for k in range(6)),
+    method="two thresholds", papers=("A. Author, A method. A Journal 1 (2020) 1.",), seconds=1.5,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def path(proof: Proof, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of a print and its plan, in a folder of its own."""
+    return proof.report(tmp_path_factory.mktemp("report") / "proof.html", plan=PLAN)
+
+
+@pytest.fixture(scope="module")
+def unplanned(proof: Proof, judgement: Any) -> Any:
+    """The page of a print without a plan."""
+    return report.page_of(proof, None, judgement)
+
+
+@pytest.fixture(scope="module")
+def page(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
 def data_of(page: str) -> dict:
     found = re.search(r"const DATA = (\{.*\});</script>", page)
     assert found
     return json.loads(found[1])
 
 
-def test_the_page_is_one_file_and_complete(proof: Proof, tmp_path: Path) -> None:
-    plan = SimpleNamespace(
-        history=tuple(Record(k, 1 / (k + 1), None if k % 2 else 0.01 * k) for k in range(6)),
-        method="two thresholds", papers=("A. Author, A method. A Journal 1 (2020) 1.",), seconds=1.5,
-    )  # fmt: skip
-    path = proof.report(tmp_path / "proof.html", plan=plan)
-    page = path.read_text(encoding="utf-8")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["proof.html"]
+def test_the_page_is_one_file_and_complete(proof: Proof, path: Path, page: str) -> None:
+    assert [entry.name for entry in path.parent.iterdir()] == ["proof.html"]
     assert "ball &lt;1&gt;" in page and "<1>" not in page
     assert not re.findall(r"""(?:src|href)=["'](?!data:|#)[^"']*["']""", page)
     assert "@import" not in page and "url(http" not in page
     for heading in ("Window over tolerance", "What the print bears", "Printed part", "Slices", "Dose in and out",
                     "Slice by slice", "Sinogram", "Frames", "Convergence", "Numbers", "Papers relied on"):  # fmt: skip
         assert heading in page
-    for text in (*plan.papers, "two thresholds", proof.operator.device.description):
+    for text in (*PLAN.papers, "two thresholds", proof.operator.device.description):
         assert text in page
     assert page.count("<svg") == 4
     for line in proof.lines():
@@ -101,8 +124,8 @@ def blocks(page: str) -> list[str]:
     return re.findall(r"<h2>(.*?)</h2>", page)
 
 
-def test_the_page_opens_with_what_is_proved_and_what_the_print_bears(proof: Proof) -> None:
-    judgement, lines = judged(proof), (Line("surface distance, mean", "+3 µm", "of print and part"),)
+def test_the_page_opens_with_what_is_proved_and_what_the_print_bears(proof: Proof, judgement: Any) -> None:
+    lines = (Line("surface distance, mean", "+3 µm", "of print and part"),)
     page = report.page_of(proof, None, replace(judgement, surface=SimpleNamespace(lines=lambda: lines))).html()
     assert blocks(page)[:4] == [
         "Window over tolerance", "What the print bears", "Surface of the print against the mesh", "Printed part",
@@ -119,8 +142,18 @@ def test_the_page_opens_with_what_is_proved_and_what_the_print_bears(proof: Proo
     assert "+3 µm" in page and "against the mesh" not in bare
 
 
-def test_the_tolerance_table_shows_every_row(proof: Proof) -> None:
-    judgement = judged(proof)
+def test_a_window_below_zero_beside_right_voxels_is_explained(proof: Proof) -> None:
+    found = SimpleNamespace(voxel=0.2, half_voxel=-0.03, judged_at=lambda depth: 0.9)
+    judgement: Any = SimpleNamespace(over_tolerance=found)
+    right, wrong = (replace(proof, scores=replace(proof.scores, missing=n, excess=0)) for n in (0, 1))
+    why = "below 0 although all voxels print right: a voxel is judged by its mean dose"
+    assert why in opening.headline(right, judgement)[1].meaning
+    assert why not in opening.headline(wrong, judgement)[1].meaning
+    found.half_voxel = 0.01
+    assert why not in opening.headline(right, judgement)[1].meaning
+
+
+def test_the_tolerance_table_shows_every_row(proof: Proof, judgement: Any) -> None:
     groups = opening.table(judgement.table)
     assert [group["name"] for group in groups] == ["As it should be", *opening.WORDS.values()]
     assert groups[0]["rows"][0]["window"] == opening.signed(proof.scores.window)
@@ -132,36 +165,38 @@ def test_the_tolerance_table_shows_every_row(proof: Proof) -> None:
     assert f"{judgement.table.exposures} back projections" in page
 
 
-def test_the_fine_dose_is_judged_where_there_is_one(proof: Proof) -> None:
+@pytest.mark.slow
+def test_the_fine_dose_is_judged_where_there_is_one(proof: Proof, judgement: Any) -> None:
     """W(0) on finer voxels sees what the mean over a voxel hides; without rays the own voxels are all there is."""
     own = replace(proof, independent=False)
-    fine, coarse = judged(proof).over_tolerance, judged(own).over_tolerance
+    its_own = judged(own)
+    fine, coarse = judgement.over_tolerance, its_own.over_tolerance
     assert coarse.at(0.0) == pytest.approx(proof.scores.window, abs=1e-5)
     assert fine.at(0.0) < coarse.at(0.0)
-    page = report.page_of(own).html()
+    page = report.page_of(own, None, its_own).html()
     assert "process window, not proved" in page and "proved over claimed" not in page[: page.index("Numbers")]
 
 
-def test_every_number_of_the_light_says_what_it_is(proof: Proof, tmp_path: Path) -> None:
+def test_every_number_of_the_light_says_what_it_is(proof: Proof, page: str) -> None:
     dose, target, disc = proof.dose.numpy(), proof.target.numpy() >= 0.5, GRID.cylinder()[:, :, None]
     wanted = dose[~target & disc].mean() / dose[target & disc].mean()
     assert proof.outside_over_inside == pytest.approx(wanted, rel=1e-5)
     light = {line.name: line for line in proof.lines()}
     names = ("light efficiency", "share of the part", "dose outside over inside")
     assert all(len(light[name].meaning) > 30 for name in names)
-    page = proof.report(tmp_path / "proof.html").read_text(encoding="utf-8")
     tiles = page[page.index('class="tiles"') : page.index("<main>")]
     for name in names:
         assert re.search(rf"<span>{name}</span><small>[^<]+</small>", tiles)
 
 
-def test_resin_that_prints_beyond_the_cylinder_is_told(proof: Proof) -> None:
+def test_resin_that_prints_beyond_the_cylinder_is_told(proof: Proof, judgement: Any) -> None:
     assert proof.outer is not None
     flooded = replace(proof, outer=replace(proof.outer, dose=1.2 * proof.scores.threshold))
-    page = report.page_of(flooded, None, judged(proof)).html()
+    page = report.page_of(flooded, None, judgement).html()
     assert "esin beyond the judged cylinder prints too." in page and "1.20" in page
 
 
+@pytest.mark.slow
 def test_the_mesh_is_joined_and_searched_once_for_a_report(proof: Proof, monkeypatch: pytest.MonkeyPatch) -> None:
     import trimesh
 
@@ -177,24 +212,25 @@ def test_the_mesh_is_joined_and_searched_once_for_a_report(proof: Proof, monkeyp
     mesh: Any = trimesh.creation.icosphere(3, 1.4)
     known = replace(proof, solid=Solid(np.asarray(mesh.vertices), np.asarray(mesh.faces), "ball"))
     found = judged(known)
-    assert found.surface.unjudged is known.unjudged and not known.perfect
+    assert found.surface.unjudged is known.unjudged and not known.all_correct
     assert sorted(calls) == ["joined", "unjudged"]
 
 
-def test_the_verdict_says_what_keeps_a_print_from_being_perfect(proof: Proof) -> None:
-    def verdict(**change: object) -> tuple[bool, str]:
+def test_the_verdict_says_what_keeps_a_print_from_being_perfect(proof: Proof, judgement: Any) -> None:
+    def verdict(shown: bool = False, **change: object) -> tuple[bool, str]:
         scores = replace(proof.scores, missing=0, excess=0)
         changed = replace(proof, **{"scores": scores, "outer": None} | change)  # type: ignore[arg-type]
-        page = report.page_of(changed, None, found)
-        assert page.verdict == changed.verdict and page.good == changed.perfect
-        return changed.perfect, changed.verdict
+        if shown:
+            page = report.page_of(changed, None, judgement)
+            assert page.verdict == changed.verdict and page.good == changed.all_correct
+        return changed.all_correct, changed.verdict
 
-    found, total = judged(proof), f"{proof.scores.in_voxels + proof.scores.out_voxels:,}"
-    assert verdict() == (True, f"All {total} judged voxels print right.")
+    total = f"{proof.scores.in_voxels + proof.scores.out_voxels:,}"
+    assert verdict(shown=True) == (True, f"All {total} judged voxels print right.")
     spiked = proof.target.numpy().copy()
     spiked[10:14, 10:14, 0] = 0.4
-    thin = {"target": proof.target.device.upload(spiked)}
-    good, said = verdict(**thin)
+    thin: dict[str, Any] = {"target": proof.target.device.upload(spiked)}
+    good, said = verdict(shown=True, **thin)
     assert not good and said.startswith(f"All {total} judged voxels print right, but 1 part of the target (")
     assert said.endswith("use smaller voxels or thicker walls.")
     good, said = verdict(**thin, independent=False)
@@ -203,11 +239,14 @@ def test_the_verdict_says_what_keeps_a_print_from_being_perfect(proof: Proof) ->
     assert verdict(scores=wrong) == (False, f"7 of {total} judged voxels print wrong: 3 missing, 4 excess.")
 
 
-def test_a_report_without_a_plan_has_no_convergence(proof: Proof, tmp_path: Path) -> None:
-    assert "Convergence" not in proof.report(tmp_path / "proof.html").read_text(encoding="utf-8")
+def test_a_report_without_a_plan_has_no_convergence(unplanned: Any) -> None:
+    assert "Convergence" not in unplanned.html()
 
 
-def test_a_report_that_cannot_be_written_says_so_and_leaves_nothing(proof: Proof, tmp_path: Path) -> None:
+def test_a_report_that_cannot_be_written_says_so_and_leaves_nothing(
+    proof: Proof, unplanned: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report, "page_of", lambda *_: unplanned)
     with pytest.raises(StorageError, match="choose another path"):
         proof.report(tmp_path / "missing" / "proof.html")
     (tmp_path / "taken.html").mkdir()
@@ -216,8 +255,8 @@ def test_a_report_that_cannot_be_written_says_so_and_leaves_nothing(proof: Proof
     assert [entry.name for entry in tmp_path.iterdir()] == ["taken.html"]
 
 
-def test_the_slice_sheet_holds_dose_target_and_verdict(proof: Proof, tmp_path: Path) -> None:
-    sheet = data_of(proof.report(tmp_path / "proof.html").read_text(encoding="utf-8"))["sheet"]
+def test_the_slice_sheet_holds_dose_target_and_verdict(proof: Proof, page: str) -> None:
+    sheet = data_of(page)["sheet"]
     image = np.asarray(Image.open(BytesIO(base64.b64decode(sheet["image"].split(",")[1]))))
     dose, target, printed = proof.dose.numpy(), proof.target.numpy(), proof.printed()
     for index, z in enumerate(sheet["slices"]):
@@ -287,9 +326,26 @@ def test_pictures_are_paid_for_only_when_drawn() -> None:
     assert found.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_a_print_of_a_single_slice_without_a_vessel(tmp_path: Path) -> None:
     A = Projection(Grid((20, 20, 1), 0.2), Beam((20, 1), 0.2), Turntable(8), device="numpy")
     target = ball((20, 20, 3))[:, :, 1:2]
     found = simulate(A, Shown(np.asarray(A(target))), target)
     page = found.report(tmp_path / "slice.html").read_text(encoding="utf-8")
     assert "straight light" in page and "predicted exposure" not in page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("switch", "painted"), [("--disable-3d-apis", True), ("--use-angle=swiftshader", False)])
+def test_without_webgl_the_part_is_painted_and_the_page_says_what_to_do(switch: str, painted: bool, path: Path) -> None:
+    sync_api = optional("playwright.sync_api", 'the page is opened in a browser: pip install "vamgpu[all]"')
+    with sync_api.sync_playwright() as tools:
+        arguments = ["--no-sandbox", "--enable-unsafe-swiftshader", switch]
+        opened = tools.chromium.launch(executable_path=browser(), args=arguments, timeout=WAIT).new_page()
+        opened.goto(path.as_uri())
+        opened.wait_for_timeout(1500)
+        assert opened.locator("#painted").is_visible() == painted
+        if painted:
+            assert "hardware acceleration" in opened.locator("#painted").inner_text()
+        drawn = opened.evaluate("document.getElementById('solid').toDataURL().length")
+        assert drawn > 8000  # a picture, not one plain color

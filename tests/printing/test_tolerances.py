@@ -14,12 +14,12 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.methods import optimize
 from vamgpu.metrics import score
-from vamgpu.optics.beams import Aimed
+from vamgpu.optics.beams import Misaligned
 from vamgpu.printing import opening
 from vamgpu.printing.judgement import judged
 from vamgpu.printing.scenarios import SCENARIOS, Scenario, clouded, displaced, softer
 from vamgpu.printing.simulate import simulate
-from vamgpu.printing.tolerances import Row, ToleranceTable, tolerance_table
+from vamgpu.printing.tolerances import ToleranceRow, ToleranceTable, tolerance_table
 
 GRID = Grid((28, 28, 4), 0.2)
 BEAM = Beam((32, 4), 0.2)
@@ -51,7 +51,7 @@ def printed() -> Print:
     return Print(VIAL)
 
 
-def only(table: ToleranceTable, name: str, change: str) -> Row:
+def only(table: ToleranceTable, name: str, change: str) -> ToleranceRow:
     (row,) = [row for row in table.rows if (row.name, row.change) == (name, change)]
     return row
 
@@ -75,8 +75,8 @@ def test_the_nominal_row_is_the_print_itself(printed: Print) -> None:
     [
         ("absorption", "−10 %", replace(VIAL, absorption=0.18)),
         ("absorption", "+10 %", replace(VIAL, absorption=0.22)),
-        ("axis of rotation", "+0.5 pixel", Aimed(VIAL, 0.1)),
-        ("axis of rotation", "−0.25 pixel", Aimed(VIAL, -0.05)),
+        ("axis of rotation", "+0.5 pixel", Misaligned(VIAL, 0.1)),
+        ("axis of rotation", "−0.25 pixel", Misaligned(VIAL, -0.05)),
     ],
 )
 def test_a_row_is_the_same_light_through_what_it_names(printed: Print, name: str, change: str, vessel: object) -> None:
@@ -145,6 +145,7 @@ def test_exposures_are_counted_and_bounded(printed: Print) -> None:
     assert 1 + rows <= printed.table.exposures <= 1 + rows + 3 * 5
 
 
+@pytest.mark.slow
 def test_changes_are_added_to_what_was_proved(printed: Print) -> None:
     rng, own = np.random.default_rng(0), printed.dose().numpy()
     dose = own * (1 + 0.02 * rng.random(GRID.shape))
@@ -155,7 +156,7 @@ def test_changes_are_added_to_what_was_proved(printed: Print) -> None:
     )  # fmt: skip
     as_proved = score(proved, printed.fraction, threshold=at)
     assert table.nominal.window == pytest.approx(as_proved.window, abs=1e-6) and table.nominal.half_voxel == 0.5
-    for change, vessel in (("+0.5 pixel", Aimed(VIAL, 0.1)), ("−0.5 pixel", Aimed(VIAL, -0.1))):
+    for change, vessel in (("+0.5 pixel", Misaligned(VIAL, 0.1)), ("−0.5 pixel", Misaligned(VIAL, -0.1))):
         other = Projection(GRID, BEAM, Turntable(36), vessel, "numpy")
         changed = printed.A.device.upload(dose + printed.dose(other).numpy() - own)
         wanted = score(changed, printed.fraction, threshold=at)
@@ -168,6 +169,7 @@ def test_changes_are_added_to_what_was_proved(printed: Print) -> None:
     assert above.amount == pytest.approx(at / as_proved.greatest_out - 1, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_what_does_not_apply_says_why() -> None:
     straight = Print(None).table
     assert {row.note for row in straight.rows if row.name == "absorption"} == {"the light passes without absorption"}
@@ -239,9 +241,9 @@ def test_scenarios_change_one_thing() -> None:
     assert soft.beam.sigma == pytest.approx(0.75) and soft.beam.pixels == BEAM.pixels
     assert softer(soft, 0.5).beam.sigma == pytest.approx(1.25)
     assert replace(BEAM, spread=0.1).sigma == pytest.approx(0.5)
-    assert displaced(displaced(A, 0.5), -0.25).vessel == Aimed(VIAL, 0.05)
+    assert displaced(displaced(A, 0.5), -0.25).vessel == Misaligned(VIAL, 0.05)
     thin = clouded(displaced(A, 0.5), -0.1).vessel
-    assert isinstance(thin, Aimed) and thin.offset == pytest.approx(0.1) and thin.absorption == pytest.approx(0.18)
+    assert isinstance(thin, Misaligned) and thin.offset == pytest.approx(0.1) and thin.absorption == pytest.approx(0.18)
     with pytest.raises(BadInput, match="without absorption"):
         clouded(Projection(GRID, BEAM, Turntable(4), device="numpy"), 0.1)
     assert Scenario("x", "%", (-0.1, 0.1), 0.5, None).written(-0.05) == "−5 %"

@@ -13,7 +13,7 @@ from vamgpu.cli import main
 from vamgpu.errors import BadInput
 from vamgpu.jobs.curethrough import EXAMPLE
 from vamgpu.jobs.demo import JOB
-from vamgpu.jobs.demo_web import JOB as WEB
+from vamgpu.jobs.demo import WEB_JOB as WEB
 from vamgpu.jobs.keys import FILES, keys_of, reference, schema_of
 from vamgpu.jobs.limits import MACHINE
 
@@ -30,7 +30,7 @@ def test_every_table_of_every_file_can_be_asked_for(capsys: pytest.CaptureFixtur
             assert keys_of(f"{name}.{table}"), table
     assert main(["keys", "lens.tunable"]) == 0
     assert '["5 dpt", "10 dpt"]' in capsys.readouterr().out
-    with pytest.raises(BadInput, match="wanted one of vessel.vial, vessel.vat"):
+    with pytest.raises(BadInput, match="expected one of vessel.vial, vessel.vat"):
         keys_of("vessel")
     with pytest.raises(BadInput, match="no table 'beem'"):
         keys_of("beem")

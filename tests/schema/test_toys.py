@@ -13,11 +13,12 @@ import pytest
 
 import vamgpu as vam
 from vamgpu.errors import BadInput, JobError
-from vamgpu.jobs.build import describe, projection_from, projection_of, target_of
+from vamgpu.jobs.build import projection_of, target_of
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.keys import keys_of, reference, schema_of
 from vamgpu.jobs.read import parse_job
 from vamgpu.jobs.run import prove, solve
+from vamgpu.methods.saved import describe, projection_from
 from vamgpu.schema import register, write
 from vamgpu.schema import registry as names
 from vamgpu.schema.read import read
@@ -141,7 +142,7 @@ def test_a_vessel_from_outside_stands_inside_another() -> None:
     inside = 'kind = "occluded"\nacross = "2 mm"\n[vessel.vessel]\nkind = "veil"'
     wanted = parse_job(job().replace('kind = "veil"', inside), SMALL)
     device = vam.open_device("numpy")
-    A = projection_of(wanted.wanted, target_of(wanted, device), device)
+    A = projection_of(wanted.file, target_of(wanted, device), device)
     B = projection_from(json.loads(json.dumps(describe(A))), device)
     y = np.random.default_rng(0).random(A.range.shape)
     assert np.array_equal(A.T(y), B.T(y)) and A.vessel == B.vessel
@@ -151,12 +152,12 @@ def test_wrong_fields_are_named_by_line() -> None:
     text = job().replace('"12 mm"', '"-2 mm"').replace("share", "shaer")
     with pytest.raises(JobError, match=r"(?s)line \d+: vessel\.radius: got '-2 mm'.*shaer: .*did you mean 'share'"):
         parse_job(text)
-    with pytest.raises(JobError, match=r"--set: vessel\.share: got 2; wanted less than or equal to 1"):
+    with pytest.raises(JobError, match=r"--set: vessel\.share: got 2; expected less than or equal to 1"):
         parse_job(job(), ["vessel.share=2"])
 
 
 def test_a_loss_and_a_lens_from_outside_are_read_and_written() -> None:
-    wanted = parse_job(job('[method]\nkind = "sorry"\ngain = 0.5\n[method.loss]\nweight = 3.0\n')).wanted
+    wanted = parse_job(job('[method]\nkind = "sorry"\ngain = 0.5\n[method.loss]\nweight = 3.0\n')).file
     method: Any = wanted.method
     assert type(method).__name__ == "Sorry" and (method.gain, method.loss.weight) == (0.5, 3.0)
     table = write(method)
@@ -183,5 +184,5 @@ def test_keys_and_schema_know_them() -> None:
 def test_one_line_registers_and_names_are_unique() -> None:
     register("vessel", "curtain", "toys_of_vamgpu:Veil")
     assert read("vessel", {"kind": "curtain", "radius": "3 mm"}).radius == 3.0
-    with pytest.raises(BadInput, match="wanted another name"):
+    with pytest.raises(BadInput, match="expected another name"):
         register("vessel", "vial", "toys_of_vamgpu:Veil")

@@ -173,7 +173,7 @@ def test_what_is_no_job_is_named(tmp_path: Path) -> None:
     ("old", "new", "says"),
     [
         ('"format": "vamgpu job"', '"format": "cake"', "no manifest"),
-        ('"version": 1', '"version": 99', "reads 1"),
+        ('"version": 2', '"version": 99', "reads 1 to 2"),
         ('"sha256"', '"md5"', "sha256"),
         ('"inputs"', '"outputs"', "inputs"),
         ("{", "", "no valid JSON"),

@@ -92,21 +92,21 @@ def test_a_block_is_hollow() -> None:
     assert fraction[middle[0] - 6, middle[1], middle[2]] == pytest.approx(1.0)  # a strut along x
 
 
-def disk() -> tuple[np.ndarray, float]:
-    target = Target.from_mesh(exposure_disk(thickness=4 * 0.067), factor=1.0, pitch=0.067, device="opencl:intel:0")
+def disk(device: str) -> tuple[np.ndarray, float]:
+    target = Target.from_mesh(exposure_disk(thickness=4 * 0.067), factor=1.0, pitch=0.067, device=device)
     return target.numpy()[:, :, 1], target.grid.pitch
 
 
-def test_an_ideal_print_has_merit_seven() -> None:
-    plane, pitch = disk()
+def test_an_ideal_print_has_merit_seven(processor: str) -> None:
+    plane, pitch = disk(processor)
     found = merit(plane >= 0.5, pitch)
     assert found.figure == 7 and found.least_spoke == 1 and found.least_gap == 2
 
 
-def test_growth_closes_gaps_and_shrinkage_breaks_spokes() -> None:
+def test_growth_closes_gaps_and_shrinkage_breaks_spokes(processor: str) -> None:
     from scipy.ndimage import distance_transform_edt
 
-    plane, pitch = disk()
+    plane, pitch = disk(processor)
     solid = plane >= 0.5
     outside, inside = (np.asarray(distance_transform_edt(which)) for which in (~solid, solid))
     grown, shrunk = merit(outside <= 2.1, pitch), merit(inside > 2.0, pitch)
@@ -117,8 +117,8 @@ def test_growth_closes_gaps_and_shrinkage_breaks_spokes() -> None:
     assert merit(np.ones_like(solid), pitch).figure == 0
 
 
-def test_a_half_disk_that_is_gone_is_not_connected() -> None:
-    plane, pitch = disk()
+def test_a_half_disk_that_is_gone_is_not_connected(processor: str) -> None:
+    plane, pitch = disk(processor)
     place = (np.arange(len(plane)) - 0.5 * (len(plane) - 1)) * pitch
     core = np.hypot(place[:, None], place[None, :]) < 6.0
     assert merit(core, pitch).figure == 0

@@ -207,5 +207,5 @@ def test_a_mesh_beside_the_web_is_refused() -> None:
 
 def test_a_period_that_piles_copies_up_is_refused() -> None:
     solid = to_solid(rod((0.0, 1.0, 0.0), (1.0, 1.0, 0.0), 0.2, segments=12), "rod")
-    with pytest.raises(BadInput, match="copies would overlap; wanted at most 1000"):
+    with pytest.raises(BadInput, match="copies would overlap; expected at most 1000"):
         Repeated(solid, 1e-6)

@@ -97,7 +97,7 @@ def test_solid_refuses_broken_arrays() -> None:
         Solid(np.where(good.vertices > 0.0, np.nan, good.vertices), good.faces)
     with pytest.raises(MeshError, match="faces point at"):
         Solid(good.vertices[:-1], good.faces)
-    with pytest.raises(MeshError, match="wanted"):
+    with pytest.raises(MeshError, match="expected"):
         Solid(good.vertices, good.faces[:, :2])
     with pytest.raises(ValueError, match="read-only"):
         good.vertices[0, 0] = 1.0
@@ -285,7 +285,7 @@ def test_smallest_circle_of_degenerate_points() -> None:
     line = [(t, 2.0 * t) for t in np.linspace(-1.0, 3.0, 9)]
     assert smallest_enclosing_circle(line) == pytest.approx((1.0, 2.0, 2.0 * np.sqrt(5.0)))
     assert smallest_enclosing_circle([(1.0, 1.0)] * 6) == pytest.approx((1.0, 1.0, 0.0))
-    with pytest.raises(BadInput, match="wanted"):
+    with pytest.raises(BadInput, match="expected"):
         smallest_enclosing_circle(np.zeros((0, 2)))
 
 

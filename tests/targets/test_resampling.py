@@ -60,7 +60,7 @@ def test_a_slab_elsewhere_is_that_slab_and_far_away_is_empty() -> None:
 
 
 def test_a_solid_is_voxelized_again(device: Device) -> None:
-    mesh = trimesh.creation.icosphere(3, 1.0)
+    mesh = trimesh.creation.icosphere(2, 1.0)
     ball = Solid(np.asarray(mesh.vertices) + (3.0, 0.0, 1.0), np.asarray(mesh.faces), "ball")
     target = Target.from_mesh(ball, height=2.0, pitch=0.25, device=device)
     assert target.solid is not None and target.solid.radius == pytest.approx(target.radius)

@@ -36,6 +36,7 @@ def section(solid: Solid, z: float) -> CrossSection:
     return body(solid).slice(z)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", shapes.names())
 def test_every_shape_is_closed_centered_and_fits_the_vial(name: str) -> None:
     part = made(name)
@@ -214,6 +215,7 @@ def test_gear_base_has_two_pins() -> None:
     assert abs(centers[0] - centers[1]) == pytest.approx(CENTER_DISTANCE, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_gyroid_wall_is_as_thick_as_asked() -> None:
     part = made("gyroid_sphere")
     # Steiner's formula for a sheet around a minimal surface: area 3.0915 and Euler number -8 in a unit cell.

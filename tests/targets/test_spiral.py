@@ -86,6 +86,7 @@ def test_neutral_line_keeps_its_length() -> None:
             assert way == pytest.approx(SPIRAL.length, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", ["function", "voxels"])
 def test_a_part_cut_on_the_spiral_and_wound_again_matches_itself(cut: str) -> None:
     part = Branches()

@@ -39,13 +39,19 @@ def test_a_boat_fills_the_volume_of_its_mesh(boat: Solid, fast_device: Device) -
     assert target.height == pytest.approx(11.5)
 
 
-def test_a_boat_is_the_same_on_every_device(boat: Solid, fast_device: Device) -> None:
-    got, wanted = (Target.from_mesh(boat, 11.5, pitch=11.5 / 40, device=place) for place in (fast_device, "numpy"))
-    np.testing.assert_array_equal(got.numpy(), wanted.numpy())
+@pytest.fixture(scope="module")
+def voxels_by_definition(boat: Solid) -> np.ndarray:
+    return Target.from_mesh(boat, 11.5, pitch=11.5 / 24, device="numpy").numpy()
+
+
+@pytest.mark.slow
+def test_a_boat_is_the_same_on_every_device(boat: Solid, voxels_by_definition: np.ndarray, fast_device: Device) -> None:
+    target = Target.from_mesh(boat, 11.5, pitch=11.5 / 24, device=fast_device)
+    np.testing.assert_array_equal(target.numpy(), voxels_by_definition)
 
 
 def test_a_moved_mesh_gives_the_same_voxels(boat: Solid, fast_device: Device) -> None:
-    for solid, pitch in ((boat, 11.5 / 64), (wedge(), 0.1)):
+    for solid, pitch in ((boat, 11.5 / 32), (wedge(), 0.1)):
         here = Target.from_mesh(solid, height=11.5, pitch=pitch, device=fast_device)
         there = Target.from_mesh(solid.translated((10.0, 10.0, 10.0)), height=11.5, pitch=pitch, device=fast_device)
         assert here.grid == there.grid
@@ -182,7 +188,7 @@ def test_an_array_is_a_target() -> None:
     ids=["2-D", "no voxels", "NaN", "above 1", "below 0", "complex", "text"],
 )
 def test_arrays_that_are_no_fractions_are_refused(values: np.ndarray) -> None:
-    with pytest.raises(BadInput, match="wanted"):
+    with pytest.raises(BadInput, match="expected"):
         Target.from_array(values, 0.1)
 
 

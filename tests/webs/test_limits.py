@@ -17,21 +17,21 @@ from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller
 from vamgpu.units import Pa_s, kg_m3, minute
 from vamgpu.webs.display import Display
-from vamgpu.webs.limits import Limits
+from vamgpu.webs.limits import WebLimits
 from vamgpu.webs.limits_table import lines
 
 FILM = Film(3.0, 1.49, 1.33, 0.22)
 ROLLER = Roller(7.5, FILM, radians(0.5), legs=pi * (7.5 + 10.5) / 4)
-PAPER = Limits(ROLLER, TunableLens(index=1.33))
+PAPER = WebLimits(ROLLER, TunableLens(index=1.33))
 
 
 def test_rates_at_the_papers_speed() -> None:
     assert PAPER.speed * minute == pytest.approx(48.0)
     assert PAPER.pose_rate == pytest.approx(10.2, abs=0.05)
-    assert PAPER.picture_rate == pytest.approx(30.6, abs=0.05)
+    assert PAPER.frame_rate == pytest.approx(30.6, abs=0.05)
     assert 1e3 * PAPER.slot == pytest.approx(32.7, abs=0.05)
     assert PAPER.data_rate / 1e6 == pytest.approx(63.0, abs=0.5)
-    assert int(PAPER.poses) == 7639 and int(PAPER.pictures) == 22918
+    assert int(PAPER.poses) == 7639 and int(PAPER.frames) == 22918
     assert 78.0 < 1e3 * PAPER.advance < 79.0
     assert PAPER.length / PAPER.speed == pytest.approx(750.0)
 
@@ -53,21 +53,21 @@ def test_speeds_and_what_binds() -> None:
     assert speed["data link"] == inf
     assert speed["all in turn"] == pytest.approx(way / 3 / (1 / 266 + 5e-3 + 100 / 38400))
     assert speed["all in turn"] == pytest.approx(138.2, abs=0.1)
-    assert PAPER.binding.name == "all in turn" and "44 % of them for the lens" in PAPER.binding.reason
+    assert PAPER.limiting.name == "all in turn" and "44 % of them for the lens" in PAPER.limiting.reason
     turning = replace(PAPER, display=Display(turning=True))
-    assert turning.binding.speed * minute == pytest.approx(178.0, abs=0.5)
+    assert turning.limiting.speed * minute == pytest.approx(178.0, abs=0.5)
     slow = replace(PAPER, display=Display(link=80e6))
-    assert slow.binding.name == "data link"
-    assert slow.binding.speed == pytest.approx(0.8 * 80e6 / PAPER.data_rate)
+    assert slow.limiting.name == "data link"
+    assert slow.limiting.speed == pytest.approx(0.8 * 80e6 / PAPER.data_rate)
     still = replace(PAPER, lens=TunableLens(bins=1), depth_of_focus=30.0)
-    assert still.binding.speed * minute == pytest.approx(way * 266) and still.binding.name == "mirrors"
+    assert still.limiting.speed * minute == pytest.approx(way * 266) and still.limiting.name == "mirrors"
 
 
 def test_at_the_greatest_speed_light_is_on_for_the_pictures_alone() -> None:
-    fastest = replace(PAPER, speed=PAPER.binding.speed)
+    fastest = replace(PAPER, speed=PAPER.limiting.speed)
     assert fastest.duty * fastest.slot == pytest.approx(1 / 266)
     assert not fastest.broken
-    assert "above" in replace(PAPER, speed=PAPER.binding.speed * 1.001).broken[0]
+    assert "above" in replace(PAPER, speed=PAPER.limiting.speed * 1.001).broken[0]
 
 
 def test_window_and_angles() -> None:
@@ -119,10 +119,10 @@ def test_the_machines_file_is_the_papers_machine() -> None:
     assert found.roller.film.absorption == pytest.approx(0.22)
     for name in ("pose_rate", "data_rate", "coverage", "window", "defocus"):
         assert getattr(found, name) == pytest.approx(getattr(PAPER, name))
-    assert found.binding.speed == pytest.approx(PAPER.binding.speed)
+    assert found.limiting.speed == pytest.approx(PAPER.limiting.speed)
     assert found.viscosity_needed == pytest.approx(PAPER.viscosity_needed, rel=1e-3)
     fine = parse_limits(MACHINE, ['lens.quantum="0.005 dpt"', 'resin.viscosity="30000 Pa s"', 'display.link="80 MB/s"'])
-    assert fine.lens.quantum == pytest.approx(0.005) and fine.binding.name == "data link"
+    assert fine.lens.quantum == pytest.approx(0.005) and fine.limiting.name == "data link"
     assert isfinite(fine.slowest) and fine.slowest > 0
 
 
@@ -131,7 +131,7 @@ def test_a_file_of_a_web_job_will_do() -> None:
 
 
 def test_wrong_files_are_told_by_line() -> None:
-    with pytest.raises(JobError, match=r"machine, line 10: roller.radius: got 7.5; wanted a length"):
+    with pytest.raises(JobError, match=r"machine, line 10: roller.radius: got 7.5; expected a length"):
         parse_limits(MACHINE.replace('radius = "7.5 mm"', "radius = 7.5"))
     with pytest.raises(JobError, match=r"did you mean \[lens\]"):
         parse_limits(MACHINE.replace("[lens]", "[lense]"))
@@ -154,7 +154,7 @@ def test_the_command_prints_a_table_and_draws(tmp_path: Path, capsys: pytest.Cap
     file.write_text(MACHINE, encoding="utf-8")
     assert main(["limits", str(file), "--png", str(tmp_path / "limits.png")]) == 0
     said = capsys.readouterr().out
-    assert "138.2 mm/min" in said and "bound by all in turn" in said and "cannot" not in said
+    assert "138.2 mm/min" in said and "limited by all in turn" in said and "cannot" not in said
     assert (tmp_path / "limits.png").stat().st_size > 10_000
     assert main(["limits", str(file), "--set", "web.speed=200 mm/min"]) == 0
     assert "cannot 3.333 mm/s is above 2.304 mm/s" in capsys.readouterr().out

@@ -37,6 +37,7 @@ def peak(tmp_path: Path, columns: int, limit: int = LIMIT) -> tuple[int, int]:
     return int(out[0]), int(out[2])
 
 
+@pytest.mark.slow
 def test_a_long_web_needs_no_more_than_a_short_one(tmp_path: Path) -> None:
     short, long = (peak(tmp_path, count * WINDOW) for count in (5, 50))
     assert long[0] == short[0]

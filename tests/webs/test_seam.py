@@ -32,7 +32,7 @@ def solved(core: float, overlap: float = 1.0) -> tuple[Stream, np.ndarray]:
         drifting, ROLLER, BEAM, length=LENGTH, pitch=(ROLLER.advance, PITCH, PITCH), core=core, overlap=overlap
     )
     own = slice(job.layout.overlap, None)
-    light = [job.solver.held().numpy()[own][: len(segment.images)] for segment in job]
+    light = [job.solver.buffer().numpy()[own][: len(segment.images)] for segment in job]
     return job, np.concatenate(light)
 
 
@@ -69,6 +69,6 @@ def test_what_comes_later_does_not_change_what_was_decided() -> None:
     _, light, _ = whole()
     job = Stream(drifting, ROLLER, BEAM, length=1.5 * LENGTH, pitch=(ROLLER.advance, PITCH, PITCH), core=10.0)
     next(iter(job))
-    longer = job.solver.held().numpy()[job.layout.overlap :][: len(light)]
+    longer = job.solver.buffer().numpy()[job.layout.overlap :][: len(light)]
     far = len(light) - 2 * job.layout.window
     assert np.abs(longer[:far] - light[:far]).max() < 1e-3 * light.max()

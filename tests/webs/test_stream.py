@@ -74,9 +74,10 @@ def test_a_function_without_a_length_is_refused() -> None:
         list(stream(lambda along, rho, z: along + rho + z))
 
 
+@pytest.mark.slow
 def test_a_stream_that_ends_early_keeps_what_was_written(tmp_path: Path) -> None:
     target, place = part(LONG), tmp_path / "web.vam"
-    with pytest.raises(TileError, match=r"end after 150 columns \(15 mm\); wanted 240 \(24 mm\)"):
+    with pytest.raises(TileError, match=r"end after 150 columns \(15 mm\); expected 240 \(24 mm\)"):
         stream(tiled(target[:150]), length=LONG * EDGE, core=2.0).write(place)
     kept = WebFolder.open(place)
     kept.verify()
@@ -107,15 +108,19 @@ class Tile:
 @pytest.mark.parametrize(
     ("odd", "said"),
     [
-        (np.zeros((10, 6, 5)), r"column 200 \(20 mm\) has shape \(10, 6, 5\); wanted \[l, 6, 4\]"),
+        (np.zeros((10, 6, 5)), r"column 200 \(20 mm\) has shape \(10, 6, 5\); expected \[l, 6, 4\]"),
         (np.zeros((6, 4)), r"has shape \(6, 4\)"),
-        (np.zeros((0, 6, 4)), r"has shape \(0, 6, 4\)"),
-        (Tile(np.zeros((10, 6, 4)), 0.2), r"has voxels of 0.2 × 0.2 × 0.2 mm, the web of 0.1 × 0.1 × 0.1 mm"),
-        (np.full((10, 6, 4), 1.5), r"reaches from 1.5 to 1.5; wanted fractions"),
-        (np.full((10, 6, 4), np.nan), r"reaches from nan"),
-        (np.full((10, 6, 4), "a"), r"holds <U1"),
-        (Tile(np.zeros((10, 6, 4)), (0.1, 0.1)), r"has voxels of 0.1 × 0.1 mm"),
-        (None, r"has shape \(\)"),
+        pytest.param(np.zeros((0, 6, 4)), r"has shape \(0, 6, 4\)", marks=pytest.mark.slow),
+        pytest.param(
+            Tile(np.zeros((10, 6, 4)), 0.2),
+            r"has voxels of 0.2 × 0.2 × 0.2 mm, the web of 0.1 × 0.1 × 0.1 mm",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(np.full((10, 6, 4), 1.5), r"reaches from 1.5 to 1.5; expected fractions", marks=pytest.mark.slow),
+        pytest.param(np.full((10, 6, 4), np.nan), r"reaches from nan", marks=pytest.mark.slow),
+        pytest.param(np.full((10, 6, 4), "a"), r"holds <U1", marks=pytest.mark.slow),
+        pytest.param(Tile(np.zeros((10, 6, 4)), (0.1, 0.1)), r"has voxels of 0.1 × 0.1 mm", marks=pytest.mark.slow),
+        pytest.param(None, r"has shape \(\)", marks=pytest.mark.slow),
     ],
 )
 def test_a_tile_that_does_not_fit_ends_the_stream_there(odd: object, said: str, tmp_path: Path) -> None:
@@ -136,18 +141,29 @@ def pieces(method: Any, core: float, longer: float = 1.0) -> tuple[np.ndarray, l
     job = stream(part(LONG), method=method, core=core, iterations=15)
     job.solver.pace = replace(job.solver.pace, step=longer * job.solver.step)
     own = slice(job.layout.overlap, None)
-    cut = [(job.solver.held().numpy()[own][: len(segment.images)], segment) for segment in job]
+    cut = [(job.solver.buffer().numpy()[own][: len(segment.images)], segment) for segment in job]
     losses = [segment.loss for _, segment in cut if segment.target.any()]
     return np.concatenate([light for light, _ in cut]), losses
 
 
-@pytest.mark.parametrize("method", LOCAL, ids=["bclp", "cal", "penalty", "window", "lbfgs", "sum", "own"])
+NAMES = ["bclp", "cal", "penalty", "window", "lbfgs", "sum", "own"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param(method, id=name, marks=() if name in ("bclp", "lbfgs", "sum") else pytest.mark.slow)
+        for method, name in zip(LOCAL, NAMES, strict=True)
+    ],
+)
 def test_every_loss_that_is_a_sum_over_voxels_is_lowered_without_a_seam(method: Any) -> None:
     (cut, losses), (whole, _) = pieces(method, 2.0), pieces(method, 30.0)
     assert all(last < 0.9 * first for first, last in losses)
     assert np.abs(cut - whole).max() <= 1e-6 * whole.max()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::vamgpu.errors.DivergenceWarning")
 def test_steps_along_a_web_have_no_ear_for_its_loss() -> None:
     """Where it rises, in one segment and not in another, they go on alike: else segments would not meet."""
@@ -172,7 +188,7 @@ def test_what_couples_a_web_is_refused() -> None:
         (BCLP(p=3.0, q=1.0), "q is 1.0 with p = 3.0: that couples the whole web"),
         (BCLP(weight=np.ones((60, *SECTION))), "a weight of single voxels has no place on an endless web"),
         (VoxelLoss(np.square, np.sqrt, weight=np.ones((60, *SECTION))), "a weight of single voxels"),
-        (LBFGS(efficiency=0.1), "efficiency is 0.1: its price is set by all light"),
+        (LBFGS(efficiency=0.1), "efficiency is 0.1: its penalty is set by all light"),
         (OWN**0.5, "a power of a sum couples all of its voxels"),
         ("osmo", r"OSMO\(.*lowers no loss: its light is scaled by the dose of the whole web"),
         ("recipe", "lowers no loss"),
@@ -192,7 +208,7 @@ def test_bad_numbers_are_refused() -> None:
             list(stream(part(60), **options))  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="section"):
         stream(part(60), section=None)
-    with pytest.raises(BadInput, match="wanted a Roller"):
+    with pytest.raises(BadInput, match="expected a Roller"):
         Stream(part(60), "roller", BEAM)  # type: ignore[arg-type]
 
 
@@ -203,7 +219,8 @@ def test_steps_that_never_meet_columns_are_refused_with_a_pitch_that_does() -> N
     assert Layout.of(100, 2**-0.5 / better).step.denominator <= 64
 
 
-@pytest.mark.parametrize("step", [0.5, 1.5, 2.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("step", [pytest.param(0.5, marks=pytest.mark.slow), 1.5, 2.0])
 def test_steps_of_other_lengths_than_a_column(step: float) -> None:
     target = part(LONG)
     options = {"section": SECTION, "pitch": (EDGE,) * 3, "device": "numpy", "iterations": 8}
@@ -255,7 +272,7 @@ def test_layers_fill_a_film_that_is_not_a_whole_number_of_pixels() -> None:
 
 def test_a_lens_that_cannot_be_used_is_refused() -> None:
     beam = ROLLER.beam(0.12, 4)
-    with pytest.raises(BadInput, match="got 3 as lens; wanted a TunableLens, FocusMasks"):
+    with pytest.raises(BadInput, match="got 3 as lens; expected a TunableLens, FocusMasks"):
         Stream(part(60), ROLLER, beam, lens=3)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="about a Roller, and Slanted is none"):
         stream(part(60), lens=TunableLens())
@@ -263,7 +280,7 @@ def test_a_lens_that_cannot_be_used_is_refused() -> None:
         Stream(part(60), ROLLER, beam, lens=TunableLens(bins=90))
     with pytest.raises(BadInput, match="the lens reaches 5 to 5.001 dpt"):
         Stream(part(60), ROLLER, beam, lens=TunableLens(powers=(5.0, 5.001)))
-    with pytest.raises(ShapeMismatch, match=f"for 7 columns; wanted {beam.pixels[0]}"):
+    with pytest.raises(ShapeMismatch, match=f"for 7 columns; expected {beam.pixels[0]}"):
         Stream(part(60), ROLLER, beam, lens=FocusMasks.around(Beam((7, 4), 0.12), 1.0, 0.5))
 
 

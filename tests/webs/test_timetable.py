@@ -13,17 +13,17 @@ from vamgpu.optics.film import Film
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller
 from vamgpu.webs.display import Display
-from vamgpu.webs.limits import Limits
+from vamgpu.webs.limits import WebLimits
 from vamgpu.webs.timetable import TICK, timetable
 
-PAPER = Limits(Roller(7.5, Film(3.0, 1.49, 1.33, 0.22), radians(0.5)), TunableLens(index=1.33))
+PAPER = WebLimits(Roller(7.5, Film(3.0, 1.49, 1.33, 0.22), radians(0.5)), TunableLens(index=1.33))
 TURNING = replace(PAPER, display=Display(turning=True))
 ONE = replace(PAPER, lens=TunableLens(bins=1))
 POSES = 7639
 
 
 @pytest.mark.parametrize("limits", [PAPER, TURNING, ONE], ids=["three bins", "turning", "one bin"])
-def test_light_is_on_only_where_the_lens_has_settled(limits: Limits) -> None:
+def test_light_is_on_only_where_the_lens_has_settled(limits: WebLimits) -> None:
     found = timetable(limits, 50)
     told = ~np.isnan(found.command)
     changes = np.diff(found.plane.ravel()) != 0
@@ -39,7 +39,7 @@ def test_light_is_on_only_where_the_lens_has_settled(limits: Limits) -> None:
 
 
 @pytest.mark.parametrize("limits", [PAPER, TURNING], ids=["three bins", "turning"])
-def test_nothing_drifts_over_600_millimeters(limits: Limits) -> None:
+def test_nothing_drifts_over_600_millimeters(limits: WebLimits) -> None:
     tick = 1e-4  # a coarse clock, whose rounding would add up to seconds
     found = timetable(limits, POSES, tick=tick)
     slot = np.diff(found.trigger[:, 1])
@@ -57,10 +57,10 @@ def test_a_web_may_be_timed_in_pieces() -> None:
 
 
 def test_what_does_not_fit_is_refused_with_numbers() -> None:
-    fast = replace(PAPER, speed=1.01 * PAPER.binding.speed)
-    with pytest.raises(BadInput, match=r"at 2\.327 mm/s a picture is lit for .* need 3\.759 ms.*less than 2\.304 mm/s"):
+    fast = replace(PAPER, speed=1.01 * PAPER.limiting.speed)
+    with pytest.raises(BadInput, match=r"at 2\.327 mm/s a frame is lit for .* need 3\.759 ms.*less than 2\.304 mm/s"):
         timetable(fast, 5)
-    assert timetable(replace(PAPER, speed=0.99 * PAPER.binding.speed), 5).stop.shape == (5, 3)
+    assert timetable(replace(PAPER, speed=0.99 * PAPER.limiting.speed), 5).stop.shape == (5, 3)
     with pytest.raises(BadInput, match="first is -1"):
         timetable(PAPER, 5, first=-1)
     with pytest.raises(BadInput, match="tick"):

@@ -16,6 +16,9 @@ struct Event {
 static int64_t time_us;
 static uint32_t first_micros;
 static int levels[64];
+static int64_t shaft;  // microsteps that the motor went
+static bool stalled;
+static const int64_t COUNTS = 1, STEPS = 8, MARK = 500, ROUND = 3200, WIDTH = 64;
 static std::vector<Event> events;
 Port Serial(HOST_BYTE), Serial1(LENS_BYTE);
 
@@ -23,13 +26,16 @@ uint32_t micros() { return first_micros + (uint32_t)time_us; }
 void delayMicroseconds(uint32_t us) { time_us += us; }
 void pinMode(uint8_t, uint8_t) {}
 void analogWriteResolution(int) {}
-int digitalRead(uint8_t pin) { return levels[pin]; }
+int digitalRead(uint8_t pin);
 void analogWrite(uint8_t pin, int value) { events.push_back({time_us, ANALOG + pin, value}); }
+
+static void turn_shaft(uint8_t pin, uint8_t level);
 
 void digitalWrite(uint8_t pin, uint8_t level) {
   if (levels[pin] == level) return;
   levels[pin] = level;
   events.push_back({time_us, PIN + pin, level});
+  turn_shaft(pin, level);
 }
 
 void Port::begin(uint32_t baud) { byte_us_ = 1e7 / baud; }
@@ -58,7 +64,23 @@ size_t Port::write(const uint8_t *data, size_t size) {
 
 #include "controller.ino"
 
+static int64_t floor_div(int64_t a, int64_t b) { return a >= 0 ? a / b : -((b - 1 - a) / b); }
+
+static void turn_shaft(uint8_t pin, uint8_t level) {
+  if (pin == STEP_PIN && level == HIGH && !stalled) shaft += levels[DIRECTION_PIN] ? 1 : -1;
+}
+
+int digitalRead(uint8_t pin) {
+  int64_t count = floor_div(shaft * COUNTS, STEPS) & 3;
+  if (pin == ENCODER_A_PIN) return count == 2 || count == 3;
+  if (pin == ENCODER_B_PIN) return count == 1 || count == 2;
+  if (pin == INDEX_PIN) return shaft - MARK - ROUND * floor_div(shaft - MARK, ROUND) < WIDTH;
+  return levels[pin];
+}
+
 extern "C" {
+void board_stall() { stalled = true; }
+
 void board_start(uint32_t micros_at_start) {
   first_micros = micros_at_start;
   setup();

@@ -21,8 +21,7 @@ from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.line import Faults
-from vamgpu.hosts.emulators.ports import plug
+from vamgpu.hosts.emulators.line import Faults, plug
 from vamgpu.hosts.protocols.controller import Status
 
 TURN = 30_000
@@ -138,6 +137,11 @@ class Board:
         self.advance(now)
         self._library.board_interlock(1)
 
+    def stall(self, now: int) -> None:
+        """The motor stands, though it is stepped on."""
+        self.advance(now)
+        self._library.board_stall()
+
     def unload(self) -> None:
         """Let go of the sketch, so that the next board begins anew."""
         import _ctypes
@@ -146,8 +150,8 @@ class Board:
 
 
 @dataclass
-class Bench:
-    """A machine, the driver and what was seen of both."""
+class Conversation:
+    """A driver and its machine, and what was seen of both."""
 
     machine: Any
     clock: VirtualClock
@@ -175,27 +179,29 @@ class Bench:
         return self.driver.status()
 
 
-def _bench(machine: Any, latency_ms: float = 8.0) -> Bench:
+def _conversation(machine: Any, latency_ms: float = 8.0) -> Conversation:
     clock, faults = VirtualClock(), Faults()
     wire = Wire(plug(machine, clock, latency_ms / 1000, faults=faults), "the controller")
-    return Bench(machine, clock, Controller(wire), faults)
+    return Conversation(machine, clock, Controller(wire), faults)
 
 
-def _emulated() -> Bench:
+def _emulated() -> Conversation:
     machine = EmulatedController()
-    bench = _bench(machine)
-    machine.on_light = lambda channels, at: bench.lights.append((channels, at))
-    machine.on_trigger = bench.triggers.append
-    machine.on_lens = lambda frame, at: bench.frames.append((at, frame))
-    return bench
+    emulated = _conversation(machine)
+    machine.on_light = lambda channels, at: emulated.lights.append((channels, at))
+    machine.on_trigger = emulated.triggers.append
+    machine.on_lens = lambda frame, at: emulated.frames.append((at, frame))
+    return emulated
 
 
-def _play_both(board: Board, scenario: Callable[[Bench], None], within: int) -> tuple[Bench, Bench]:
+def _play_both(
+    board: Board, scenario: Callable[[Conversation], None], within: int
+) -> tuple[Conversation, Conversation]:
     """Play a scenario with both; what was answered, and when light, trigger and lens acted, is the same."""
-    emulated, real = _emulated(), _bench(board)
-    for bench in (emulated, real):
-        scenario(bench)
-        bench.clock.sleep(20 * MILLI)
+    emulated, real = _emulated(), _conversation(board)
+    for each in (emulated, real):
+        scenario(each)
+        each.clock.sleep(20 * MILLI)
     real.lights, real.triggers, real.frames = board.lights, board.triggers, board.frames
     assert real.answers == emulated.answers
     assert list(real.driver.events) == list(emulated.driver.events)
@@ -238,12 +244,12 @@ def new_board(sketch: Path, tmp_path: Path) -> Callable[..., Board]:
 
 
 @pytest.fixture
-def bench_of() -> Callable[..., Bench]:
-    """Puts a machine on a bench; ``latency_ms`` is how long its driver waits."""
-    return _bench
+def conversation_with() -> Callable[..., Conversation]:
+    """Begins a conversation with a machine; ``latency_ms`` is how long its driver waits."""
+    return _conversation
 
 
 @pytest.fixture
-def both(new_board: Callable[..., Board]) -> Callable[..., tuple[Bench, Bench]]:
+def both(new_board: Callable[..., Board]) -> Callable[..., tuple[Conversation, Conversation]]:
     """Plays a scenario with the emulated controller and with the sketch, asserts that they did the same."""
     return lambda scenario, within=TURN: _play_both(new_board(), scenario, within)

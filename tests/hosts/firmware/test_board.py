@@ -8,14 +8,17 @@ import sys
 import time
 from binascii import crc_hqx
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import pytest
 
+from vamgpu.errors import DeviceRefused
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.emulators.servers import PtyServer
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
+TURN = 100_000  # some turns of the board's loop, which a line takes [ns]
 NewBoard = Callable[..., Any]
 
 
@@ -59,14 +62,18 @@ def test_a_host_that_does_not_listen_never_keeps_the_light_on(new_board: NewBoar
 
 
 class _Now:
-    """A board whose time began when it was made, and is the computer's since."""
+    """A board whose time began when it was made, and is the computer's since. heard: when it last took bytes."""
 
     def __init__(self, board: Any) -> None:
-        self._board, self.start = board, time.monotonic_ns()
+        self._board, self.start, self.heard = board, time.monotonic_ns(), 0
 
     def __getattr__(self, name: str) -> Any:
         act = getattr(self._board, name)
         return lambda data, now=None: act(data - self.start) if now is None else act(data, now - self.start)
+
+    def receive(self, data: bytes, now: int) -> None:
+        self.heard = now - self.start
+        self._board.receive(data, self.heard)
 
     def due(self) -> int:
         return self._board.due() + self.start
@@ -81,11 +88,12 @@ def test_the_sketch_speaks_over_a_real_terminal(new_board: NewBoard, lease_ms: i
     board = new_board()
     machine: Any = _Now(board)
     with PtyServer(machine) as server, Controller.open(server.url) as driver:
-        driver.lease(lease_ms)
-        driver.arm()
-        driver.light(1)
-        deadline = time.monotonic() + 10
-        while driver.status().light and time.monotonic() < deadline:
+        while not board.lights:  # on a busy machine a lease may be over before there is light
+            with suppress(DeviceRefused):
+                driver.lease(lease_ms)
+                driver.arm()
+                driver.light(1)
+        while driver.status().light:
             time.sleep(0.01)
         assert driver.status().fault == "lease"
         assert ("light", "off", "lease") in driver.poll()
@@ -93,36 +101,36 @@ def test_the_sketch_speaks_over_a_real_terminal(new_board: NewBoard, lease_ms: i
     assert dark == 0 and ended - lit <= lease_ms * MILLI
 
 
-HOST = """
+LEASE = 400
+HOST = f"""
 import sys, time
 from vamgpu.hosts.drivers.controller import Controller
 with Controller.open(sys.argv[1]) as controller:
-    controller.lease(100)
+    controller.lease({LEASE})
     controller.arm()
     controller.light(1)
     print("on", flush=True)
     while True:
-        controller.lease(100)
+        controller.lease({LEASE})
         time.sleep(0.005)
 """
 
 
 def test_the_sketch_closes_the_light_of_hosts_that_are_killed(new_board: NewBoard) -> None:
-    """Within one lease, and what a busy machine may take to hand over a renewal sent just before."""
+    """One lease after the board last heard of its host, by the board's own time; some of them died in the light."""
     board = new_board()
     machine: Any = _Now(board)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    after = []
+    lit: list[int] = []
     with PtyServer(machine) as server:
         for hold in (0.0, 0.03, 0.15, 0.21):
             command = [sys.executable, "-c", HOST, server.url]
             with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as host:
                 assert host.stdout is not None and host.stdout.readline() == "on\n"
                 time.sleep(hold)
-                killed = time.monotonic_ns() - machine.start
                 host.kill()
-            time.sleep(0.3)
-            channels, dark = board.lights[-1]
-            assert channels == 0
-            after.append((dark - killed) / MILLI)
-    assert max(after) <= 100 + 40, after
+            while board.lights[-1][0]:
+                time.sleep(0.01)
+            lit.append(board.lights[-1][1] - machine.heard)
+    assert max(lit) <= LEASE * MILLI + TURN, lit
+    assert max(lit) >= LEASE * MILLI - TURN, lit

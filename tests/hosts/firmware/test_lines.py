@@ -78,6 +78,8 @@ COMMANDS = st.one_of(
     st.tuples(st.just("go"), st.just(7)),
     st.tuples(st.just("zero"), st.integers(0, 65_536)),
     st.tuples(st.just("light"), st.integers(0, 4)),
+    st.tuples(st.just("encoder"), st.integers(-2, 2), st.integers(0, 8), st.integers(0, 20)),
+    st.tuples(st.just("index"), st.integers(-1, 2), st.integers(0, 3200), st.integers(0, 20)),
     st.tuples(st.just("mode"), st.sampled_from(["time", "steps"])),
     st.tuples(st.just("end"), st.integers(0, 12)),
     st.tuples(st.just("row"), HALVES, st.one_of(st.just("-"), st.integers(-9, 9)), HALVES, HALVES, st.integers(0, 4)),

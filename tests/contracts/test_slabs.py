@@ -1,0 +1,153 @@
+"""Devices that share the slices of every field: the same numbers as one device alone, from every kernel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import kernel_examples as examples
+import numpy as np
+import pytest
+
+import vamgpu as vam
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.backend.numpy import NumpyDevice
+from vamgpu.backend.opencl import OpenclDevice
+from vamgpu.backend.slabs import SlabDevice
+from vamgpu.errors import DeviceError, OutOfMemory
+from vamgpu.kernels.catalog import kernels
+from vamgpu.kernels.reduce import fold, partial_sum
+from vamgpu.kernels.signature import Field, Kernel
+
+THREE = "numpy+numpy+numpy"
+
+
+@pytest.mark.parametrize("kernel", kernels(), ids=lambda kernel: kernel.name)
+def test_kernels_agree_with_one_device(kernel: Kernel) -> None:
+    for size in (7, 25):
+        alone, shared = (examples.bind(vam.open_device(name), kernel, size) for name in ("numpy", THREE))
+        alone.launch()
+        shared.launch()
+        assert shared.error(alone) < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", kernels(), ids=lambda kernel: kernel.name)
+def test_kernels_agree_on_devices(fast_device: Device, kernel: Kernel) -> None:
+    """A device that is three members of one."""
+    shared = SlabDevice("three", [fast_device] * 3)
+    for size in (7, 68):
+        alone, three = (examples.bind(device, kernel, size) for device in (fast_device, shared))
+        alone.launch()
+        three.launch()
+        whole = any(a.dtype.kind in "iu" for a in three.arguments.values() if isinstance(a, DeviceArray))
+        assert three.error(alone) <= (1e-3 if whole else 1e-5)
+
+
+def lit(device: str | Device, rows: float = 1.0, **more: Any) -> tuple[Any, Any]:
+    """A part, and its operator with a lens that blurs across slices, ``rows`` slices apart."""
+    x, y, z = np.meshgrid(*(np.arange(n) - 0.5 * (n - 1) for n in (16, 16, 18)), indexing="ij")
+    part = (np.hypot(x, y) < 5) & ((np.abs(x) > 1.5) | (np.abs(z) > 4))
+    target = vam.Target.from_array(part.astype(float), pitch=0.25)
+    beam = vam.Beam((18, 18), 0.25 * rows, spread=0.3)
+    return target, vam.Projection(target.grid, beam, vam.Turntable(12), device=device, **more)
+
+
+@pytest.mark.parametrize("vessel", [None, vam.Vial(4.0, 0.5, 1.49, 1.47, 1.0, 0.1)], ids=["straight", "vial"])
+def test_light_and_dose_are_those_of_one_device(vessel: Any) -> None:
+    doses = []
+    for device in ("numpy", THREE):
+        target, A = lit(device, vessel=vessel)
+        light = np.random.default_rng(1).random(A.range.shape)
+        doses.append((A.T(light), A(A.T(light))))
+    for one, other in zip(*doses, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-12, atol=1e-12 * one.max())
+
+
+@pytest.mark.parametrize("method", ["best", "osmo", "lbfgs", "bclp"])
+def test_methods_find_the_same_light(method: str) -> None:
+    plans = []
+    for device in ("numpy", THREE):
+        target, A = lit(device)
+        plans.append(vam.optimize(A, target, method, iterations=6, progress=False))
+    one, other = plans
+    np.testing.assert_allclose(other.sinogram.numpy(), one.sinogram.numpy(), rtol=1e-6, atol=1e-7)
+    assert other.window == pytest.approx(one.window, abs=1e-8)
+
+
+@pytest.mark.parametrize("rows", [1.0, 1.6])
+def test_a_step_moves_no_field_to_one_member(rows: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the loop members exchange sums and the slices at their borders, never a field."""
+    three = SlabDevice("three", [NumpyDevice(), NumpyDevice(), NumpyDevice()])
+    target, A = lit(three, rows)
+    vam.optimize(A, target, iterations=2, progress=False)  # what is built once is built
+    met: set[str] = set()
+    brought: list[int] = []
+    run, bring = SlabDevice._run_whole, SlabDevice._bring
+
+    def seen(self: SlabDevice, kernel: Kernel, bound: dict[str, Any]) -> None:
+        met.update(kernel.name for spec in kernel.arguments.values() if isinstance(spec, Field))
+        run(self, kernel, bound)
+
+    def counted(self: SlabDevice, piece: DeviceArray, begin: int, end: int, first: int, wide: DeviceArray) -> None:
+        brought.extend([end - begin] if piece.device is not wide.device else [])
+        bring(self, piece, begin, end, first, wide)
+
+    monkeypatch.setattr(SlabDevice, "_run_whole", seen)
+    monkeypatch.setattr(SlabDevice, "_bring", counted)
+    vam.optimize(A, target, iterations=4, progress=False)
+    assert not met
+    assert brought and max(brought) <= 5  # four standard deviations of the lens
+
+
+def test_partial_results_are_combined_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every member folds its own, and few numbers cross."""
+    device = SlabDevice("three", [NumpyDevice(), NumpyDevice(), NumpyDevice()])
+    values = np.random.default_rng(0).random((6, 5, 12))
+    field, parts = device.upload(values), device.empty((device.items(partial_sum, values.shape),), table=True)
+    device.launch(partial_sum, a=field, parts=parts)
+    met, launch = [], NumpyDevice._launch
+    monkeypatch.setattr(NumpyDevice, "_launch", lambda *given: met.append(given[1].name) or launch(*given))
+    for kind, wanted in enumerate((np.sum, np.min, np.max)):
+        folded = device.empty((1,), table=True)
+        device.launch(fold, parts=parts, kind=kind, folded=folded)
+        assert met == ["fold"] * 4 * (kind + 1)
+        assert folded.numpy()[0] == pytest.approx(wanted([values[:, :, z : z + 4].sum() for z in (0, 4, 8)]), rel=1e-14)
+
+
+def test_names_of_several_devices() -> None:
+    three = vam.open_device(THREE)
+    assert isinstance(three, SlabDevice) and [member.name for member in three.members] == ["numpy"] * 3
+    assert three.cuts(10) == [(0, 4), (4, 8), (8, 10)] and three.cuts(3) == [(0, 3), (3, 3), (3, 3)]
+    assert three.cuts(1000) == [(0, 352), (352, 704), (704, 1000)]
+    with pytest.raises(DeviceError, match="one kind"):
+        vam.open_device("numpy+warp:cpu")
+    with pytest.raises(DeviceError, match="no device 'nothing:0'"):
+        vam.open_device("numpy+nothing:0")
+    with pytest.raises(DeviceError, match="no device .*nothing:"):
+        vam.open_device("nothing:*")
+    with pytest.raises(DeviceError, match="several devices"):
+        three.upload(np.ones((2, 3, 4))).native()
+
+
+def test_fields_beyond_the_memory_lie_in_files(
+    opencl_name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+) -> None:
+    """The light is the same bit by bit, wherever its fields were kept."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    filed: list[int] = []
+    in_file = OpenclDevice._in_file
+    monkeypatch.setattr(OpenclDevice, "_in_file", lambda self, nbytes: filed.append(nbytes) or in_file(self, nbytes))
+    plans = []
+    for memory in ("", "@100kB"):
+        target, A = lit(opencl_name + memory)
+        plans.append(vam.optimize(A, target, iterations=6, progress=False).sinogram.numpy())
+        assert bool(filed) == bool(memory)
+    assert (plans[0] == plans[1]).all()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "nowhere"))
+    with pytest.raises(OutOfMemory, match="set TMPDIR"):
+        vam.open_device(f"{opencl_name}@1B").empty((4, 4, 4))
+    with pytest.raises(DeviceError, match="expected a processor through OpenCL"):
+        vam.open_device("numpy@1GB")
+    with pytest.raises(DeviceError, match="a size of memory"):
+        vam.open_device(f"{opencl_name}@much")

@@ -1,0 +1,118 @@
+"""Projection on rings, against the sum over poses that it replaces and against voxels in a box."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vamgpu as vam
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.operators.polar import PolarGrid, pose_on_rings
+from vamgpu.operators.ray_table import OpenAir
+from vamgpu.operators.spectral import SpectralProjection
+
+VIAL = vam.Vial(radius=1.0, wall=0.08, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.5)
+ASIDE = vam.Misaligned(VIAL, offset=0.07)
+GEOMETRIES: dict[str, Any] = {
+    "straight": (PolarGrid(8, 4, 0.1, 9), vam.Beam((15, 4), 0.1), None),
+    "one row": (PolarGrid(8, 2, 0.1, 6), vam.Beam((16, 1), 0.1), None),
+    "several belts": (PolarGrid(24, 2, 0.05, 12), vam.Beam((40, 4), 0.06), None),
+    "a prime number of angles": (PolarGrid(8, 2, 0.1, 53), vam.Beam((16, 2), 0.1), None),
+    "refracted and absorbed": (PolarGrid(8, 2, 0.11, 12), vam.Beam((13, 3), 0.15), VIAL),
+    "light that nothing mirrors": (PolarGrid(8, 2, 0.11, 12), vam.Beam((14, 3), 0.15), ASIDE),
+}
+every_geometry = pytest.mark.parametrize("geometry", GEOMETRIES)
+
+
+def operator(geometry: str, device: Device | str) -> SpectralProjection:
+    grid, beam, vessel = GEOMETRIES[geometry]
+    return SpectralProjection(grid, beam, vessel, device)
+
+
+def summed(A: SpectralProjection, slices: np.ndarray) -> np.ndarray:
+    """The dose pose by pose, of light with one row a slice."""
+    grid, dose = A.grid, np.zeros(A.grid.shape)
+    for belt, pose in zip(grid.belts, pose_on_rings(grid, A.beam, A.vessel or OpenAir()), strict=True):
+        turned = [np.roll(pose, angle * belt.samples, axis=1) for angle in range(grid.angles)]
+        ring = np.einsum("arsc,acz->rsz", turned, slices)
+        cells = ring.reshape(belt.rings, grid.angles, belt.samples, -1).transpose(1, 2, 0, 3)
+        stop = belt.cell + belt.rings * belt.samples
+        dose[:, belt.cell : stop] = cells.reshape(grid.angles, -1, grid.slices)
+    return dose
+
+
+@every_geometry
+def test_it_is_the_sum_over_poses(device: Device, geometry: str) -> None:
+    A, reference = operator(geometry, device), operator(geometry, "numpy")
+    light = np.random.default_rng(0).random(A.range.shape)
+    slices = reference.device.empty((*A.range.shape[:2], A.grid.slices))
+    reference._rows.to_slices(reference.device.upload(light), slices)
+    wanted = summed(A, slices.numpy())
+    assert np.abs(A.T(light) - wanted).max() <= 2e-6 * wanted.max()
+
+
+@every_geometry
+def test_the_transpose_is_exact(device: Device, geometry: str) -> None:
+    A = operator(geometry, device)
+    assert A.dot_test() <= 1e-7
+    if np.prod(A.domain.shape) < 4000:
+        matrix, transpose = A.dense(), A.T.dense()
+        assert np.abs(matrix - transpose.T).max() <= 3e-6 * np.abs(matrix).max()
+
+
+def test_light_that_nothing_mirrors_is_told_apart() -> None:
+    assert operator("refracted and absorbed", "numpy")._entries["mirrored"] == 1
+    assert operator("light that nothing mirrors", "numpy")._entries["mirrored"] == 0
+
+
+@pytest.mark.parametrize("vessel", [None, VIAL], ids=["straight", "in a vial"])
+def test_the_dose_is_that_of_voxels_in_a_box(vessel: Any) -> None:
+    """The dose at voxels of a box four times finer, averaged over each cell, by the operator for boxes."""
+    grid, fine = PolarGrid(8, 2, 0.1, 24), vam.Grid((80, 80, 2), 0.025)
+    beam = vam.Beam((26, 12), 0.09)
+    turns, columns = np.arange(24)[:, None] * np.pi / 12.0, np.linspace(-1.0, 1.0, 26)
+    light = (1.0 + np.sin(3.0 * turns + 2.0 * columns) * np.cos(4.0 * columns))[:, :, None].repeat(12, axis=2)
+    dose = np.asarray(vam.Projection(fine, beam, vam.Turntable(24), vessel, device="numpy").T(light))[:, :, 0] * 64.0
+    got = np.asarray(SpectralProjection(grid, beam, vessel, "numpy").T(light))[:, :, 0]
+    x, y = (np.arange(80) - 39.5)[:, None] * 0.025, (np.arange(80) - 39.5) * 0.025
+    radius, turn = np.hypot(x, y), np.mod(np.arctan2(y, x), 2.0 * np.pi)
+    rho, phi = grid.places
+    apart = []
+    for angle, cell in np.argwhere((rho > 0.2) & (rho < 0.6) & (phi < np.pi)):  # farther out there is no light
+        samples = next(belt.samples for belt in reversed(grid.belts) if cell >= belt.cell)
+        away = np.abs(np.mod(turn - phi[angle, cell] + np.pi, 2.0 * np.pi) - np.pi)
+        near = (np.abs(radius - rho[cell]) <= 0.05) & (away <= np.pi / (24 * samples))
+        apart.append(got[angle, cell] / dose[near].mean() - 1.0)
+    assert len(apart) > 100 and np.abs(apart).max() <= 0.03 and abs(np.mean(apart)) <= 0.003
+
+
+def test_cells_fill_the_disc() -> None:
+    grid = PolarGrid(40, 2, 0.1, 36)
+    assert grid.areas.sum() * grid.angles == pytest.approx(np.pi * 40**2, rel=1e-12)
+    assert max(belt.stop * 2.0 * np.pi / (36 * belt.samples) for belt in grid.belts) <= 1.0 + 1e-9
+    assert grid.shape == (36, sum(belt.rings * belt.samples for belt in grid.belts), 2)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ((7, 2, 0.1, 9), "multiple of 8"),
+        ((8, 3, 0.1, 9), "even"),
+        ((8, 2, 0.0, 9), "pitch"),
+        ((8, 2, 0.1, 0), "angles"),
+    ],
+)
+def test_bad_rings_are_refused(given: Any, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        PolarGrid(*given)
+
+
+def test_bad_arguments_are_refused() -> None:
+    grid, beam = PolarGrid(8, 2, 0.1, 9), vam.Beam((9, 2), 0.1)
+    with pytest.raises(BadInput, match="PolarGrid"):
+        SpectralProjection(vam.Grid((8, 8, 2), 0.1), beam)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(BadInput, match="Vial"):
+        SpectralProjection(grid, beam, "vial")  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,232 @@
+"""Roles of a rig: what may fill them, what a combination guarantees, old spellings, and parts from outside."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vamgpu.cli import main
+from vamgpu.errors import BadInput, JobError
+from vamgpu.hosts.rig import carry_out, plan, rehearsal
+from vamgpu.hosts.rigs.config import RigConfig, parse_rig
+from vamgpu.hosts.rigs.displays import AlpDisplay
+from vamgpu.hosts.rigs.guarantees import accepted, driver_of, guarantees
+from vamgpu.hosts.rigs.motions import ControllerMotion
+from vamgpu.hosts.state import PrintState
+from vamgpu.jobs.keys import keys_of, reference
+from vamgpu.schema import registry
+
+HEAD = '[rig]\nname = "lab"\nmachine = "vial"\n'
+BOX = '[controller]\nport = "/dev/ttyACM0"\n'
+ALP = '[display]\ndriver = "alp"\nlibrary = "libalp.so"\n'
+VIDEO = '[display]\ndriver = "video"\n'
+ZABER = '[motion]\ndriver = "zaber"\nport = "/dev/ttyUSB0"\nmicrosteps = 1000\n'
+STEPPER = '[motion]\ndriver = "stepper"\n'
+MOTOR = '[motion]\ndriver = "controller"\n'
+FREE, STAGE = '[clock]\ndriver = "free"\n', '[clock]\ndriver = "stage"\n'
+SHINES = '[light]\ndriver = "display"\n'
+
+
+def rig(*tables: str) -> RigConfig:
+    return parse_rig(HEAD + "".join(tables))
+
+
+def lacking(config: RigConfig, speed: float = 40.0) -> set[str]:
+    return {one.about for one in guarantees(config.setup, speed).lacking}
+
+
+def test_what_each_combination_guarantees() -> None:
+    for tables, clock, without in (
+        ((BOX, MOTOR, ALP), "controller", {"position"}),
+        ((BOX, MOTOR, ALP, '[[feedback]]\ndriver = "encoder"\ncounts = 100.0\n'), "controller", set()),
+        ((BOX, ZABER, VIDEO), "vblank", {"position"}),
+        ((BOX, ZABER + "encoder = true\n", ALP), "stage", set()),
+        ((ZABER, ALP), "stage", {"position", "lease"}),
+        ((STEPPER, VIDEO, FREE), "free", {"step", "position", "lease"}),
+        ((STEPPER, VIDEO, FREE, '[[feedback]]\ndriver = "index"\npin = 4\n'), "free", {"lease"}),
+        ((BOX, STEPPER, VIDEO, FREE), "free", {"step", "position"}),
+    ):
+        found = rig(*tables)
+        assert driver_of(found.setup.clock) == clock and lacking(found) == without, tables
+
+
+def test_drift_follows_from_the_clocks() -> None:
+    config = rig(STEPPER + "tolerance = 30.0\n", VIDEO + "tolerance = 95.0\n", FREE)
+    found = guarantees(config.setup, 40.0)
+    assert found.drift == pytest.approx(0.3), "125 ppm of 2400 deg"
+    assert "drifts 0.3 deg a minute" in str(found.lacking[0]) and "accept drift = 0.3" in str(found.lacking[0])
+    assert guarantees(config.setup, 20.0).drift == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize("speed", [40.0, 41.0, 44.0, 7.3])
+def test_who_accepts_the_drift_that_was_told_has_accepted_it(speed: float) -> None:
+    told = str(guarantees(rig(STEPPER, VIDEO, FREE).setup, speed).lacking[0]).split("drift = ")[1].split(" ")[0]
+    config = rig(STEPPER, VIDEO, FREE, f"[safety]\ndrift = {told}\n")
+    assert float(told) == pytest.approx(0.006 * speed, rel=0.1) and accepted(config.setup, speed, "deg")
+
+
+def test_drift_must_be_accepted(job: Path) -> None:
+    with pytest.raises(BadInput, match=r"drifts 0.24 deg a minute .* accepts drift = 0.2; give it a trigger"):
+        plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.2\n"), rehearsed=True)
+    planned = plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.25\n"), rehearsed=True)
+    assert "drifts" in dict(planned.lines())["no step"]
+
+
+def test_combinations_that_cannot_be_are_told() -> None:
+    lens = '[lens]\ndriver = "optotune"\nport = "/dev/x"\n'
+    for tables, why in (
+        ((MOTOR, ALP), r"motion: driver .controller.: expected a table \[controller\]"),
+        ((ZABER, ALP, '[light]\ndriver = "controller"\n'), r"light: .*expected a table \[controller\]"),
+        ((STEPPER, ALP), "a .stepper. has no trigger output; take a stage that has one"),
+        ((ZABER.replace("zaber", "standa"), ALP), "a .standa. has no trigger output"),
+        ((ZABER, ALP, FREE), "mirrors of the display .alp. wait for triggers"),
+        ((BOX, ZABER, ALP, '[clock]\ndriver = "controller"\n'), "the motor that the controller itself moves"),
+        ((STEPPER, VIDEO), "does not say it; add .*index"),
+        ((ZABER, VIDEO, STAGE), "a video cable has no trigger input"),
+        ((ZABER, ALP, lens), "told_by"),
+        ((BOX, MOTOR, ALP, SHINES), "the controller gates it"),
+        ((BOX, ZABER, VIDEO.replace("video", "vidoe")), "did you mean 'video'"),
+        ((BOX, ZABER, ALP, '[clock]\ndriver = 3\n'), "driver is 3; expected one of controller"),
+    ):  # fmt: skip
+        with pytest.raises(JobError, match=why):
+            rig(*tables)
+
+
+def test_poses_must_be_whole_microsteps(job: Path) -> None:
+    with pytest.raises(BadInput, match=r"a pose is 21333.3 microsteps of the stage.*: take 32 images a turn|take 40"):
+        plan(job, rig(ZABER.replace("1000", "2133.3333333333335"), ALP), rehearsed=True)
+
+
+OLD = """
+[rig]
+name = "old"
+machine = "vial"
+[controller]
+driver = "vam-controller"
+port = "/dev/ttyACM0"
+microsteps = 80.0
+ramp = 30.0
+[projector]
+driver = "alp"
+library = "libalp.so"
+picture = "5 ms"
+[camera]
+driver = "genicam"
+producer = "x.cti"
+[photodiode]
+driver = "scpi"
+port = "/dev/usbtmc0"
+"""
+
+
+def test_old_spellings_are_read_and_warned_of() -> None:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        setup = parse_rig(OLD).setup
+    said = " ".join(str(one.message) for one in told)
+    for old, new in (("[controller] microsteps", "[motion]"), ("[projector]", "[display]"), ("picture", "frame_time"),
+                     ("[camera]", '[[feedback]] with driver = "camera"'), ("[photodiode]", "power meter")):  # fmt: skip
+        assert old in said and new in said
+    motion, display = setup.motion, setup.display[0]
+    assert isinstance(motion, ControllerMotion) and isinstance(display, AlpDisplay)
+    assert (motion.microsteps, motion.ramp, display.frame_time) == (80.0, 30.0, 0.005)
+    assert setup.camera is not None and setup.photodiode is not None and driver_of(setup.light) == "controller"
+    cable = OLD[: OLD.index("[camera]")].replace("alp", "hdmi").split("library")[0] + '[stage]\ndriver = "standa"\n'
+    with pytest.warns(FutureWarning, match=r"\[stage\]"):
+        setup = parse_rig(cable.replace("microsteps = 80.0\nramp = 30.0\n", "") + 'port = "x"\nsteps = 9.0\n').setup
+    assert (driver_of(setup.motion), setup.motion.microsteps, driver_of(setup.clock)) == ("standa", 9.0, "vblank")
+    with pytest.warns(DeprecationWarning, match="setup"):
+        assert parse_rig(HEAD + BOX + ALP).wanted.rig.name == "lab"
+
+
+@pytest.mark.filterwarnings("ignore::FutureWarning")
+def test_wrong_values_in_old_spellings_are_named_by_their_line() -> None:
+    line = 1 + OLD[: OLD.index("ramp")].count("\n")
+    with pytest.raises(JobError, match=rf"line {line}: motion.ramp"):
+        parse_rig(OLD.replace("ramp = 30.0", "ramp = -1.0"))
+    with pytest.raises(JobError, match="--set: motion.microsteps"):
+        parse_rig(OLD, ["controller.microsteps=-3"])
+    new = HEAD + BOX + MOTOR + ALP
+    assert parse_rig(new, ["controller.microsteps=160.0"]).setup.motion.microsteps == 160.0
+
+
+def test_the_command_tells_roles_and_guarantees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "lab.toml"
+    file.write_text(HEAD + STEPPER + VIDEO + FREE)
+    assert main(["rig", "check", str(file), "--speed", "20"]) == 1
+    told = " ".join(capsys.readouterr().out.split())
+    assert "motion stepper" in told and "drifts 0.12 deg a minute" in told and "accepts drift = 0" in told
+    file.write_text(HEAD + BOX + MOTOR + ALP)
+    assert main(["rig", "check", str(file)]) == 0
+    assert "250 ms after" in capsys.readouterr().out
+
+
+TOYS = '''
+"""A stage and a lens of another maker."""
+
+from vamgpu.hosts.rigs.roles import LensPart, StagePart
+
+
+class ToyStage(StagePart):
+    """A stage made of wood.
+
+    teeth: of its gear.
+    """
+
+    triggers = True
+    teeth: int = 12
+
+    def open(self, unit):
+        raise NotImplementedError
+
+
+class ToyLens(LensPart):
+    """A lens made of water.
+
+    drops: of it.
+    """
+
+    drops: int = 3
+'''
+ENTRIES = "[vamgpu.nouns]\nrig_motion.toy = toy_parts:ToyStage\nrig_lens.water = toy_parts:ToyLens\n"
+
+
+@pytest.fixture
+def toys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A package that names two parts, installed."""
+    site = tmp_path / "site"
+    info = site / "toy_parts-1.0.dist-info"
+    info.mkdir(parents=True)
+    (site / "toy_parts.py").write_text(TOYS, encoding="utf-8")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-parts\nVersion: 1.0\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(ENTRIES, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(site))
+    before = {name: dict(one.nouns) for name, one in registry.FAMILIES.items()}
+    registry.installed.cache_clear()
+    yield
+    for name, nouns in before.items():
+        registry.FAMILIES[name].nouns.clear()
+        registry.FAMILIES[name].nouns.update(nouns)
+    registry.installed.cache_clear()
+    sys.modules.pop("toy_parts", None)
+
+
+@pytest.mark.usefixtures("toys")
+def test_parts_from_outside_are_read_told_and_rehearsed(job: Path, tmp_path: Path) -> None:
+    config = rig('[motion]\ndriver = "toy"\nteeth = 9\nmicrosteps = 1000\n', ALP)
+    motion: Any = config.setup.motion
+    assert (driver_of(motion), motion.teeth) == ("toy", 9)
+    planned = plan(job, config, rehearsed=True)
+    stand = rehearsal(planned)
+    assert carry_out(planned, stand.machines, tmp_path / "run")[0] is PrintState.COMPLETE
+    assert stand.monitor.verdict().greatest < 1e-6
+    lens: Any = rig(BOX, MOTOR, ALP, '[lens]\ndriver = "water"\ndrops = 5\nlowest = -2.0\n').setup.lens
+    assert (lens.drops, lens.lowest) == (5, -2.0)
+    assert [key.name for key in keys_of("rig_motion.toy")][-1] == "teeth" and "### rig_lens.water" in reference()
+    with pytest.raises(JobError, match=r"line \d+: motion.teth: .*did you mean 'teeth'"):
+        rig('[motion]\ndriver = "toy"\nteth = 9\n', ALP)

@@ -1,0 +1,124 @@
+"""A vial that is watched on emulated machines: decisions reach the resin, are recorded, and repeat bit by bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vamgpu
+from vamgpu.cli.print import print_
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.hosts.live import watched
+from vamgpu.hosts.live.following import levels_of, light_of
+from vamgpu.hosts.record import RunRecord, read_run
+from vamgpu.hosts.state import Board, PrintState
+from vamgpu.jobs.demo import _begun
+from vamgpu.jobs.read import Job
+from vamgpu.jobs.run import prove, solve
+from vamgpu.live import LiveLoop, LiveRecord, LiveState, Truth
+from vamgpu.printing.folder import load_frames
+
+JOB = """
+[target]
+shape = "nut"
+height = "1.6 mm"
+pitch = "200 um"
+[beam]
+pitch = "200 um"
+[turntable]
+angles = 40
+[vial]
+radius = "4 mm"
+wall = "0.5 mm"
+resin_index = 1.5
+wall_index = 1.5
+absorption = "0.1 1/mm"
+[solve]
+iterations = 20
+"""
+TURNS = 6
+live: Any = vamgpu.live  # of the package that it shares its name with, type checkers see that alone
+OFF = Truth(inhibitor=0.6, lamp=0.95)
+
+
+@pytest.fixture(scope="module")
+def nut(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    job, left = _begun(Job, JOB, tmp_path_factory.mktemp("nut"), "nut", (), "report.html")
+    solve(job, left.folder, overwrite=True)
+    return left.folder
+
+
+def versions(told: RunRecord) -> set[int]:
+    return set(told.shown["version"].tolist())
+
+
+def test_levels_show_the_light_that_was_decided(nut: Path) -> None:
+    frames = load_frames(nut, "numpy")
+    operator = prove(nut, "numpy").proof.operator
+    light = light_of(frames, TURNS)
+    assert np.array_equal(levels_of(light, frames, TURNS, operator), frames.levels())
+    half = levels_of(0.5 * light, frames, TURNS, operator).astype(float)
+    assert np.abs(half - 0.5 * frames.levels()).max() <= 0.5 + 1e-6
+    assert not levels_of(0 * light, frames, TURNS, operator).any()
+
+
+def test_a_watched_print_reaches_the_resin_and_repeats_bit_by_bit(nut: Path, run: Path) -> None:
+    board = Board()
+    ended = live(nut, turns=TURNS, folder=run, truth=OFF, evaluations=4.0, board=board)
+    assert ended.state is PrintState.COMPLETE and "proved overlap" in str(ended)
+    told = read_run(run)
+    swaps = [event for event in told.events if event["event"] == "swap"]
+    assert swaps and not [event for event in told.events if event["event"] in ("live lost", "live refused")]
+    found = [each for each in ended.decisions if each["parameters"]]
+    assert found and [each["turn"] for each in ended.decisions] == list(range(1, len(ended.decisions) + 1))
+    assert abs(found[-1]["inhibitor"] - OFF.inhibitor) < 0.2
+    lit = told.shown[told.shown["frame"] >= 0]
+    assert len(lit) / 40 < TURNS, "aged resin is done sooner"
+    names = [each.name for each in board.now.parameters]
+    assert {"sensitivity", "inhibitor", "expected stop [turn]"} <= set(names)
+    firsts = {int(told.shown["slot"][told.shown["version"] == number][0]) // 40 for number in versions(told)}
+    swapped = [each for each in ended.decisions if each["action"] == "swap"]
+    assert {each["effective"] for each in swapped} <= firsts and swapped, "each as the print showed it"
+    assert all(each["stages"]["sense"] == pytest.approx(0.6 * 9.0, abs=0.3) for each in ended.decisions)
+    assert all({"see", "estimate", "replan", "pack", "upload"} <= set(each["stages"]) for each in swapped)
+    unwatched = live(nut, turns=TURNS, truth=OFF, watched=False)
+    assert ended.iou is not None and unwatched.iou is not None and ended.iou > unwatched.iou + 0.02
+    replayed = list(LiveRecord(run / "live").replay())
+    assert len(replayed) == len(ended.decisions) and not any(differs for _, differs in replayed)
+    with pytest.raises(StorageError, match="exists"):
+        live(nut, turns=TURNS, folder=run)
+
+
+@pytest.mark.parametrize("function", ["raises", "nan", "silent"])
+def test_whatever_becomes_of_the_loop_the_print_ends_as_planned(
+    nut: Path, run: Path, monkeypatch: pytest.MonkeyPatch, function: str
+) -> None:
+    monkeypatch.setattr(watched, "FOLLOW", f"live_workers:{function}")
+    monkeypatch.setattr(watched, "WAIT", 0.01 if function == "silent" else 20.0)
+    live(nut, turns=TURNS, folder=run, truth=OFF)
+    told = read_run(run)
+    kinds = {event["event"] for event in told.events}
+    assert {"raises": "live lost", "nan": "live refused", "silent": "live silent"}[function] in kinds
+    shown = told.shown[told.shown["frame"] >= 0]
+    assert len(shown) == TURNS * 40 and not shown["version"].any()
+
+
+def test_what_cannot_be_watched_is_refused(nut: Path, run: Path) -> None:
+    with pytest.raises(BadInput, match="expected --rig emulated"):
+        print_("demo", "live", rig="lab.toml", out=run)
+    with pytest.raises(BadInput, match="takes one job"):
+        print_(str(nut), rig="emulated", live=True, panel=True, out=run)
+    with pytest.raises(BadInput, match="turns"):
+        live(nut, turns=1)
+    with pytest.raises(BadInput, match="longest"):
+        live(nut, turns=6, longest=5)
+
+
+def test_a_state_is_corrected_by_what_was_shown() -> None:
+    a, b = np.zeros((1, 1, 1)), np.ones((1, 1, 1))
+    state = LiveState(3, a, a, b, 4, 2, committed=(b,))
+    corrected = LiveLoop.corrected(None, state, {0: a, 2: b}, [0, 2])  # type: ignore[arg-type]
+    assert corrected.committed[0] is a and corrected.light is b and corrected.version == 2

@@ -1,0 +1,141 @@
+"""A print that is watched: kinetics against small steps, decisions that save it, and their replay."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from vamgpu.cli.live import replay
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.live import Decision, SensorNoise, Turbidity
+from vamgpu.live.printer import CuringResin, Truth, VirtualPrinter
+from vamgpu.live.record import LiveRecord, LiveSetup, budget
+from vamgpu.methods.run import optimize
+from vamgpu.metrics import score
+from vamgpu.optics.vial import Vial
+
+PLANNED = 10
+AGED = Truth(inhibitor=0.7, lamp=0.95, absorption=0.1, along_z=0.03)
+
+
+@cache
+def setup() -> tuple[LiveSetup, np.ndarray, np.ndarray]:
+    vial, red = (Vial(8.0, 0.5, 1.5, 1.5, 1.0, absorption=a) for a in (0.1, 0.0))
+    made = LiveSetup(
+        (24, 24, 12), 0.2, (48, 12), 0.2, 40, vial, red, 800.0, SensorNoise(0.8, 0.01, 10), CuringResin(),
+        Turbidity((0.0, 1.0), (0.0, 0.25)), 1.3, PLANNED, 2 * PLANNED, evaluations=6.0,
+    )  # fmt: skip
+    plan = made.projection(vial)
+    x, y, z = np.meshgrid(*plan.grid.axes(), indexing="ij")
+    r = np.hypot(x, y)
+    part = ((r < 1.8) & (r > 0.7) & (np.abs(z) < 0.85)).astype(np.float32)
+    light = (np.asarray(optimize(plan, part, iterations=20).sinogram) / PLANNED).astype(np.float32)
+    return made, part, light
+
+
+def printer(truth: Truth) -> VirtualPrinter:
+    made, _, _ = setup()
+    return VirtualPrinter(made.projection(made.vial), made.camera(), made.resin, made.turbidity, truth)
+
+
+def overlap(printed: np.ndarray) -> float:
+    made, part, _ = setup()
+    device = made.projection(made.vial).device
+    return float(score(device.upload(printed.astype(np.float32)), device.upload(part), threshold=made.resin.gel).iou)
+
+
+def test_a_turn_of_the_kinetics_is_that_of_small_steps() -> None:
+    resin, steps = CuringResin(induction=0.2, dark=0.4), 20_000
+    doses = np.array([[0.0, 0.05, 0.15, 0.3, 1.0], [0.3, 0.1, 0.15, 0.0, 0.1]])
+    state = small = np.stack([np.full(5, 0.2), np.zeros(5), np.zeros(5)])
+    for dose in doses:
+        state = resin.expose(state, dose)
+        for _ in range(steps):
+            inhibitor, radicals, conversion = small
+            used = np.minimum(dose / steps, inhibitor)
+            acted = radicals / resin.dark / steps
+            small = np.stack([inhibitor - used, radicals + dose / steps - used - acted,
+                              conversion + resin.rate * (1.0 - conversion) * acted])  # fmt: skip
+    np.testing.assert_allclose(state, small, atol=2e-4)
+    np.testing.assert_allclose(
+        resin.rest(state), resin.conversion(doses.sum(axis=0) - 0.2 + resin.induction), atol=1e-9
+    )
+
+
+def test_the_resin_gets_the_dose_that_was_planned_by_rays_of_its_own() -> None:
+    made, part, light = setup()
+    dose = printer(Truth()).dose(light)
+    coarse = dose.reshape(24, 2, 24, 2, 12, 2).mean(axis=(1, 3, 5))
+    planned = np.asarray(made.projection(made.vial).T(light))
+    assert np.abs(coarse - planned)[part > 0].max() < 0.02 * planned.max()
+
+
+@pytest.mark.slow
+def test_a_print_in_aged_resin_is_saved_and_replayed_bit_by_bit(tmp_path, capsys) -> None:
+    made, part, light = setup()
+    timed = printer(AGED)
+    dose = timed.dose(light)
+    for _ in range(PLANNED):
+        timed.turn(dose)
+    record, live = LiveRecord(tmp_path / "run"), printer(AGED)
+    loop = record.begin(made, part, light)
+    state, action = loop.start(), "keep"
+    while action != "stop":
+        live.turn(live.dose(state.light))
+        frames = live.through()
+        state, decision = loop.decide(state, frames)
+        record.add(frames, decision)
+        action = decision.action
+    assert overlap(timed.printed()) < 0.9 < 0.995 <= overlap(live.printed())
+    assert {"swap", "stop"} <= {told["action"] for told in record.decisions}
+    last = record.decisions[-1]
+    told = last["inhibitor"], last["parameters"]["sensitivity"][0]
+    np.testing.assert_allclose(told, (AGED.inhibitor, AGED.lamp), atol=0.12)
+    replayed = list(record.replay())
+    assert len(replayed) == live.turns and all(not otherwise for _, otherwise in replayed)
+
+    with pytest.raises(StorageError, match="another folder"):
+        record.begin(made, part, light)
+    replay(tmp_path / "run")
+    said = capsys.readouterr().out
+    assert said.count("same") == live.turns and "swap" in said
+    assert [line.split()[0] for line in said.splitlines()[live.turns :]] == ["see", "estimate", "replan"]
+    path = tmp_path / "run" / f"live-frames-{live.turns:04}.npy"
+    np.save(path, np.load(path) + 1)
+    assert [bool(otherwise) for _, otherwise in record.replay()] == [False] * (live.turns - 1) + [True]
+    with pytest.raises(BadInput, match=f"in turns {live.turns};"):
+        replay(tmp_path / "run")
+
+
+def test_frames_without_light_cost_the_update_only() -> None:
+    made, part, light = setup()
+    loop = made.loop(part, light)
+    state, decision = loop.decide(loop.start(), np.zeros(made.camera().shape, np.uint16))
+    assert decision.action == "keep" and "no pixel" in decision.reason and decision.version == 0
+    np.testing.assert_array_equal(state.light, light)
+    assert state.turns == PLANNED - 1
+
+
+def test_a_record_keeps_how_long_stages_took_beside_what_a_replay_repeats(tmp_path) -> None:
+    record, frames = LiveRecord(tmp_path), np.zeros((1, 1, 1))
+    first = Decision(1, "swap", 1, frames, 3, stages={"see": 0.1, "replan": 0.25})
+    assert first.entry == Decision(1, "swap", 1, frames, 3).entry
+    record.add(frames, first, effective=None)
+    record.add(frames, Decision(2, "stop", 1, frames, 0, stages={"see": 0.3}))
+    record.note(1, {"upload": 0.05}, effective=3)
+    told, after = record.decisions
+    assert told["effective"] == 3 and told["stages"] == {"see": 0.1, "replan": 0.25, "upload": 0.05}
+    assert (told["turn"], after["turn"], after["stages"]) == (1, 2, {"see": 0.3})
+    assert budget([told, after]) == [("see", 0.2, 0.3, 2), ("replan", 0.25, 0.25, 1), ("upload", 0.05, 0.05, 1)]
+    record.note(7, effective=9)
+    with pytest.raises(StorageError, match="damaged"):
+        _ = record.decisions
+
+
+def test_a_setup_that_is_none_is_refused() -> None:
+    with pytest.raises(BadInput, match="LiveSetup"):
+        LiveSetup.of({"shape": [1, 2, 3]})
+    with pytest.raises(BadInput, match="induction to end before"):
+        CuringResin(induction=0.9)

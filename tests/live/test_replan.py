@@ -1,0 +1,109 @@
+"""Light of the turns that remain: proved by rays that the replanner does not know."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import vamgpu
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.live import Estimator, Prior, Replanner
+from vamgpu.losses.response import GeneralizedLogistic
+from vamgpu.methods.run import optimize
+from vamgpu.metrics import score
+from vamgpu.operators.projection import Projection
+from vamgpu.optics.vial import Vial
+from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.scenarios import clouded, displaced
+
+TURNS, SHOWN, NOISE = 6, 3, 0.02
+
+
+@cache
+def setup() -> tuple[Projection, np.ndarray, np.ndarray, Replanner]:
+    """Operator, part, light of one turn, and a replanner."""
+    grid = Grid((48, 48, 24), 0.1)
+    vial = Vial(8.0, 0.5, 1.5, 1.5, 1.0, absorption=0.1)
+    A = Projection(grid, Beam((96, 24), 0.1), Turntable(120), vial, device=vamgpu.open_device())
+    x, y, z = np.meshgrid(*grid.axes(), indexing="ij")
+    r = np.hypot(x, y)
+    part = ((r < 1.6) & (r > 0.7) & (np.abs(z) < 0.85) & ~((np.abs(x) < 0.25) & (y > 0))).astype(np.float32)
+    light = np.asarray(optimize(A, part, iterations=20).sinogram) / TURNS
+    return A, part, light, Replanner(part, most=2.0 * float(light.max()))
+
+
+def overlap(dose: np.ndarray) -> float:
+    A, part, _, _ = setup()
+    return float(score(A.device.upload(dose), A.device.upload(part), threshold=0.865).iou)
+
+
+@pytest.mark.parametrize("everything", [False, True])
+def test_a_print_that_drifts_is_saved(everything: bool) -> None:
+    A, _, light, replanner = setup()
+    estimator = Estimator(A, GeneralizedLogistic(steepness=8.0, middle=0.7))
+    off = displaced(clouded(A, 0.15), 0.5) if everything else A
+    gain = estimator.gain(np.array([0.8, 1.0, 0.0, 0.0, 0.05 if everything else 0.0, 0.0]))
+    exposure = IndependentExposure(off)
+
+    def proved(images: np.ndarray) -> np.ndarray:
+        return np.asarray(exposure.averaged(A.device.upload(images))[0], float) * gain
+
+    delivered = proved(SHOWN * light)
+    seen = estimator.conversion(delivered) + NOISE * np.random.default_rng(1).standard_normal(delivered.shape)
+    found = estimator.estimate(SHOWN * light, seen, NOISE, Prior.of())
+    plan = replanner.replan(
+        estimator.delivering(found.values), found.dose, light, TURNS - SHOWN, range(TURNS), evaluations=20,
+        deviation=found.deviation,
+    )  # fmt: skip
+    assert overlap(delivered + proved((TURNS - SHOWN) * light)) < 0.995
+    now = overlap(delivered + proved(plan.expected.turns * np.asarray(plan.light)))
+    assert now >= 0.995 and plan.expected.iou == pytest.approx(now, abs=0.005)
+    assert plan.kept.iou < 0.995 and plan.evaluations <= 20
+    assert np.asarray(plan.light).min() >= 0.0 and np.asarray(plan.light).max() <= replanner.most * (1.0 + 1e-5)
+
+
+def test_the_best_light_within_what_may_be_spent_is_the_same_each_time() -> None:
+    A, _, light, replanner = setup()
+    given = 0.8 * np.asarray(A.T(SHOWN * light))
+    plans = [replanner.replan(A, given, light, 3, range(6), evaluations=pairs) for pairs in (4, 4, 12)]
+    np.testing.assert_array_equal(np.asarray(plans[0].light), np.asarray(plans[1].light))
+    assert [plan.evaluations for plan in plans] == [4, 4, 12]
+    assert plans[2].expected.iou >= plans[0].expected.iou > plans[0].kept.iou
+
+
+def test_a_print_that_has_its_dose_is_stopped() -> None:
+    A, _, light, replanner = setup()
+    whole = np.asarray(A.T(TURNS * light))
+    plan = replanner.replan(A, whole, light, 2, range(4), evaluations=4)
+    assert plan.expected.turns == 0 and not np.asarray(plan.light).any()
+    assert plan.expected.iou > 0.99 > plan.kept.iou
+
+
+def test_voxels_over_their_limit_have_no_weight() -> None:
+    _, part, _, replanner = setup()
+    delivered = np.where(part > 0, 0.5, 0.3)
+    outside, inside = np.argwhere(part == 0)[0], np.argwhere(part > 0)[0]
+    delivered[tuple(outside)], delivered[tuple(inside)] = 1.0, 1.1
+    weight = replanner._loss(delivered, part, 0.01).weight
+    assert {tuple(where) for where in np.argwhere(weight == 0)} == {tuple(outside), tuple(inside)}
+    assert replanner._loss(delivered, part, 0.2).weight is None  # over, but not surely
+
+
+def test_nonsense_is_refused() -> None:
+    A, part, light, replanner = setup()
+    with pytest.raises(BadInput, match="NaN"):
+        replanner.replan(A, np.full(part.shape, np.nan), light, 3, range(4), evaluations=4)
+    with pytest.raises(BadInput, match="whole numbers"):
+        replanner.replan(A, part, light, 3, [], evaluations=4)
+
+
+def test_no_pixel_is_brighter_than_the_projector() -> None:
+    A, part, light, _ = setup()
+    bound = float(light.max())
+    given = 0.6 * np.asarray(A.T(SHOWN * light))
+    plan = Replanner(part, most=bound).replan(A, given, light, 3, range(1, 4), evaluations=6)
+    assert plan.expected.turns == 3 and plan.expected is not plan.kept
+    assert np.asarray(plan.light).max() == pytest.approx(bound, rel=1e-5)
