@@ -19,7 +19,7 @@ import numpy as np
 from common import HERE, chosen_devices, machine, peer, timed, write_record
 
 from vamgpu.curethrough.correction import Correction, Corrector
-from vamgpu.curethrough.dose import Exposure, blocks
+from vamgpu.curethrough.dose import RunningDose, blocks
 from vamgpu.curethrough.printer import Printer, levels_of
 
 PRINTER = Printer(2.0, 0.576, 0.05, 1000 / 3600, levels_of(1.0, 0.01))
@@ -42,7 +42,7 @@ def measure(device: Any, stack: np.ndarray, task: str, runs: int) -> dict[str, A
     out = np.zeros((len(stack) + PRINTER.tail, *stack.shape[1:]), np.uint8) if task == "correct_out" else None
 
     def expose() -> None:
-        exposure = Exposure(PRINTER, stack.shape[1:], device)  # type: ignore[arg-type]
+        exposure = RunningDose(PRINTER, stack.shape[1:], device)  # type: ignore[arg-type]
         for start, stop in blocks(len(stack)):
             exposure.step(stack[start:stop], keep=1 if task == "carry" else None)
 

@@ -25,7 +25,7 @@ import numpy as np
 from common import machine
 
 from vamgpu.backend import open_device
-from vamgpu.curethrough.buffers import Buffers
+from vamgpu.curethrough.buffers import SliceBuffers
 from vamgpu.curethrough.correction import Correction, Corrector
 from vamgpu.curethrough.dose import Judge, blocks
 from vamgpu.curethrough.images import encode
@@ -86,7 +86,7 @@ def stages(place: Path, out: Path, device: str | None, dither: bool) -> dict[str
         parts = [whole[a:b] for a, b in blocks(len(whole))]
         found["model"] = seconds(lambda judge=judge, parts=parts: [judge.step(part, part) for part in parts])
         corrector = Corrector(correction, whole.shape, on)
-        out_of = Buffers()
+        out_of = SliceBuffers()
         found["correct"] = seconds(
             lambda corrector=corrector, out_of=out_of: [
                 on.download(block.table, out_of.take(block.table.shape)).size for block in corrector.run(whole)

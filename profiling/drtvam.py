@@ -73,7 +73,7 @@ def solved(A: vamgpu.Projection, target: Any, how: tuple[Any, int], theirs: dict
     result: dict[str, Any] = {
         "method": repr(chosen),
         "iterations": iterations,
-        "pairs": plan.pairs,
+        "pairs": plan.evaluations,
         "two_iterations_with_compilation_s": round(compiling, 3),
         "loop_s": round(plan.seconds, 4),
         "peak_device_mb": round(A.device.ledger.peak / 1e6, 1),

@@ -2,7 +2,7 @@
 
     python profiling/dual.py opencl:intel:0 --volume 128 --pixels 300
 
-Prints seconds, projector pairs and contrast; the second run of a volume is timed, the first compiles.
+Prints seconds, projector evaluations and contrast; the second run of a volume is timed, the first compiles.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def volume(device: Device, n: int, angles: int, iterations: int) -> None:
     superpose(colors, target, LeastSquares(2))
     plan = superpose(colors, target, LeastSquares(iterations))
     last, found = plan.history[-1], Contrast.of(plan.dose(), fraction, cylinder)
-    print(f"{n}³ × {angles} angles: {iterations} iterations, {last.pairs:g} pairs, {plan.seconds:.2f} s, error "
+    print(f"{n}³ × {angles} angles: {iterations} iterations, {last.evaluations:g} pairs, {plan.seconds:.2f} s, error "
           f"{plan.history[0].error:.4f} → {last.error:.4f} (under {last.undersupply:.4f}, over {last.oversupply:.4f}), "
           f"window {found.window:+.3f}, IoU {found.half:.4f}, peak {device.ledger.peak / 1e9:.2f} GB")  # fmt: skip
 

@@ -1,10 +1,10 @@
-"""How many pictures a second go from a device to mirrors without one late, and whole prints in real time.
+"""How many frames a second go from a device to mirrors without one late, and whole prints in real time.
 
     python profiling/feed.py --devices opencl:intel:0 --seconds 10 --print 600 --out profiling/records/feed-cpu.json
 
 The greatest rate is searched for by halving, with mirrors that are memory copied to and a counter that real time
-advances; a rate is sustained if no picture comes later than its trigger. A whole print is that of `vam print`, on
-emulated machines that keep pace with real time. Late is when a picture was at the mirrors after its trigger; below 0,
+advances; a rate is sustained if no frame comes later than its trigger. A whole print is that of `vam print`, on
+emulated machines that keep pace with real time. Late is when a frame was at the mirrors after its trigger; below 0,
 so long before. cores: of the host's time.
 """
 
@@ -27,12 +27,11 @@ from common import chosen_devices, machine, write_record
 from vamgpu.backend.device import Device
 from vamgpu.hosts.clock import RealClock
 from vamgpu.hosts.emulators.array import ArrayModel
-from vamgpu.hosts.emulators.bench import Bench
 from vamgpu.hosts.emulators.clock import PacedClock
-from vamgpu.hosts.pictures.feed import Feed
-from vamgpu.hosts.pictures.sources import FrameSource
-from vamgpu.hosts.pictures.stream import FramePictures, Mirrors, WebPictures
-from vamgpu.hosts.pictures.supply import BUFFERS, length
+from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
+from vamgpu.hosts.frames.packer import DevicePacker
+from vamgpu.hosts.frames.sources import MirrorArray, VialFrames, WebFrames
+from vamgpu.hosts.frames.upload import BUFFERS, FrameMemory, UploadQueue, length
 from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, read_run, timing
 from vamgpu.hosts.run import Print
@@ -52,7 +51,7 @@ class Sustained:
 
     bits: int
     rate: float
-    pictures: int
+    frames: int
     lost: int
     p50: float
     p99: float
@@ -61,11 +60,11 @@ class Sustained:
 
     @property
     def good(self) -> bool:
-        """Whether every picture was there before its trigger."""
+        """Whether every frame was there before its trigger."""
         return not self.lost and self.most < 0
 
 
-class Memory:
+class Memory(FrameMemory):
     """Mirrors: two sequences of room, copied to, and triggered as time goes."""
 
     def __init__(self, length: int, shape: tuple[int, ...], triggers: np.ndarray, clock: RealClock) -> None:
@@ -75,16 +74,16 @@ class Memory:
     def shown(self) -> int:
         return int(np.searchsorted(self._triggers, self._clock.now() - self.began)) if self.began else 0
 
-    def room(self, pictures: int = 2) -> bool:
+    def room(self, frames: int = 2, name: bytes | None = None) -> bool:
         return len(self._ends) < 3 or self._ends[-2] <= self.shown()
 
-    def put(self, pictures: np.ndarray) -> None:
-        self._memory[len(self._ends) % 2, : len(pictures)] = pictures
-        self._ends.append(self._ends[-1] + len(pictures))
+    def put(self, planes: np.ndarray, name: bytes | None = None) -> None:
+        self._memory[len(self._ends) % 2, : len(planes)] = planes
+        self._ends.append(self._ends[-1] + len(planes))
 
 
 def frames_on(device: Device, bits: int, count: int = 12) -> Frames:
-    """Random pictures, more than any cache holds."""
+    """Random frames, more than any cache holds."""
     width = COLUMNS if bits == 8 else COLUMNS // 8
     images = np.random.default_rng(0).integers(0, 256, (count, ROWS, width), dtype=np.uint8)
     return Frames(device.upload(images, table=True), bits=bits, gray=GrayCurve.linear(), scale=1.0, columns=COLUMNS)
@@ -94,12 +93,12 @@ def trial(frames: Frames, rate: float, seconds: float) -> Sustained:
     """Run at a rate for so long."""
     batch = length(rate, frames.bits * ROWS * ROW_BYTES)
     count = max(int(rate * seconds), 4 * batch)
-    mirrors = MirrorTiming(picture={8: 1e-6, 1: 1e-6})
+    mirrors = MirrorTiming(frame={8: 1e-6, 1: 1e-6})
     schedule = turned(count, speed=360 * Fraction(rate) / count, engines=mirrors, bits=frames.bits)
-    source, clock = FrameSource(frames, row_bytes=ROW_BYTES, batch=batch), RealClock()
+    source, clock = DevicePacker.of(frames, row_bytes=ROW_BYTES, batch=batch), RealClock()
     memory = Memory(batch, source.shape, schedule.trigger, clock)
     order = np.arange(count) % source.frames
-    feed = Feed(source, order, memory, clock, batch=batch, depth=BUFFERS)
+    feed = UploadQueue(source, order, memory, clock, batch=batch, depth=BUFFERS)
     feed.start()
     while not feed.primed:
         clock.sleep_until(clock.now() + LOOK)
@@ -116,7 +115,7 @@ def trial(frames: Frames, rate: float, seconds: float) -> Sustained:
 
 
 def greatest(frames: Frames, seconds: float) -> Sustained:
-    """The greatest rate without a picture lost, within 5 %."""
+    """The greatest rate without a frame lost, within 5 %."""
     low, high = 0.0, 50.0
     while trial(frames, high, 0.3 * seconds).good and high < 50_000:
         low, high = high, 2 * high
@@ -141,21 +140,21 @@ def printed(device: Device, kind: str, seconds: float) -> dict[str, object]:
         schedule = web(poses, advance=ADVANCE, speed=0.8, engines=mirrors, lens=LensTiming(), focus=FOCUS)
         base = np.random.default_rng(1).integers(0, 256, (8, ROWS, COLUMNS), dtype=np.uint8)
         masks = np.arange(3)[:, None] == np.arange(COLUMNS) * 3 // COLUMNS
-        array = Mirrors(ROWS, COLUMNS, ROW_BYTES)
-        pictures = WebPictures(lambda low, high: base[np.arange(low, high) % 8], poses, array, masks, device)
+        array = MirrorArray(ROWS, COLUMNS, ROW_BYTES)
+        frames = WebFrames(lambda low, high: base[np.arange(low, high) % 8], poses, array, masks, device)
     else:
         schedule = turned(360, speed=40.0, engines=mirrors, turns=max(round(seconds / 9.0), 1))
-        pictures = FramePictures(frames_on(device, 8, 360), Mirrors(ROWS, COLUMNS, ROW_BYTES))
-    bench = Bench(1000, ArrayModel(), powers=FOCUS if kind == "web" else (), clock=PacedClock())
-    bench.alps[0].on_shown = None
+        frames = VialFrames(frames_on(device, 8, 360), MirrorArray(ROWS, COLUMNS, ROW_BYTES))
+    emulated = EmulatedMirrorRig(1000, ArrayModel(), powers=FOCUS if kind == "web" else (), clock=PacedClock())
+    emulated.alps[0].on_shown = None
     with tempfile.TemporaryDirectory() as place, RunFolder.begin(Path(place) / "run", {}, "") as folder:
-        job = Print(TriggeredPlayer(schedule, bench.machines(1000 / float(schedule.advance)), [pictures]), folder)
+        job = Print(TriggeredPlayer(schedule, emulated.machines(1000 / float(schedule.advance)), [frames]), folder)
         before, began = time.process_time(), time.monotonic()
         state = job.run()
         spent, passed = time.process_time() - before, time.monotonic() - began
         run = timing(read_run(folder.path).shown)
     late = {name: 1e-6 * value for name, value in run["late_ns"].items()}
-    return {"state": state, "rate": schedule.rate, "seconds": passed, "pictures": run["pictures"], "dark": run["dark"],
+    return {"state": state, "rate": schedule.rate, "seconds": passed, "frames": run["frames"], "dark": run["dark"],
             "late_ms": late, "cores": spent / passed}  # fmt: skip
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from vamgpu.kernels.footprint import _lit
+from vamgpu.kernels.footprint import _matrix
 
 
-def footprint_matrix(n: int, columns: int, poses: np.ndarray, light: dict[str, Any]) -> sp.csr_matrix:
+def footprint_matrix(n: int, columns: int, poses: np.ndarray, light: dict[str, Any]) -> sp.csr_array:
     """(poses·columns, n·n), weights in float64 by the very definition of `back_footprint`, then kept as float32.
 
     Args:
@@ -20,22 +20,12 @@ def footprint_matrix(n: int, columns: int, poses: np.ndarray, light: dict[str, A
         poses: angles [rad].
         light: the numbers and the map of the light that the kernel takes, by name.
     """
-    blocks = [_one_pose(n, columns, np.array([np.cos(t), np.sin(t)]), light) for t in poses]
-    return sp.vstack(blocks, format="csr", dtype=np.float32)
+    numbers = [light[name] for name in ("bent", "ratio", "strength", "fill", "sigma", "radius")]
+    directions = np.stack((np.cos(poses), np.sin(poses)), axis=1)
+    blocks = [_matrix((n, n, 1), columns, direction, light["light"], *numbers) for direction in directions]
+    return sp.csr_array(sp.vstack(blocks, format="csr", dtype=np.float32))
 
 
-def _one_pose(n: int, columns: int, direction: np.ndarray, light: dict[str, Any]) -> sp.csr_matrix:
-    rows, cells, values = [], [], []
-    numbers = (light[name] for name in ("bent", "ratio", "strength", "fill", "sigma", "radius"))
-    for column, weight in _lit((n, n, 1), columns, direction, light["light"], *numbers):
-        cell = np.flatnonzero(weight)
-        rows.append(column.ravel()[cell])
-        cells.append(cell)
-        values.append(weight.ravel()[cell])
-    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(cells)))
-    return sp.csr_matrix(entries, shape=(columns, n * n))
-
-
-def save_matrix(path: Path, matrix: sp.csr_matrix) -> None:
+def save_matrix(path: Path, matrix: sp.csr_array) -> None:
     """As SciPy saves it, uncompressed."""
     sp.save_npz(path, matrix, compressed=False)

@@ -113,7 +113,7 @@ def main_job(args: argparse.Namespace) -> dict[str, Any]:
     return {
         "start_to_plan_s": round(to_plan, 3),
         **stages,
-        "pairs": plan.pairs,
+        "pairs": plan.evaluations,
         "window": round(plan.window, 4),
         "iou_8_bit": round(proof.scores.iou, 6),
         "peak_device_mb": round(device.ledger.peak / 1e6, 2),

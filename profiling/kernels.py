@@ -1,23 +1,26 @@
 """Run every declared kernel on every device from its declaration: compare with the NumPy definition, then time it.
 
-Bytes are those of all arguments, each counted once, so the rate is a lower bound of what a kernel moves: projectors
-read their input many times over, kernels that look at little of a table read less.
+Bytes are those of all arguments, read or written once each and twice where they are updated, so the rate is a lower
+bound of what a kernel moves: projectors read their input many times over, kernels that look at little of a table less.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
 from common import HERE, chosen_devices, machine, timed, write_record
-from examples import bind
 
 import vamgpu
 from vamgpu.backend.device import Device
 from vamgpu.errors import OutOfMemory
 from vamgpu.kernels.catalog import kernels
 from vamgpu.kernels.signature import Kernel
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from kernel_examples import bind  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 HEADER = f"{'kernel':24} {'device':18} {'error':>8} {'ms':>10} {'MB':>9} {'GB/s':>8}"
 

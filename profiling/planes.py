@@ -30,7 +30,7 @@ from common import chosen_devices, is_gpu, machine, write_record
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.hosts.pictures.pinned import buffers
+from vamgpu.hosts.frames.buffers import pinned_buffers
 from vamgpu.kernels.planes import split_planes, strips_for
 
 BATCH, ROTATION = 8, 3
@@ -181,7 +181,7 @@ def _copy(queue: Any, target: Any, source: Any) -> None:
 
 def to_the_host(device: Device, splitter: Splitter, runs: int) -> dict[str, Any]:
     """Milliseconds a picture: planes split before read into buffers of a print, and split right into them."""
-    with buffers(ROTATION, splitter.shape, device) as ring:
+    with pinned_buffers(ROTATION, splitter.shape, device) as ring:
         found: dict[str, Any] = {"pinned": ring.locked}
         device.synchronize()
         times = [seconds(lambda k=k: splitter.outs[k % ROTATION].numpy(ring[k % ROTATION])) for k in range(runs)]

@@ -1,4 +1,4 @@
-"""Time projector pairs on devices, and the peers beside them in the same run.
+"""Time projector evaluations on devices, and the peers beside them in the same run.
 
 All weigh light by exact footprints. "straight": light of full pixels through a perfect lens, in air. The others: a vial
 in air that also absorbs, columns 1.5 voxels apart in air and so one voxel apart in the resin, where they cover the

@@ -51,7 +51,9 @@ def measure(length: float, iterations: int, core: float, device: str | None) -> 
     with tempfile.TemporaryDirectory() as place:
         began, busy = time.perf_counter(), time.process_time()
         job = web(length, iterations, core, device)
-        folder = job.write(Path(place) / "web.vam", told=lambda done, of: print(f"  {done} of {of}", file=sys.stderr))
+        folder = job.write(
+            Path(place) / "web.vam", progress=lambda done, of: print(f"  {done} of {of}", file=sys.stderr)
+        )
         solved, worked = time.perf_counter() - began, time.process_time() - busy
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         proof = prove_web(folder, device=device)

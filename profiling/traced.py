@@ -1,4 +1,4 @@
-"""Time projector pairs of rays traced anew at every pose, beside straight ones in the same run.
+"""Time projector evaluations of rays traced anew at every pose, beside straight ones in the same run.
 
 "level": a lens, an extinction and an insert that do not depend on z, traced once into a matrix for all slices. "deep":
 the same as spheres, marched in every product, on a smaller grid; nanoseconds a step tell what a larger one takes.
@@ -19,19 +19,19 @@ from vamgpu.backend.device import Device
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.kernels.trace import survey_rays
 from vamgpu.operators.bundle import RayBundle
-from vamgpu.operators.carried import Carried
 from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.medium import CoRotatingMedium
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.traced import TracedProjection
 
 WIDTH, BATH = 12.8, 1.485  # mm; refractive index
 
 
-def carried(grid: Grid, *, deep: bool) -> Carried:
+def carried(grid: Grid, *, deep: bool) -> CoRotatingMedium:
     """A cured lump, an extinction and a rod, or spheres."""
     x, y, z = np.meshgrid(*grid.axes(), indexing="ij") if deep else (*np.meshgrid(*grid.axes()[:2], indexing="ij"), 0.0)
     index = BATH + 0.02 * np.exp(-((x - 2.0) ** 2 + (y + 1.0) ** 2 + z**2) / 1.5)
-    return Carried(index, 0.05, (x + 2.0) ** 2 + (y - 2.0) ** 2 + z**2 < 0.7, BATH)
+    return CoRotatingMedium(index, 0.05, (x + 2.0) ** 2 + (y - 2.0) ** 2 + z**2 < 0.7, BATH)
 
 
 def pair(A: LinearOperator, runs: int) -> dict[str, Any]:
@@ -55,7 +55,7 @@ def level(n: int, slices: int, angles: int, device: Device, runs: int) -> dict[s
     start = time.perf_counter()
     A = TracedProjection(*geometry, fields, device=device)
     built = time.perf_counter() - start
-    gap = max(A.prove(seed) for seed in range(4))
+    gap = max(A.dot_test(seed) for seed in range(4))
     straight = pair(Projection(*geometry, device=device), runs)
     return {"build_s": built, "entries": A.entries, "gap": gap, "traced": pair(A, runs), "straight": straight}
 
@@ -65,7 +65,7 @@ def deep(n: int, slices: int, angles: int, device: Device, runs: int) -> dict[st
     grid = Grid((n, n, slices), WIDTH / n)
     beam, motion = Beam((n, slices), grid.pitch), Turntable(angles)
     A = TracedProjection(grid, beam, motion, carried(grid, deep=True), device=device)
-    out = {"steps": steps(A), "gap": max(A.prove(seed) for seed in range(4)), "traced": pair(A, runs)}
+    out = {"steps": steps(A), "gap": max(A.dot_test(seed) for seed in range(4)), "traced": pair(A, runs)}
     for name in ("forward", "back"):
         out[f"{name}_ns_a_step"] = 1e9 * out["traced"][name]["least_s"] / out["steps"]
     return out
@@ -77,17 +77,17 @@ def steps(A: TracedProjection) -> int:
     taken = device.empty((poses.size, A.beam.pixels[0] * A.beam.pixels[1]), np.int32, table=True)
     directions = device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
     top, most = A.grid.shape[2] + 1.0, A.most_steps
-    device.launch(survey_rays, **A.inputs(level=False), directions=directions, top=top, most=most, steps=taken)
+    device.launch(survey_rays, **A._inputs(level=False), directions=directions, top=top, most=most, steps=taken)
     return int(taken.numpy().sum())
 
 
 def thousand(device: Device, runs: int) -> dict[str, Any]:
     """A thousand level rays through the lens of 256 × 256 voxels, about 500 steps each."""
     grid = Grid((256, 256, 1), WIDTH / 256)
-    beam, fields = Beam((1000, 1), 0.7 * WIDTH / 1000), Carried(carried(grid, deep=False).index, bath=BATH)
+    beam, fields = Beam((1000, 1), 0.7 * WIDTH / 1000), CoRotatingMedium(carried(grid, deep=False).index, bath=BATH)
     A = TracedProjection(grid, beam, Turntable(1), fields, RayBundle.parallel(beam), device)
     taken = device.empty((1, 1000), np.int32, table=True)
-    inputs = A.inputs(level=True) | {"directions": device.table([[1.0, 0.0]]), "top": 1e6, "most": A.most_steps}
+    inputs = A._inputs(level=True) | {"directions": device.table([[1.0, 0.0]]), "top": 1e6, "most": A.most_steps}
     out = timed(lambda: device.launch(survey_rays, **inputs, steps=taken), device.synchronize, runs)
     return out | {"steps": int(taken.numpy().sum())}
 

@@ -19,7 +19,7 @@ from common import HERE, chosen_devices, is_gpu, machine, peer, timed, write_rec
 
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.concentrations import Concentrations
-from vamgpu.chemistry.exposure import Exposure, Extinction
+from vamgpu.chemistry.exposure import ColorExposure, ColorExtinction
 from vamgpu.chemistry.printrun import PrintRun
 from vamgpu.chemistry.reaction import Reaction
 from vamgpu.chemistry.transport import Box, Transport
@@ -79,8 +79,8 @@ def print_frames(n: int, device: Device, frames: int, angles: int) -> dict[str, 
     x = np.linspace(-1.0, 1.0, n)
     visible = np.broadcast_to(np.exp(-4 * x**2)[None, :, None], (angles, n, n)).astype(np.float32)
     ultraviolet = np.broadcast_to((np.abs(x) > 0.6)[None, :, None], visible.shape).astype(np.float32)
-    colors = (Extinction(0.05), Extinction(0.05, 0.05))
-    exposure = Exposure(box, visible, ultraviolet, colors, device=device)
+    colors = (ColorExtinction(0.05), ColorExtinction(0.05, 0.05))
+    exposure = ColorExposure(box, visible, ultraviolet, colors, device=device)
     job = PrintRun(Transport(box, (3.27e-5, 6.89e-6, 6.89e-6), resin, device=device), exposure, 36.0, 3)
     state: Concentrations = job.transport.start(1.0, 0.0, 2.0)
     job.run(state, 0, 2)

@@ -1,10 +1,10 @@
-"""Strict process window against projector pairs, every method on the Benchy at equal thresholds: plot and record.
+"""Strict process window against projector evaluations, every method on the Benchy at equal thresholds: plot and record.
 
 128^3 x 360, straight light, nothing absorbed. Every voxel of the inscribed cylinder counts, in the part where its
 fraction is at least 0.5, else out of it. All methods ask for the same two thresholds (`vamgpu.methods.compare`) and
-may spend the same projector pairs, warm starts included; what each returns is its best light. The curves are the best
-window of the light held up to there. The marked points and the table are the plan's light: claimed, its dose computed
-by the float64 reference, and proved, what `simulate` makes of its frames as `pack` writes them by default.
+may spend the same projector evaluations, warm starts included; what each returns is its best light. The curves are the
+best window of the light held up to there. The marked points and the table are the plan's light: claimed, its dose
+computed by the float64 reference, and proved, what `simulate` makes of its frames as `pack` writes them by default.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from vamgpu.methods.compare import INSIDE, LABELS, OUTSIDE, compared
 from vamgpu.metrics import score
 
 BUDGETS = (40, 120)
-"""Projector pairs at which methods are judged."""
+"""Projector evaluations at which methods are judged."""
 
 
 class Judge:
@@ -47,7 +47,7 @@ class Judge:
 
     def plan(self, plan: Any) -> dict[str, Any]:
         """Scores of a plan's light, and of its frames as they are packed by default."""
-        out = {"pairs": plan.pairs, "seconds": round(plan.seconds, 3), "best_iteration": plan.best_iteration}
+        out = {"pairs": plan.evaluations, "seconds": round(plan.seconds, 3), "best_iteration": plan.best_iteration}
         proof = vamgpu.simulate(self.A, vamgpu.pack(plan), self.target)
         light = {"light_efficiency": round(proof.light_efficiency, 5)}
         return out | {"claimed": self.scores(plan.sinogram), "proved": brief(proof.scores) | light}
@@ -72,9 +72,9 @@ def line(found: dict[str, Any]) -> str:
 
 
 def curve(plan: Any) -> dict[str, list[float]]:
-    """The best window up to each number of pairs."""
+    """The best window up to each number of evaluations."""
     best = np.maximum.accumulate([step.window for step in plan.history])
-    return {"pairs": [step.pairs for step in plan.history], "window": [round(float(value), 5) for value in best]}
+    return {"pairs": [step.evaluations for step in plan.history], "window": [round(float(value), 5) for value in best]}
 
 
 def measure(A: vamgpu.Projection, target: Any, args: argparse.Namespace) -> dict[str, Any]:
@@ -84,19 +84,22 @@ def measure(A: vamgpu.Projection, target: Any, args: argparse.Namespace) -> dict
         judge = Judge(A, target, args.reference == "all" or (args.reference == "default" and method == "window"))
         plan: Any = None
         points: list[dict[str, Any]] = []
-        for budget in sorted({min(b, args.pairs) for b in BUDGETS}):
+        for budget in sorted({min(b, args.evaluations) for b in BUDGETS}):
             # a line search that a budget cuts short is not what it would have been: that method begins anew
             before = None if method == "lbfgs" else plan
             plan = compared(A, target, method, budget, thresholds=tuple(args.thresholds), resume=before)
             points.append(judge.plan(plan))
             found = points[-1]
-            print(f"{LABELS[method]:26} {plan.pairs:5.0f} pairs {plan.seconds:6.2f} s  {line(found)}", flush=True)
+            print(
+                f"{LABELS[method]:26} {plan.evaluations:5.0f} evaluations {plan.seconds:6.2f} s  {line(found)}",
+                flush=True,
+            )
         out[method] = {"settings": repr(plan.method), "curve": curve(plan), "points": points}
     return out
 
 
 def plot(record: dict[str, Any], path: Path) -> None:
-    """Window against pairs, every method in one picture."""
+    """Window against evaluations, every method in one picture."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -109,7 +112,9 @@ def plot(record: dict[str, Any], path: Path) -> None:
         for point in found["points"]:
             axes.plot(point["pairs"], point["proved"]["window"], "o", color=line.get_color(), ms=6)
     axes.axhline(0.0, color="0.3", lw=0.8)
-    axes.set(xlabel="projector pairs", ylabel="strict process window; points: proved from the frames", xlim=(0, None))
+    axes.set(
+        xlabel="projector evaluations", ylabel="strict process window; points: proved from the frames", xlim=(0, None)
+    )
     ends = [point["proved"]["window"] for found in record["methods"].values() for point in found["points"]]
     axes.set_ylim(bottom=min(ends) - 0.05)
     size = f"{record['n']}³ × {record['angles']}"
@@ -125,9 +130,9 @@ def main() -> None:
     parser.add_argument("--mesh", type=Path, default=MESH)
     parser.add_argument("--n", type=int, default=128)
     parser.add_argument("--angles", type=int, default=360)
-    parser.add_argument("--pairs", type=int, default=120)
+    parser.add_argument("--evaluations", type=int, default=120)
     parser.add_argument("--thresholds", type=float, nargs=2, default=(OUTSIDE, INSIDE), metavar=("OUTSIDE", "INSIDE"))
-    parser.add_argument("--methods", nargs="+", choices=tuple(LABELS), default=list(LABELS))
+    parser.add_argument("--methods", nargs="+", choices=tuple(LABELS), default=[*LABELS][1:])
     parser.add_argument("--device", default=None, help="where the methods run; the best one here by default")
     parser.add_argument("--reference", choices=("all", "default", "none"), default="all",
                         help="whose light the float64 reference judges: about 15 s each at full size")  # fmt: skip

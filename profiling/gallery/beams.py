@@ -15,7 +15,7 @@ from vamgpu.operators.moves import Tiles, Wobbled
 from vamgpu.operators.oblique import Oblique
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.wobble import Wobble
-from vamgpu.optics.beams import Aimed, Fan
+from vamgpu.optics.beams import Fan, Misaligned
 from vamgpu.optics.occluder import Occluded
 from vamgpu.optics.rising import Cone, Inclined
 from vamgpu.reports import style
@@ -29,7 +29,11 @@ WAVELENGTH = 442e-6
 
 
 def beams(
-    device: Device, quick: bool = False, throw: float = 25.0, elevation: float = 0.35, fwhm: float = 0.0324,
+    device: Device,
+    quick: bool = False,
+    throw: float = 25.0,
+    elevation: float = 0.35,
+    fwhm: float = 0.0324,
     depth_of_focus: float = 3.8,
 ) -> Picture:
     """Eight imperfections of one beam."""
@@ -120,7 +124,7 @@ def _aimed(axis: Axes, device: Device, n: int) -> list[Fact]:
     grid, beam, _ = _geometry(n)
     offset, motion = 0.237, Turntable(60)
     x = np.exp(-0.5 * sum(a**2 for a in np.meshgrid(*grid.axes(), indexing="ij")) / 0.3**2)
-    image = Projection(grid, beam, motion, Aimed(offset=offset), device)(x).sum(axis=2)
+    image = Projection(grid, beam, motion, Misaligned(offset=offset), device)(x).sum(axis=2)
     found = float((image.sum(axis=0) * beam.columns()).sum() / image.sum())
     axis.plot(beam.columns(), image[0], color=style.ORANGE)
     axis.axvline(found, color=style.INK, lw=1, ls=(0, (4, 3)))

@@ -25,8 +25,14 @@ RADIUS = 7.5 / 0.0144
 
 
 def calibration(
-    device: Device, quick: bool = False, photons: float = 400.0, noise: float = 0.01, blur: float = 2.5,
-    depth: float = 3.8, scans: float = 200, seed: float = 0,
+    device: Device,
+    quick: bool = False,
+    photons: float = 400.0,
+    noise: float = 0.01,
+    blur: float = 2.5,
+    depth: float = 3.8,
+    scans: float = 200,
+    seed: float = 0,
 ) -> Picture:
     """A camera that steps through focus, and a line that scans over a roller; both made up, with noise."""
     rng = np.random.default_rng(int(seed))

@@ -10,11 +10,11 @@ import numpy as np
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
 from vamgpu.geometry import Beam, Grid, Turntable
-from vamgpu.kernels.trace import MARGIN, march
+from vamgpu.kernels.medium import MARGIN, march
 from vamgpu.methods import optimize
 from vamgpu.methods.papers import THRESHOLDS
 from vamgpu.operators.bundle import RayBundle
-from vamgpu.operators.carried import Carried
+from vamgpu.operators.medium import CoRotatingMedium
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.traced import TracedProjection
 from vamgpu.reports import style
@@ -33,12 +33,12 @@ class Scene:
     grid: Grid
     beam: Beam
     motion: Turntable
-    lens: Carried
+    lens: CoRotatingMedium
     steel: np.ndarray
     device: Device
 
-    def traced(self, carried: Carried | None = None) -> Any:
-        return TracedProjection(self.grid, self.beam, self.motion, carried, device=self.device)
+    def traced(self, medium: CoRotatingMedium | None = None) -> Any:
+        return TracedProjection(self.grid, self.beam, self.motion, medium, device=self.device)
 
     @property
     def plane(self) -> tuple[np.ndarray, np.ndarray]:
@@ -47,8 +47,16 @@ class Scene:
 
 
 def carried(
-    device: Device, quick: bool = False, resin_index: float = 1.485, cured_step: float = 0.04, lump_radius: float = 1.2,
-    lump_x: float = 1.9, lump_y: float = -1.0, insert_radius: float = 0.9, insert_x: float = 0.5, insert_y: float = 0.4,
+    device: Device,
+    quick: bool = False,
+    resin_index: float = 1.485,
+    cured_step: float = 0.04,
+    lump_radius: float = 1.2,
+    lump_x: float = 1.9,
+    lump_y: float = -1.0,
+    insert_radius: float = 0.9,
+    insert_x: float = 0.5,
+    insert_y: float = 0.4,
 ) -> Picture:
     """A lump cured beforehand, off the axis, that turns with the resin; and a rod that stops the light."""
     n, iterations = (40, 10) if quick else (128, 60)
@@ -56,7 +64,7 @@ def carried(
     x, y = (axis for axis in (grid.axes()[0][:, None], grid.axes()[1][None, :]))
     cured = np.exp(-((x - lump_x) ** 2 + (y - lump_y) ** 2) / lump_radius**2)
     steel = (x - insert_x) ** 2 + (y - insert_y) ** 2 <= insert_radius**2
-    lens = Carried(index=resin_index + cured_step * cured, bath=resin_index)
+    lens = CoRotatingMedium(index=resin_index + cured_step * cured, bath=resin_index)
     scene = Scene(grid, Beam((n, 1), grid.pitch), Turntable(2 * n), lens, steel, device)
     figure, axes = style.sheet("abc;def", 7.2)
     bent = _paths(axes["a"], scene, cured_step / resin_index, lump_radius, (lump_x, lump_y))
@@ -77,7 +85,7 @@ def _paths(axis: Axes, scene: Scene, step: float, width: float, center: tuple[fl
     size, pitch = scene.grid.shape[0], scene.grid.pitch
     beam = Beam((121, 1), 0.7 * SIZE / 121)
     poses = np.radians([10.0, 130.0, 250.0])
-    medium = scene.lens.medium(scene.grid)
+    medium = scene.lens.samples(scene.grid)
     starts = RayBundle.parallel(beam).table(scene.grid, beam, level=True, unit=pitch)
     tracks = _tracks(medium, starts, poses)
     x, y = scene.plane
@@ -130,7 +138,7 @@ def _lensed(before: Axes, after: Axes, scene: Scene, iterations: int) -> list[Fa
         Fact("window of light planned straight, in straight light", _window(untouched, part, disc), "", 3),
         Fact("the same light through the lump", _window(ignored, part, disc), "", 3),
         Fact("window of light planned through the lump", _window(known, part, disc), "", 3),
-        Fact("transpose: |⟨Ax, y⟩ − ⟨x, Aᵀy⟩| / (‖Ax‖‖y‖)", lens.prove(), "", 2, 2e-8, bound="≤"),
+        Fact("transpose: |⟨Ax, y⟩ − ⟨x, Aᵀy⟩| / (‖Ax‖‖y‖)", lens.dot_test(), "", 2, 2e-8, bound="≤"),
         Fact("largest gap to the plain projection where nothing is carried", 100 * _gap(air, scene), "%", 2),
     ]
 
@@ -138,7 +146,7 @@ def _lensed(before: Axes, after: Axes, scene: Scene, iterations: int) -> list[Fa
 def _insert(alone: Axes, before: Axes, after: Axes, scene: Scene, iterations: int) -> list[Fact]:
     """The shadow of the rod at one pose; light planned without and with it, both around it."""
     x, y = scene.plane
-    blocked, free = scene.traced(Carried(opaque=scene.steel)), scene.traced()
+    blocked, free = scene.traced(CoRotatingMedium(opaque=scene.steel)), scene.traced()
     one = np.zeros(blocked.range.shape)
     one[scene.motion.angles // 12] = 1.0
     shadow = blocked.T(one)[..., 0] / scene.grid.pitch

@@ -78,5 +78,3 @@ def _facts(stop: float, found: SurfaceDistance) -> list[Fact]:
 
 def _mean_of_pairs(between: np.ndarray) -> float:
     return float(between[np.triu_indices(len(between), 1)].mean())
-
-

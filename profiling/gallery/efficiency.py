@@ -12,7 +12,7 @@ from vamgpu.backend.device import Device
 from vamgpu.chemistry.efficiency import RotatingLight, efficiency_at, exact_efficiency, uv_needed
 from vamgpu.chemistry.induction import MEASURED, NAMES, Fit, fit_induction
 from vamgpu.chemistry.kinetics import advance
-from vamgpu.chemistry.species import PAPER, Light, Rates, State
+from vamgpu.chemistry.species import PAPER, LightCycle, Rates, SpeciesState
 from vamgpu.reports import style
 
 if TYPE_CHECKING:
@@ -27,8 +27,15 @@ KNOWN = (30.0, 39.1, 49.2, 68.0)
 
 
 def efficiency(
-    device: Device, quick: bool = False, vial: float = 15.0, induction_s: float = 40.0, alpha: float = 1.0,
-    beta: float = 0.2, pairing: float = 0.02, period_s: float = 20.0, extinction: float = 0.06,
+    device: Device,
+    quick: bool = False,
+    vial: float = 15.0,
+    induction_s: float = 40.0,
+    alpha: float = 1.0,
+    beta: float = 0.2,
+    pairing: float = 0.02,
+    period_s: float = 20.0,
+    extinction: float = 0.06,
 ) -> Picture:
     """Figs S1–S4 of the photoinhibition paper as trends, and its four induction times."""
     k_a = 1.0 / induction_s
@@ -80,8 +87,8 @@ def efficiency(
 
 def _constant(rates: Rates, beta: float, stored: float, device: Device) -> float:
     """W under constant light, without pairing."""
-    course = advance(replace(rates, k_2=0.0), State(1.0, stored, rates.supply), Light(1.0, beta, 20.0 / rates.k_a),
-                     device=device)  # fmt: skip
+    start, light = SpeciesState(1.0, stored, rates.supply), LightCycle(1.0, beta, 20.0 / rates.k_a)
+    course = advance(replace(rates, k_2=0.0), start, light, device=device)
     return float(course.efficiency[0, 0])
 
 
@@ -94,7 +101,9 @@ def _constant_light(axis: Axes, rates: Rates, device: Device, quick: bool) -> No
         axis.plot(betas, exact, color=style.INK, ls=(0, (2, 3)), lw=1.0, zorder=4)
         resins = [replace(rates, k_b=alpha * rates.k_a, k_c=float(b) * rates.k_a, k_2=k_2)
                   for k_2 in PAIRINGS for b in betas]  # fmt: skip
-        course = advance(resins, State(1.0, 0.0, rates.supply), Light(1.0, 1.0, 40.0 / rates.k_a), device=device)
+        course = advance(
+            resins, SpeciesState(1.0, 0.0, rates.supply), LightCycle(1.0, 1.0, 40.0 / rates.k_a), device=device
+        )
         found = np.where(course.depleted, course.efficiency, np.nan).reshape(3, -1)
         for line, width in zip(found, (2.2, 1.4, 0.8), strict=True):
             axis.plot(betas, line, color=hue, lw=width, label=f"α = {alpha:g}" if width > 2 else None)

@@ -38,7 +38,7 @@ def _background(axis: Axes, field: IndexField, x: tuple[float, float], y: tuple[
     """The index in blue, inside a radius."""
     across, up = np.linspace(*x, 240), np.linspace(*y, 240)
     place = np.stack([g.ravel() for g in (*np.meshgrid(across, up, indexing="ij"), np.zeros((240, 240)))], axis=1)
-    index = np.sqrt(np.maximum(field.look(place)[1], 0.0))
+    index = np.sqrt(np.maximum(field.evaluate(place)[1], 0.0))
     shown = np.where(np.hypot(place[:, 0], place[:, 1]) <= limit, index, np.nan)
     axis.imshow(shown.reshape(240, 240).T, origin="lower", extent=(*x, *y), cmap="Blues", alpha=0.55, aspect="auto")
     axis.grid(False)

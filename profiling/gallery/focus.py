@@ -30,8 +30,14 @@ CELL = 3.0
 
 
 def focus(
-    device: Device, quick: bool = False, radius: float = 7.5, thickness: float = 3.0, bins: float = 3,
-    pitch: float = 0.06, bath_index: float = 1.33, pose_ms: float = 98.2,
+    device: Device,
+    quick: bool = False,
+    radius: float = 7.5,
+    thickness: float = 3.0,
+    bins: float = 3,
+    pitch: float = 0.06,
+    bath_index: float = 1.33,
+    pose_ms: float = 98.2,
 ) -> Picture:
     """The focus scan of the roll-to-roll paper."""
     film = Film(thickness, 1.49, bath_index, 0.22)
@@ -46,7 +52,7 @@ def focus(
     figure, axes = style.sheet("aab;cde;fff", 8.8, height_ratios=[1.25, 0.42, 0.6])
     _roller(axes["a"], roller, masks)
     _defocus(axes["b"], masks, beam, radius, thickness)
-    shades = [part.pictures()[0] for part in binned]
+    shades = [part.gray_levels()[0] for part in binned]
     for letter, shade, plane in zip("cde", _shown(shades), masks.planes, strict=False):
         style.shown(axes[letter], shade[::-1].T, f"Bin at {plane:.1f} mm", cmap="gray", vmin=0, vmax=255)
     powers = lens.power(np.array(masks.planes))

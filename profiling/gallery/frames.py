@@ -24,8 +24,13 @@ SHOWN = 0.125
 
 
 def frames(
-    device: Device, quick: bool = False, pitch: float = 0.12, angles: int = 360, gamma: float = 2.2,
-    black: float = 0.002, quantile: float = 0.9999,
+    device: Device,
+    quick: bool = False,
+    pitch: float = 0.12,
+    angles: int = 360,
+    gamma: float = 2.2,
+    black: float = 0.002,
+    quantile: float = 0.9999,
 ) -> Picture:
     """Light for the boat packed three ways, for a projector of a gamma and a black level."""
     target = scene.boat(device, 0.6 if quick else pitch)
@@ -85,7 +90,7 @@ def _faces(axes: dict[str, Axes], light: np.ndarray, packed: dict[str, Frames], 
     style.shown(axes["a"], np.minimum(light[at] / full, 1.0), f"Light of the plan, θ = {360 * SHOWN:g}°", cmap="gray",
                 vmin=0, vmax=1)  # fmt: skip
     for letter, name in (("b", "8 bits"), ("c", "1 bit, error diffusion")):
-        style.shown(axes[letter], packed[name].pictures()[at, ::-1].T, f"Frame of {name}", **gray)
+        style.shown(axes[letter], packed[name].gray_levels()[at, ::-1].T, f"Frame of {name}", **gray)
     style.scale_bar(axes["a"], 2.0 / A.beam.pitch, "2 mm")
     middle = light.shape[2] // 4
     row = light.shape[2] - 1 - middle

@@ -15,7 +15,11 @@ from vamgpu.reports import style
 
 
 def history(
-    device: Device, quick: bool = False, lost: float = 0.125, depth: float = 30.0, diffusivity: float = 4e-6,
+    device: Device,
+    quick: bool = False,
+    lost: float = 0.125,
+    depth: float = 30.0,
+    diffusivity: float = 4e-6,
     hours: float = 16.0,
 ) -> Picture:
     """lost: share of the resin a print takes (10 to 15 % in the paper). depth, diffusivity, hours: a vial at night."""

@@ -10,10 +10,10 @@ import numpy as np
 from profiling.gallery.dualcolor import verdict, words
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
-from vamgpu.chemistry.printability import Thresholds, TurnDoses, Verdict
+from vamgpu.chemistry.printability import PowerVerdict, Thresholds, TurnDoses
 from vamgpu.chemistry.species import Rates
 from vamgpu.geometry import Beam, Turntable
-from vamgpu.methods.joint import Aims, ColorPlan, KineticModel, LinearModel, TwoColorResin, optimize_colors
+from vamgpu.methods.joint import ColorPlan, KineticModel, LinearModel, LossWeights, TwoColorResin, optimize_colors
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat
 from vamgpu.reports import style
@@ -48,11 +48,11 @@ def joint(
     runs = 6 if quick else 12
     model = KineticModel(*pair, resin, int(turns), period=period, runs=runs)
     before = KineticModel(*pair, resin, max(int(turns) - 1, 1), period=period, runs=runs)
-    aims = Aims(OUTSIDE, firm, firm + 0.25)
+    weights = LossWeights(OUTSIDE, firm, firm + 0.25)
     plans = {
-        "visible": optimize_colors(LinearModel(*pair, resin, int(turns)), target, replace(aims, share=0.0), count),
-        "linear": optimize_colors(LinearModel(*pair, resin, int(turns)), target, aims, count),
-        "joint": optimize_colors(model, target, aims, count),
+        "visible": optimize_colors(LinearModel(*pair, resin, int(turns)), target, replace(weights, share=0.0), count),
+        "linear": optimize_colors(LinearModel(*pair, resin, int(turns)), target, weights, count),
+        "joint": optimize_colors(model, target, weights, count),
     }
     fractions, near = target.numpy(), target.grid.cylinder()[:, :, None]
     doses = {name: plan.effective_dose(model).numpy() for name, plan in plans.items()}
@@ -133,7 +133,7 @@ def _drawn(
 def _row(plan: ColorPlan, model: KineticModel, before: KineticModel, firm: float) -> tuple[float, ...]:
     got = plan.contrast(model)
     early = plan.contrast(before)
-    at = Verdict.of(TurnDoses(early.in_least, early.in_most, early.out_most),
+    at = PowerVerdict.of(TurnDoses(early.in_least, early.in_most, early.out_most),
                     TurnDoses(got.in_least, got.in_most, got.out_most), Thresholds(1.0, firm))  # fmt: skip
     return (got.in_least, got.out_most, got.window, got.bulk, 100 * got.uncured, 100 * got.overcured, 1.0 - at.early,
             plan.seconds)  # fmt: skip

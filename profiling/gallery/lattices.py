@@ -127,4 +127,3 @@ def _wound(body: Axes, flat: Axes, pitch: float) -> Fact:
     flat.grid(False)
     return Fact("overlap (IoU) of the wound film with the solid", float((one & other).sum() / (one | other).sum()),
                 expected=0.99, bound="≥")  # fmt: skip
-

@@ -13,7 +13,7 @@ from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller
 from vamgpu.units import Pa_s, kg_m3, minute, ms
 from vamgpu.webs.display import Display
-from vamgpu.webs.limits import Limits
+from vamgpu.webs.limits import WebLimits
 from vamgpu.webs.limits_picture import figure_of
 
 if TYPE_CHECKING:
@@ -24,19 +24,26 @@ PAPER_DENSITY = 1.1 * kg_m3
 
 
 def limits(
-    device: Device, quick: bool = False, radius: float = 7.5, thickness: float = 3.0, step_deg: float = 0.5,
-    bins: float = 3, settle_ms: float = 5.0, rate: float = 266.0, speed_mm_min: float = 48.0,
+    device: Device,
+    quick: bool = False,
+    radius: float = 7.5,
+    thickness: float = 3.0,
+    step_deg: float = 0.5,
+    bins: float = 3,
+    settle_ms: float = 5.0,
+    rate: float = 266.0,
+    speed_mm_min: float = 48.0,
 ) -> Picture:
     """The machine of the roll-to-roll paper."""
     film = Film(thickness, 1.49, 1.33, 0.22)
     roller = Roller(radius, film, radians(step_deg), legs=0.5 * pi * (radius + 0.5 * thickness))
     lens = TunableLens(index=1.33, bins=int(bins), settle=settle_ms * ms)
-    found = Limits(roller, lens, Display(rate), speed_mm_min / minute)
-    binding = found.binding
-    paper = Limits(roller, lens, found.display, found.speed, density=PAPER_DENSITY)
+    found = WebLimits(roller, lens, Display(rate), speed_mm_min / minute)
+    limiting = found.limiting
+    paper = WebLimits(roller, lens, found.display, found.speed, density=PAPER_DENSITY)
     facts = (
         Fact("sampling along the web at 1 mm/s", found.sampling_limit(1.0), "/mm", expected=66, source="paper, S12"),
-        Fact("pictures", found.picture_rate, "/s", 3, expected=30.6, source="48 mm/min, mid-line"),
+        Fact("pictures", found.frame_rate, "/s", 3, expected=30.6, source="48 mm/min, mid-line"),
         Fact("slot of a picture", 1e3 * found.slot, "ms", 3, expected=32.7, source="48 mm/min, mid-line"),
         Fact("data of 8-bit 1080p", found.data_rate / 1e6, "MB/s", 3, expected=63, source="48 mm/min, mid-line"),
         Fact("length of a window's leg, 5 % of the light left", found.window, "mm", expected=13.6, source="paper, S11"),
@@ -46,13 +53,13 @@ def limits(
         Fact("viscosity needed at 1100 kg/m³", found.viscosity_needed / Pa_s, "Pa·s", 3),
         Fact("defocus of the worst column", found.defocus, "mm", 3, 0.5 * found.depth_of_focus, "half a depth of focus",
              "≤"),
-        Fact("greatest speed", binding.speed * minute, "mm/min", 4),
+        Fact("greatest speed", limiting.speed * minute, "mm/min", 4),
     )  # fmt: skip
     reach = tuple((s.name, (s.speed * minute, s.speed / found.speed)) for s in found.speeds if s.speed < inf)
-    table = Table(("limit", "speed [mm/min]", "over the speed wanted"), (".4g", ".3g"), reach)
+    table = Table(("limit", "speed [mm/min]", "over the design speed"), (".4g", ".3g"), reach)
     caption = (
         "What bounds the speed of a web that turns by a fixed angle from pose to pose: the mirrors' rate, the settling "
-        "of the lens, the wire to the lens, and, as a machine does one after the other, their sum. At the speed wanted "
+        "of the lens, the wire to the lens, and, as a machine does one after the other, their sum. At the design speed "
         "light can be on for what the lens leaves of each slot. The slower the web, the longer the resin hangs in the "
         "light, and the thicker it must be. A film in a bath of lower index sees light from a limited range of angles, "
         "so a wedge of spatial frequencies about its normal is missing."

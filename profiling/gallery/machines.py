@@ -14,8 +14,8 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import VamError
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.hosts.emulators.array import ArrayModel
-from vamgpu.hosts.emulators.bench import Bench
-from vamgpu.hosts.pictures.stream import FramePictures, Mirrors
+from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
+from vamgpu.hosts.frames.sources import MirrorArray, VialFrames
 from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.record import RunFolder
 from vamgpu.hosts.run import Print
@@ -52,7 +52,7 @@ def machines(
     dark = _darkness(axes["c"], speed)
     facts = (
         Fact("pictures a second of the web", roll.schedule.rate, "1/s", 4, 30.6, "3 planes at 48 mm/min"),
-        Fact("light while the lens moved", roll.bench.chamber.astray, "s", 2, 0.0, "no light before it has settled"),
+        Fact("light while the lens moved", roll.emulated.chamber.astray, "s", 2, 0.0, "no light before it has settled"),
         Fact("dose of the vial off by, of its greatest", errors["as planned"], "", 2, 1e-4, bound="≤"),
         Fact("the same, every picture one slot late", errors["one slot late"], "", 2),
         Fact("longest light after a fault", max(dark.values()), "ms", 3, 250.0, "one lease", bound="≤"),
@@ -73,10 +73,10 @@ class _Stand:
     def __init__(self, schedule: Schedule, frames: Frames, powers: tuple[float, ...] = (), shift: int = 0) -> None:
         _, rows, columns = frames.shape
         self.schedule, self.frames = schedule, frames
-        self.bench = Bench(STEPS, ArrayModel(height=rows, width=columns), powers=powers)
-        pictures: Any = FramePictures(frames, Mirrors(rows, columns, columns // 8))
+        self.emulated = EmulatedMirrorRig(STEPS, ArrayModel(height=rows, width=columns), powers=powers)
+        source: Any = VialFrames(frames, MirrorArray(rows, columns, columns // 8))
         self.player = TriggeredPlayer(
-            schedule, self.bench.machines(STEPS / float(schedule.advance)), [_Shifted(pictures, shift)]
+            schedule, self.emulated.machines(STEPS / float(schedule.advance)), [_Shifted(source, shift)]
         )
         self._place = tempfile.TemporaryDirectory()
         self.print = Print(self.player, RunFolder.begin(Path(self._place.name) / "run", {}, ""))
@@ -98,8 +98,8 @@ class _Shifted:
     def planes(self, numbers: np.ndarray) -> np.ndarray:
         return self.own.planes((np.asarray(numbers) - self.late) % self.own.count)
 
-    def picture(self, number: int) -> np.ndarray:
-        return self.own.picture(number)
+    def frame(self, number: int) -> np.ndarray:
+        return self.own.frame(number)
 
 
 def _mirrors(columns: int, rows: int) -> MirrorTiming:
@@ -113,12 +113,12 @@ def _frames(count: int, columns: int, rows: int) -> Frames:
 
 def _timeline(axis: Axes, roll: _Stand) -> None:
     """Power of the lens and light of the middle two poses."""
-    intervals = [(start, end) for start, end, lit, _ in roll.bench.controller.intervals if lit]
+    intervals = [(start, end) for start, end, lit, _ in roll.emulated.controller.intervals if lit]
     first = 3 * 28
     begin = intervals[first][0] - 12_000_000
     times = begin + np.arange(0, 215_000_000, 200_000)
-    assert roll.bench.lens is not None
-    axis.plot(1e-6 * (times - begin), [roll.bench.lens.power(int(at)) for at in times], color=style.INK, lw=1.2)
+    assert roll.emulated.lens is not None
+    axis.plot(1e-6 * (times - begin), [roll.emulated.lens.power(int(at)) for at in times], color=style.INK, lw=1.2)
     for number, (start, end) in enumerate(intervals[first : first + 6]):
         color = style.HUES[int(roll.schedule.plane[first + number])]
         axis.axvspan(1e-6 * (start - begin), 1e-6 * (end - begin), color=color, alpha=0.3, lw=0)
@@ -138,7 +138,7 @@ def _errors(axis: Axes, device: Device, angles: int) -> dict[str, float]:
     for name, shift, way in (("as planned", 0, 1), ("one slot late", 1, 1), ("turned backwards", 0, -1)):
         stand = _Stand(schedule, frames, shift=shift)
         stand.run()
-        seconds = stand.bench.chamber.seconds(0, angles, turn=angles)[0][way * np.arange(angles)]
+        seconds = stand.emulated.chamber.seconds(0, angles, turn=angles)[0][way * np.arange(angles)]
         light = seconds[:, ::-1].transpose(0, 2, 1) / (1e-9 * schedule.on[0])
         dose = A.T(A.device.upload(np.ascontiguousarray(light, np.float32))).numpy()
         found[name] = float(np.abs(dose - wanted).max() / wanted.max())
@@ -150,17 +150,17 @@ def _darkness(axis: Axes, speed: float) -> dict[str, float]:
     """How long light lasts after a fault [ms], by the emulated lamp."""
 
     def hang(stand: _Stand) -> None:
-        stand.bench.clock.sleep(SECOND)
+        stand.emulated.clock.sleep(SECOND)
 
     def stop(stand: _Stand) -> None:
-        stand.bench.controller.web.run(stand.bench.clock.now(), 0.0)
+        stand.emulated.controller.web.run(stand.emulated.clock.now(), 0.0)
 
     faults: dict[str, Any] = {
         "host hangs or is killed": hang,
         "web stops": stop,
-        "trigger lost": lambda stand: setattr(stand.bench, "lose_triggers", 1),
-        "port unplugged": lambda stand: stand.bench.port.unplug(),
-        "door opened": lambda stand: stand.bench.controller.open_interlock(stand.bench.clock.now()),
+        "trigger lost": lambda stand: setattr(stand.emulated, "lose_triggers", 1),
+        "port unplugged": lambda stand: stand.emulated.port.unplug(),
+        "door opened": lambda stand: stand.emulated.controller.open_interlock(stand.emulated.clock.now()),
         "emergency stop": lambda stand: stand.print.stop(),
     }
     found = {name: _lasting(fault, speed) for name, fault in faults.items()}
@@ -176,15 +176,15 @@ def _lasting(fault: Any, speed: float) -> float:
         while stand.print.next < 30:
             stand.player.wait()
             stand.print.step()
-        at = stand.bench.clock.now()
+        at = stand.emulated.clock.now()
         try:
             fault(stand)
             while stand.print.step():
                 stand.player.wait()
         except VamError:
             pass
-    stand.bench.clock.sleep(SECOND)
-    last = max(end for _, end, lit, _ in stand.bench.controller.intervals if lit)
+    stand.emulated.clock.sleep(SECOND)
+    last = max(end for _, end, lit, _ in stand.emulated.controller.intervals if lit)
     return max(0.0, 1e-6 * (last - at))
 
 

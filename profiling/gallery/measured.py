@@ -12,10 +12,10 @@ from vamgpu.hosts.calibrating import axis as axes_of
 from vamgpu.hosts.calibrating import focus as foci
 from vamgpu.hosts.calibrating import gray as grays
 from vamgpu.hosts.calibrating import mtf as mtfs
-from vamgpu.hosts.calibrating.machines import rehearsal
-from vamgpu.hosts.calibrating.report import Found
-from vamgpu.hosts.calibrating.stand import Stand
-from vamgpu.hosts.emulators.optics import Optics
+from vamgpu.hosts.calibrating.machines import CalibrationMachines
+from vamgpu.hosts.calibrating.opening import rehearsal
+from vamgpu.hosts.calibrating.report import CalibrationResult
+from vamgpu.hosts.emulators.calibration import Optics
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.methods.papers import ROLL_TO_ROLL
 from vamgpu.reports import style
@@ -29,13 +29,17 @@ PICTURE = 3760
 
 
 def measured(
-    device: Device, quick: bool = False, slope: float = -40.6, axis: float = 98.3, leak: float = 0.01,
+    device: Device,
+    quick: bool = False,
+    slope: float = -40.6,
+    axis: float = 98.3,
+    leak: float = 0.01,
     waist: float = 0.0138,
 ) -> Picture:
     """Emulated optics: ``slope`` [mm/dpt], ``axis`` [columns], ``leak`` of mirrors that are off, ``waist`` [mm]."""
     truth = Optics(slope=slope, axis=axis, leak=leak, turn=9.0, waist=waist)
 
-    def stand() -> Stand:
+    def stand() -> CalibrationMachines:
         return rehearsal(read_rig("emulated"), TABLES, truth)[0]
 
     places = foci.steps(1.0 if quick else 2.5, 1.0 if quick else 0.5)
@@ -64,7 +68,7 @@ def measured(
     return Picture(figure, caption, facts, papers=(ROLL_TO_ROLL,))
 
 
-def _focus(panel: Axes, found: Found, truth: Optics) -> None:
+def _focus(panel: Axes, found: CalibrationResult, truth: Optics) -> None:
     powers, sharpness = found.readings["powers"], found.readings["sharpness"]
     for hue, row in zip(style.HUES, range(0, len(powers), max(len(powers) // 4, 1)), strict=False):
         place = float(found.readings["positions"][row])
@@ -74,7 +78,7 @@ def _focus(panel: Axes, found: Found, truth: Optics) -> None:
     panel.legend()
 
 
-def _axis(panel: Axes, found: Found) -> None:
+def _axis(panel: Axes, found: CalibrationResult) -> None:
     panel.plot(found.readings["columns"], found.readings["readings"].mean(axis=1), color=style.INK, lw=1.0)
     for edge in found.numbers["edges"]:
         panel.axvline(edge, color=style.ORANGE, lw=1.0)
@@ -82,7 +86,7 @@ def _axis(panel: Axes, found: Found) -> None:
     panel.set(title="Axis, from both edges of the shadow", xlabel="lit column", ylabel="photodiode [mW]")
 
 
-def _gray(panel: Axes, found: Found, truth: Optics) -> float:
+def _gray(panel: Axes, found: CalibrationResult, truth: Optics) -> float:
     curve = found.tables["gray"]
     levels, got = np.array(curve["levels"]), np.array(curve["intensity"])
     true = np.array([truth.gray(int(level), PICTURE) for level in levels])
@@ -93,11 +97,9 @@ def _gray(panel: Axes, found: Found, truth: Optics) -> float:
     return float(np.abs(got - true / true[-1]).max())
 
 
-def _mtf(panel: Axes, found: Found, truth: Optics) -> float:
+def _mtf(panel: Axes, found: CalibrationResult, truth: Optics) -> float:
     frequency, off = found.readings["frequency"], 0.0
-    for hue, place, row in zip(
-        style.HUES, found.numbers["positions_mm"], found.readings["modulation"], strict=False
-    ):
+    for hue, place, row in zip(style.HUES, found.numbers["positions_mm"], found.readings["modulation"], strict=False):
         wanted = truth.modulation(frequency, place, 0.0, found.numbers["pixel_mm"])
         panel.plot(frequency, wanted, color=hue, lw=0.8, ls="--")
         panel.plot(frequency[::6], row[::6], ".", ms=4, color=hue, label=f"{place:+g} mm")

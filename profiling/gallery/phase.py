@@ -11,7 +11,7 @@ from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.efficiency import RotatingLight
 from vamgpu.chemistry.kinetics import advance
-from vamgpu.chemistry.species import PAPER, Light, Rates, State
+from vamgpu.chemistry.species import PAPER, LightCycle, Rates, SpeciesState
 from vamgpu.chemistry.stationary import drift, nullcline, stationary
 from vamgpu.reports import style
 
@@ -37,8 +37,14 @@ class _Case:
 
 
 def phase(
-    device: Device, quick: bool = False, alpha: float = 0.6, beta: float = 0.6, pairing: float = 0.02,
-    induction_s: float = 30.0, period_s: float = 12.0, radius: float = 12.0,
+    device: Device,
+    quick: bool = False,
+    alpha: float = 0.6,
+    beta: float = 0.6,
+    pairing: float = 0.02,
+    induction_s: float = 30.0,
+    period_s: float = 12.0,
+    radius: float = 12.0,
 ) -> Picture:
     """Fig. 3 of the photoinhibition paper. Concentrations are in units of [A] before printing."""
     k_a = 1.0 / induction_s
@@ -75,8 +81,10 @@ def _portrait(axis: Axes, case: _Case, device: Device, quick: bool, title: str):
     drawn.set_clim(0.0, 0.08)
     level = np.linspace(1e-3, TOP, 400)
     axis.plot(nullcline(case.rates, level, 1.0, case.uv), level, color=style.INK, lw=1.2, ls=(0, (4, 3)))
-    starts = State([s[0] for s in STARTS], [s[1] for s in STARTS], 40.0)
-    course = advance(case.rates, starts, Light(1.0, case.uv, [0.5]), intervals=int(2 * LONG), rows=401, device=device)
+    starts = SpeciesState([s[0] for s in STARTS], [s[1] for s in STARTS], 40.0)
+    course = advance(
+        case.rates, starts, LightCycle(1.0, case.uv, [0.5]), intervals=int(2 * LONG), rows=401, device=device
+    )
     for path in course.path[0]:
         axis.plot(path[:, 0], path[:, 1], color=style.BLUE, lw=1.3)
     axis.plot(*zip(*STARTS, strict=True), "o", color=style.BLUE, ms=3.5)
@@ -92,7 +100,7 @@ def _turning(axis: Axes, rates: Rates, beta: float, period: float, radius: float
     fine = 4
     for uv, hue, name in ((beta, style.RED, "out-of-part: both colors"), (0.0, style.BLUE, "in-part: visible only")):
         turn = light.at([radius])
-        dosed = Light(turn.visible, (uv / beta if beta else 0.0) * np.asarray(turn.uv), turn.seconds)
+        dosed = LightCycle(turn.visible, (uv / beta if beta else 0.0) * np.asarray(turn.uv), turn.seconds)
         count = TURNS * light.poses
         path = advance(rates, rates.start(), dosed, intervals=count, rows=count // fine + 1, device=device).path[0, 0]
         time = np.arange(len(path)) * fine * period / light.poses
@@ -124,8 +132,8 @@ def _rates_of_return(axis: Axes, rates: Rates) -> None:
 def _origin_facts(rates: Rates, device: Device) -> tuple[Fact, ...]:
     from scipy.integrate import solve_ivp
 
-    start = State(1.0, 0.6, 40.0)
-    event = float(advance(rates, start, Light(1.0, 0.0, LONG), device=device).event[0, 0])
+    start = SpeciesState(1.0, 0.6, 40.0)
+    event = float(advance(rates, start, LightCycle(1.0, 0.0, LONG), device=device).event[0, 0])
 
     def change(_: float, y: np.ndarray) -> list[float]:
         slope = drift(rates, max(y[0], 0.0), max(y[1], 0.0), 1.0, 0.0)
@@ -139,7 +147,7 @@ def _origin_facts(rates: Rates, device: Device) -> tuple[Fact, ...]:
     edge, shares = 0.5 * rates.alpha, np.linspace(0.98, 1.02, 40)
     plenty = 1e4
     resins = [replace(rates, k_c=share * edge * rates.k_a, supply=plenty) for share in shares]
-    ends = advance(resins, State(1.0, 0.0, plenty), Light(1.0, 1.0, 200.0 * LONG), device=device)
+    ends = advance(resins, SpeciesState(1.0, 0.0, plenty), LightCycle(1.0, 1.0, 200.0 * LONG), device=device)
     last = edge * float(shares[ends.depleted[:, 0]].max(initial=0.0))
     return (
         Fact("time to the origin from [A] = 1, [B] = 0.6 without UV", event, "s", 6, float(fine.t_events[0][0]),
@@ -150,10 +158,10 @@ def _origin_facts(rates: Rates, device: Device) -> tuple[Fact, ...]:
 
 def _held_facts(rates: Rates, uv: float, level: float, eigenvalues: np.ndarray, device: Device) -> tuple[Fact, ...]:
     """The closed forms against where paths end, and how fast small disturbances of them fade."""
-    end = advance(rates, State(1.0, 0.0, 40.0), Light(1.0, uv, LONG), device=device)
+    end = advance(rates, SpeciesState(1.0, 0.0, 40.0), LightCycle(1.0, uv, LONG), device=device)
     off, span = 1e-2 * level, 1.0
-    pushed = advance(rates, State([off, 0.0, 0.0], [level - off, level + off, level - off], 40.0),
-                     Light(1.0, uv, span), device=device)  # fmt: skip
+    pushed = advance(rates, SpeciesState([off, 0.0, 0.0], [level - off, level + off, level - off], 40.0),
+                     LightCycle(1.0, uv, span), device=device)  # fmt: skip
     of_a = float(np.log(off / pushed.a[0, 0]) / span)
     of_b = float(np.log(2.0 * off / (pushed.b[0, 1] - pushed.b[0, 2])) / span)
     slow, fast = sorted((of_a, of_b))

@@ -16,7 +16,11 @@ from vamgpu.reports import style
 
 
 def precompensation(
-    device: Device, quick: bool = False, pitch: float = 0.045, voxels: int = 64, blur: float = 1.0,
+    device: Device,
+    quick: bool = False,
+    pitch: float = 0.045,
+    voxels: int = 64,
+    blur: float = 1.0,
     background: float = 0.6,
 ) -> Picture:
     """A gyroid whose walls thin out; blur: deviation of the diffused dose in voxels."""
@@ -35,10 +39,18 @@ def precompensation(
     facts = (
         Fact(f"times nearer to the target at a blur of {blur:g} voxels, root mean square", found.factor, "", 3),
         Fact(f"the same at {2 * blur:g} voxels", _factor(part, grid, 2 * blur, background, device), "", 3),
-        Fact(f"the same at {blur:g} voxels, edges sharp to the voxel",
-             _factor(_sharp(part), grid, blur, background, device), "", 3),
-        Fact(f"the same at {2 * blur:g} voxels, edges sharp to the voxel",
-             _factor(_sharp(part), grid, 2 * blur, background, device), "", 3),
+        Fact(
+            f"the same at {blur:g} voxels, edges sharp to the voxel",
+            _factor(_sharp(part), grid, blur, background, device),
+            "",
+            3,
+        ),
+        Fact(
+            f"the same at {2 * blur:g} voxels, edges sharp to the voxel",
+            _factor(_sharp(part), grid, 2 * blur, background, device),
+            "",
+            3,
+        ),
         Fact("voxels on the wrong side of one half, plain", wrong[0], ""),
         Fact("the same, compensated", wrong[1], ""),
         Fact("smallest dose asked for", float(found.dose.numpy().min()), "", 3, 0.0, "never negative", "≥"),

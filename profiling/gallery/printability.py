@@ -21,7 +21,7 @@ from vamgpu.chemistry.printability import (
 )
 from vamgpu.chemistry.species import PAPER
 from vamgpu.methods import optimize
-from vamgpu.methods.joint import Aims, LinearModel, TwoColorResin, optimize_colors
+from vamgpu.methods.joint import LinearModel, LossWeights, TwoColorResin, optimize_colors
 from vamgpu.reports import style
 from vamgpu.targets.target import Target
 
@@ -86,7 +86,7 @@ def printability(
         f"gets most (red), over T_opt; the dashed line is T_mec = {firm:g} T_opt. (a) Before the last turn no point of "
         "the part may pass T_opt, (b) after it all must pass T_mec, (c) and none outside T_opt. Top, a to e, as in the "
         "paper's Fig. 7: two colors at a legal power; one color with power enough to be firm, and with little enough "
-        "not to spill; two colors at any turn; one color with more inhibitor and more turns. Below, the legal power "
+        "not to overcure; two colors at any turn; one color with more inhibitor and more turns. Below, the legal power "
         f"over the number of turns; pale: both lamps ± {100 * off:g} % by themselves and an axis ± {axis:g} mm off, "
         f"every corner of them. The slice has {n} × {n} voxels and {poses} angles, doses are linear, visible − uv. "
         f"T_opt = {critical:g} mJ/mm³ is assumed, not measured; 999 stands for any number of turns."
@@ -122,8 +122,8 @@ def _lights(
 ) -> tuple[TurnLight, TurnLight]:  # fmt: skip
     """Light of one color, and of two."""
     A, B = round_colors(target, poses, extinctions, device)
-    aims = Aims(outside=0.45, inside=1.0 + 1e-3, most=1.06)
-    found = optimize_colors(LinearModel(A, B, PLAIN, 1), target, aims, count)
+    weights = LossWeights(outside=0.45, inside=1.0 + 1e-3, most=1.06)
+    found = optimize_colors(LinearModel(A, B, PLAIN, 1), target, weights, count)
     single = optimize(A, target, iterations=max(count // 2, 20))
     return TurnLight(A, single.sinogram), TurnLight(A, found.visible, B, found.ultraviolet, PLAIN.subtraction)
 
@@ -139,7 +139,7 @@ def _scenes(single: TurnDoses, dual: TurnDoses, resin: Thresholds, turns: int) -
     return (
         _Scene("a  two colors", dual, resin, turns, good.middle if good.legal else 1.05 * good.low),
         _Scene("b  one, firm", single, resin, turns, 1.05 * bare.low),
-        _Scene("c  one, no spill", single, resin, turns, shy),
+        _Scene("c  one, no overcure", single, resin, turns, shy),
         _Scene("d  two, one turn", dual, resin, 1, power_window(dual, resin, 1).middle),
         _Scene("e  more inhibitor", single, later, int(more), shy),
     )

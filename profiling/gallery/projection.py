@@ -59,8 +59,14 @@ class Ellipse:
 
 
 def projection(
-    device: Device, quick: bool = False, a: float = 0.27, b: float = 0.14, x: float = 0.093, y: float = -0.061,
-    tilt: float = 0.5, angles: int = 360,
+    device: Device,
+    quick: bool = False,
+    a: float = 0.27,
+    b: float = 0.14,
+    x: float = 0.093,
+    y: float = -0.061,
+    tilt: float = 0.5,
+    angles: int = 360,
 ) -> Picture:
     """An ellipse, lengths over the edge of the grid, tilt in rad."""
     body, sizes = Ellipse(a, b, x, y, tilt), (16, 32, 64) if quick else (64, 128, 256, 512)

@@ -27,8 +27,14 @@ NEEDED = 7.38
 
 
 def proof(
-    device: Device, quick: bool = False, pitch: float = 0.12, angles: int = 360, iterations: int = 40,
-    irradiance: float = 0.05, critical_dose: float = 0.04, black: float = 0.002,
+    device: Device,
+    quick: bool = False,
+    pitch: float = 0.12,
+    angles: int = 360,
+    iterations: int = 40,
+    irradiance: float = 0.05,
+    critical_dose: float = 0.04,
+    black: float = 0.002,
 ) -> Picture:
     """The boat in the vial in air: irradiance of a full-on pixel in mW/mm², critical dose in mJ/mm³."""
     target = scene.boat(device, 0.6 if quick else pitch)

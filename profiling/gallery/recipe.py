@@ -12,7 +12,7 @@ from vamgpu.backend.device import Device
 from vamgpu.methods import Recipe
 from vamgpu.methods.papers import AUTOMATIC_EXPOSURE, RAMP
 from vamgpu.methods.ramp import ramp
-from vamgpu.methods.work import Work
+from vamgpu.methods.state import OptimizerState
 from vamgpu.reports import style
 from vamgpu.targets.target import Target
 
@@ -21,22 +21,26 @@ HEIGHT = 0.22
 
 
 def recipe(
-    device: Device, quick: bool = False, pitch: float = 0.12, angles: int = 360, background: float = 0.6,
+    device: Device,
+    quick: bool = False,
+    pitch: float = 0.12,
+    angles: int = 360,
+    background: float = 0.6,
     passes: int = 6,
 ) -> Picture:
     """The boat in straight light; the paper projects every degree over a background of 60 % and corrects twice."""
     target = scene.boat(device, 0.6 if quick else pitch)
     A = scene.straight(target, 24 if quick else int(angles), device)
-    work = Work(A, target.on(device), {})
-    model, shadow, filtered = _first_light(work, background)
-    steps, windows, kept = Recipe(background).steps(work), [], {}
+    state = OptimizerState(A, target.on(device), {})
+    model, projected, filtered = _first_light(state, background)
+    steps, windows, kept = Recipe(background).steps(state), [], {}
     for k in range(1, (2 if quick else int(passes)) + 1):
         windows.append(next(steps)[1])
         if k <= 2:
-            light = work.held("light").numpy()
-            dose = A.T(work.held("light")).numpy()
-            kept[k] = (light, dose, work.held("model").numpy())
-    figure = _drawn(target, (model, shadow, filtered), kept)
+            light = state.buffer("light").numpy()
+            dose = A.T(state.buffer("light")).numpy()
+            kept[k] = (light, dose, state.buffer("model").numpy())
+    figure = _drawn(target, (model, projected, filtered), kept)
     inside = A.grid.cylinder()[:, :, None] & (target.numpy() <= 0)
     ratios = [float(dose[inside].mean() / dose[target.numpy() >= 1].mean()) for _, dose, _ in kept.values()]
     negative = float(-filtered[filtered < 0].sum() / np.abs(filtered).sum())
@@ -58,18 +62,18 @@ def recipe(
     return Picture(figure, caption, facts, table, (AUTOMATIC_EXPOSURE, RAMP))
 
 
-def _first_light(work: Work, background: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _first_light(state: OptimizerState, background: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Model, projection and filtered projection of the first pass."""
-    model, shadow, filtered = work.volume(), work.sinogram(), work.sinogram()
-    work.paint(background, model)
-    work.project(model, shadow)
-    work.filter(shadow, ramp(work.operator), filtered)
-    return model.numpy(), shadow.numpy(), filtered.numpy()
+    model, projected, filtered = state.volume(), state.sinogram(), state.sinogram()
+    state.fill_background(background, model)
+    state.project(model, projected)
+    state.filter(projected, ramp(state.operator), filtered)
+    return model.numpy(), projected.numpy(), filtered.numpy()
 
 
 def _drawn(target: Target, first: tuple[np.ndarray, ...], kept: dict[int, tuple[np.ndarray, ...]]) -> Any:
     figure, axes = style.sheet("abcd;efgh", 5.6)
-    pitch, (model, shadow, filtered) = target.grid.pitch, first
+    pitch, (model, projected, filtered) = target.grid.pitch, first
     (light, dose, after), (_, second, _) = kept[1], kept[2]
     volumes = {"cmap": style.DOSE, "vmin": 0.0, "vmax": 1.2}
     lights = {"aspect": "auto", "cmap": style.LIGHT, "vmin": 0.0}
@@ -77,7 +81,7 @@ def _drawn(target: Target, first: tuple[np.ndarray, ...], kept: dict[int, tuple[
     swing = float(np.quantile(np.abs(filtered), 0.9995))
     drawn = style.shown(axes["a"], scene.level(target.numpy(), HEIGHT), "1  Target", **volumes)
     style.shown(axes["b"], scene.level(model, HEIGHT), "2  On a background", **volumes)
-    style.shown(axes["c"], scene.level(shadow, HEIGHT).T, "3  Projected", **lights)
+    style.shown(axes["c"], scene.level(projected, HEIGHT).T, "3  Projected", **lights)
     style.shown(axes["d"], scene.level(filtered, HEIGHT).T, "4  Filtered", aspect="auto", cmap=style.GAP, vmin=-swing,
                 vmax=swing)  # fmt: skip
     style.shown(axes["e"], scene.level(light, HEIGHT).T, "5  Clipped", **lights, vmax=most)
@@ -87,7 +91,5 @@ def _drawn(target: Target, first: tuple[np.ndarray, ...], kept: dict[int, tuple[
     for letter in "cde":
         axes[letter].set(xlabel="r →", ylabel="pose θ →", box_aspect=1)
     style.scale_bar(axes["a"], 2.0 / pitch, "2 mm")
-    style.bar(drawn, [axes["d"], axes["h"]], "dose and model, 1 as wanted in the part", shrink=0.7)
+    style.bar(drawn, [axes["d"], axes["h"]], "dose and model, 1 as asked for in the part", shrink=0.7)
     return figure
-
-

@@ -26,8 +26,15 @@ SHOWN = 7.0
 
 
 def roller(
-    device: Device, quick: bool = False, radius: float = 7.5, thickness: float = 3.0, resin_index: float = 1.49,
-    bath_index: float = 1.33, absorption: float = 0.22, step: float = np.pi / 360.0, pixel: float = 0.05,
+    device: Device,
+    quick: bool = False,
+    radius: float = 7.5,
+    thickness: float = 3.0,
+    resin_index: float = 1.49,
+    bath_index: float = 1.33,
+    absorption: float = 0.22,
+    step: float = np.pi / 360.0,
+    pixel: float = 0.05,
 ) -> Picture:
     """The roller of roll-to-roll printing in water; step [rad]."""
     machine = Roller(radius, Film(thickness, resin_index, bath_index, absorption), step)
@@ -144,8 +151,11 @@ def _flat(axis: Axes, map: WrapMap, light: Propagation, web: WebGrid) -> None:
                 interpolation="nearest")  # fmt: skip
     for side in (-0.5, 0.5):
         axis.axvline(side * map.arc, color="white", lw=0.8, ls=(0, (4, 3)))
-    axis.set(xlabel="l from the place nearest the light [mm]", ylabel="rho [mm]",
-             title="Fifteen columns in the film laid flat, root of what they leave; the legs begin at the broken lines")
+    axis.set(
+        xlabel="l from the place nearest the light [mm]",
+        ylabel="rho [mm]",
+        title="Fifteen columns in the film laid flat, root of what they leave; the legs begin at the broken lines",
+    )
     axis.grid(False)
 
 
@@ -184,8 +194,11 @@ def _loss(axis: Axes, machine: Roller) -> list[Fact]:
     axis.set(xlabel="angle of incidence [°]", xlim=(0, 90), ylim=(0, 2.2), title="Fresnel's loss")
     axis.legend(loc="upper left")
     return [
-        Fact(f"angle of incidence from which a gain of {found.limit:g} is too little", float(np.degrees(found.clipped)),
-             "°"),  # fmt: skip
+        Fact(
+            f"angle of incidence from which a gain of {found.limit:g} is too little",
+            float(np.degrees(found.clipped)),
+            "°",
+        ),  # fmt: skip
         Fact("angles at the outer face that clipping loses", float(np.degrees(found.lost)), "°", 3),
         Fact("angles covered at the roller", found.inner, "rad"),
     ]

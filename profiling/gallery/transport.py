@@ -10,7 +10,7 @@ import numpy as np
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.concentrations import Concentrations
-from vamgpu.chemistry.exposure import Exposure, Extinction
+from vamgpu.chemistry.exposure import ColorExposure, ColorExtinction
 from vamgpu.chemistry.printrun import PrintRun
 from vamgpu.chemistry.reaction import Reaction
 from vamgpu.chemistry.species import PAPER
@@ -72,13 +72,15 @@ def transport(
     return Picture(figure, caption, facts, None, (PAPER,))
 
 
-def _exposure(box: Box, angles: int, extinction: float, device: Device) -> Exposure:
+def _exposure(box: Box, angles: int, extinction: float, device: Device) -> ColorExposure:
     """Visible light onto a cylinder of 0.2 of the width; ultraviolet light around it."""
     r = np.abs(centers(box.shape[0], box.pitch[0])) / (box.radius or 1.0)
     shape = (angles, box.shape[0], box.shape[2])
     visible = np.broadcast_to(np.where(r < 0.4, 1.0, 0.0)[None, :, None], shape)
     ultraviolet = np.broadcast_to(np.where((r > 0.44) & (r < 0.95), 0.6, 0.0)[None, :, None], shape)
-    return Exposure(box, visible, ultraviolet, (Extinction(0.05), Extinction(0.05, extinction)), device=device)
+    return ColorExposure(
+        box, visible, ultraviolet, (ColorExtinction(0.05), ColorExtinction(0.05, extinction)), device=device
+    )
 
 
 def _look(state: Concentrations, places: dict[str, tuple[int, int]], seen: dict[str, list[list[float]]]) -> None:

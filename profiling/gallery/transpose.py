@@ -41,7 +41,7 @@ def transpose(device: Device, quick: bool = False, voxels: int = 8, angles: int 
         facts.append(Fact(f"largest difference, {kind}, over the largest entry", float(np.abs(gap).max()), "", 2,
                           LIMIT, bound="≤"))  # fmt: skip
         facts.append(Fact(f"entries that are not zero, {kind}", 100 * float((forward != 0).mean()), "%", 3))
-        facts.append(Fact(f"gap between ⟨Ax, y⟩ and ⟨x, Aᵀy⟩ over the norms of Ax and y, {kind}", A.prove(), "", 2))
+        facts.append(Fact(f"gap between ⟨Ax, y⟩ and ⟨x, Aᵀy⟩ over the norms of Ax and y, {kind}", A.dot_test(), "", 2))
     caption = (
         "Each row is a ray, each column a voxel. The projector is asked for one voxel after another, the back "
         "projector for one ray after another; written out, the second is the transpose of the first to the rounding of "

@@ -24,8 +24,15 @@ PAPER_RADIUS, PAPER_LATERAL = 8.27, 0.045
 
 
 def vial(
-    device: Device, quick: bool = False, radius: float = 12.4, wall: float = 1.0, resin_index: float = 1.49962,
-    wall_index: float = 1.473, bath_index: float = 1.0, absorption: float = 0.05, pixel: float = 0.067,
+    device: Device,
+    quick: bool = False,
+    radius: float = 12.4,
+    wall: float = 1.0,
+    resin_index: float = 1.49962,
+    wall_index: float = 1.473,
+    bath_index: float = 1.0,
+    absorption: float = 0.05,
+    pixel: float = 0.067,
 ) -> Picture:
     """The vial of the automatic exposure paper, in air."""
     glass = Vial(radius, wall, resin_index, wall_index, bath_index, absorption)

@@ -25,7 +25,11 @@ RADIUS, THICKNESS = 7.5, 3.0
 
 
 def webs(
-    device: Device, quick: bool = False, length: float = 250.0, pitch: float = 0.2, cell: float = 6.0,
+    device: Device,
+    quick: bool = False,
+    length: float = 250.0,
+    pitch: float = 0.2,
+    cell: float = 6.0,
     drift: float = 2.0,
 ) -> Picture:
     """A film ``length`` [mm] long of cells [mm] that drift along it, in voxels of ``pitch`` [mm]."""
@@ -82,7 +86,7 @@ def _light(job: Stream) -> tuple[np.ndarray, float]:
     """Light of all poses [pose, r, z], before it becomes bytes, and that of a full-on pixel."""
     found, scale = [], 0.0
     for segment in job:
-        found.append(job.solver.held().numpy()[job.layout.overlap :][: len(segment.images)])
+        found.append(job.solver.buffer().numpy()[job.layout.overlap :][: len(segment.images)])
         scale = segment.scale
     return np.concatenate(found), scale
 

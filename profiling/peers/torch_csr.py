@@ -44,7 +44,7 @@ def measure(
     start = time.perf_counter()
     matrix = joseph_matrix(n, angles) if file is None else sp.load_npz(file).tocsr()
     if matrix.shape != (angles * n, n * n):
-        raise ValueError(f"the matrix has shape {matrix.shape}; wanted {(angles * n, n * n)}")
+        raise ValueError(f"the matrix has shape {matrix.shape}; expected {(angles * n, n * n)}")
     forward, back = _tensor(matrix), _tensor(matrix.T.tocsr())
     built = time.perf_counter() - start
     rng = np.random.default_rng(0)

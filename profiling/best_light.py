@@ -1,0 +1,148 @@
+"""Strict process window of every method on ten small parts at equal projector evaluations, beside its bound.
+
+Five slices of 40 × 40 voxels and 60 angles, and five bundled shapes and lattices of some 32 voxels across and 60
+angles. Every method asks for the same two thresholds (`vamgpu.methods.compare`) and may spend the same projector
+evaluations, warm starts included; the default, "best", is one of two others by its evaluations. A light counts by
+its dose on the float64 reference. The bound is that of 1000 evaluations: no light whatever has a wider window.
+Exposure is the greatest light of a pixel over the mean dose of the part [1/mm]; dose outside is the mean one over
+the mean in the part.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import HERE, machine, write_record
+
+import vamgpu
+from vamgpu.errors import Diverged, DivergenceWarning
+from vamgpu.methods import bound
+from vamgpu.methods.compare import LABELS, compared
+from vamgpu.metrics import score
+from vamgpu.operators.reductions import extent
+from vamgpu.targets import shapes
+
+BUDGETS = (10, 40, 120, 400)
+PITCH, ANGLES, SIZE = 0.1, 60, 32
+SHAPES = ("boat", "gyroid_sphere", "cubic_lattice", "crossing_channels", "gear_base")
+
+
+def slices() -> dict[str, np.ndarray]:
+    """Fractions [x, y, 1] of five parts."""
+    x, y = np.meshgrid(*2 * [np.arange(40) - 19.5], indexing="ij")
+    r, t = np.hypot(x, y), np.arctan2(y, x)
+    hole = [(np.mod(side + 12, 8) > 3) & (np.mod(side + 12, 8) < 6) for side in (x, y)]
+    parts = {
+        "ring": (r < 14) & (r > 9),
+        "gear": (r < 12 + 2.5 * np.sign(np.cos(8 * t))) & (r > 4),
+        "cross": ((abs(x) < 3) | (abs(y) < 3)) & (r < 15),
+        "plate with holes": (abs(x) < 12) & (abs(y) < 12) & ~(hole[0] & hole[1]),
+        "bars": (abs(x) < 13) & (abs(y) < 13) & (np.mod(x + 13, 5) < 2.6),
+    }
+    return {name: part[:, :, None].astype(np.float32) for name, part in parts.items()}
+
+
+def parts(device: Any, size: int) -> dict[str, tuple[vamgpu.Projection, np.ndarray]]:
+    """Operators and fractions of all ten."""
+    found = {}
+    for name, fractions in slices().items():
+        grid, beam = vamgpu.Grid((40, 40, 1), PITCH), vamgpu.Beam((58, 1), PITCH)
+        found[name] = (vamgpu.Projection(grid, beam, vamgpu.Turntable(ANGLES), None, device), fractions)
+    for name in SHAPES:
+        solid = shapes.build(name)
+        factor = 0.5 * 0.9 * size * PITCH / solid.radius
+        target = vamgpu.Target.from_mesh(solid, factor=factor, pitch=PITCH, device=device)
+        columns, rows = target.grid.shape[0], target.grid.shape[2]
+        beam = vamgpu.Beam((columns, rows), PITCH)
+        found[name] = (vamgpu.Projection(target.grid, beam, vamgpu.Turntable(ANGLES), None, device), target.numpy())
+    return found
+
+
+def judged(A: vamgpu.Projection, fractions: np.ndarray, light: Any) -> dict[str, float]:
+    """A light by the float64 reference."""
+    exact = vamgpu.Projection(A.grid, A.beam, A.motion, A.vessel, "numpy")
+    values = light.numpy()
+    dose = exact.T(exact.device.upload(values))
+    found, inside = score(dose, exact.device.upload(fractions)), fractions >= 0.5
+    near, at = A.grid.cylinder()[:, :, None], dose.numpy()
+    return {
+        "window": round(float(found.window), 5),
+        "exposure": round(float(extent(light)[1] / at[inside & near].mean()), 4),
+        "outside": round(float(at[~inside & near].mean() / at[inside & near].mean()), 4),
+    }
+
+
+def measure(A: vamgpu.Projection, fractions: np.ndarray, methods: list[str], evaluations: int) -> dict[str, Any]:
+    """Every method at every budget, and the bound."""
+    out: dict[str, Any] = {}
+    for method in methods:
+        out[method] = {}
+        plan: Any = None
+        for budget in BUDGETS:
+            # a line search that a budget cuts short is not what it would have been, nor does the default choose alike
+            before = None if method in ("lbfgs", "best") else plan
+            try:
+                plan = compared(A, fractions, method, budget, resume=before)
+            except Diverged as error:  # the light of before counts
+                if error.plan is None:
+                    raise
+                plan = error.plan
+            found = judged(A, fractions, plan.sinogram)
+            out[method][str(budget)] = {**found, "claimed": round(plan.window, 5), "evaluations": plan.evaluations}
+    limit = bound(A, fractions, evaluations=evaluations)
+    return {"voxels": list(A.grid.shape), "bound": round(limit.value, 5), "methods": out}
+
+
+def added(before: dict[str, Any], record: dict[str, Any]) -> dict[str, Any]:
+    """A record with the methods and the machine of another added; the lower bound counts."""
+    for name, part in before["parts"].items():
+        part["methods"] |= record["parts"][name]["methods"]
+        part["bound"] = min(part["bound"], record["parts"][name]["bound"])
+    before["order"] += [method for method in record["order"] if method not in before["order"]]
+    return before | {"machine": record["machine"]}
+
+
+def table(record: dict[str, Any]) -> str:
+    """Windows in Markdown: a row for a part and a budget, a column for a method, the greatest in bold."""
+    methods = record["order"]
+    lines = [f"| part | bound | evaluations | {' | '.join(methods)} |", "|---" * 2 + "|--:" * (len(methods) + 1) + "|"]
+    for name, part in record["parts"].items():
+        for budget in BUDGETS:
+            found = [part["methods"][method][str(budget)]["window"] for method in methods]
+            cells = [f"**{w:+.3f}**" if w == max(found) else f"{w:+.3f}" for w in found]
+            begins = f"{name} | {part['bound']:+.3f}" if budget == BUDGETS[0] else " | "
+            lines.append(f"| {begins} | {budget} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--methods", nargs="+", choices=tuple(LABELS), default=[*LABELS][1:])
+    parser.add_argument("--parts", nargs="+", default=None, help="some of the ten")
+    parser.add_argument("--size", type=int, default=SIZE, help="voxels across of shapes and lattices")
+    parser.add_argument("--evaluations", type=int, default=1000, help="of the bound")
+    parser.add_argument("--add", action="store_true", help="add the methods to the record that stands")
+    parser.add_argument("--device", default=None)
+    parser.add_argument("--records", type=Path, default=HERE / "records")
+    parser.add_argument("--label", default="cpu", help="of the machine, part of the record's name")
+    args = parser.parse_args()
+    warnings.simplefilter("ignore", DivergenceWarning)
+    device = vamgpu.open_device(args.device)
+    record: dict[str, Any] = {"angles": ANGLES, "order": args.methods, "machine": machine(device), "parts": {}}
+    for name, (A, fractions) in parts(device, args.size).items():
+        if args.parts is None or name in args.parts:
+            record["parts"][name] = measure(A, fractions, args.methods, args.evaluations)
+            print(name, "done", flush=True)
+    if args.add:
+        record = added(json.loads((args.records / f"best-light-{args.label}.json").read_text("utf-8")), record)
+    print(table(record))
+    print(write_record(args.records, f"best-light-{args.label}", record))
+
+
+if __name__ == "__main__":
+    main()

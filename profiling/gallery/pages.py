@@ -1,0 +1,126 @@
+"""Draw the live page in its states: ``python -m profiling.gallery.pages [FOLDER]``; needs Playwright and Chromium."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.hosts.panel import Panel
+from vamgpu.hosts.state import Board, PrintState
+from vamgpu.printing.scatter import ScatterReading
+
+DESK, PHONE = (1100, 760), (390, 844)
+KEPT = ("printing-vial", "printing-two", "held", "phone")
+"""Which stand in docs/; all others are drawn to be looked at."""
+
+
+def frame(angle: float, rows: int = 240, columns: int = 320) -> np.ndarray:
+    """A ring and a bar, seen from an angle."""
+    x, z = np.meshgrid(np.linspace(-1.6, 1.6, columns), np.linspace(-1.2, 1.2, rows))
+    width = 0.25 + 0.6 * abs(np.cos(angle))
+    ring = (np.hypot(x / width, z) < 0.9) & (np.hypot(x / width, z) > 0.5)
+    return np.where(ring, 200, np.where(abs(z) < 0.08, 120, 0)).astype(np.uint8) * (abs(x) < 1.2)
+
+
+def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
+    """The size of the page and the snapshot, by the name of its picture."""
+    vial = {
+        "state": "printing", "job": "benchy.vam", "slots": 14400, "slot": 5230, "frame": 190, "position": 5230.4,
+        "light": True, "power": 0.8, "fill": 0.93, "margin": 214_000_000, "spent": 0.361, "left": 229.0,
+        "lease": 1.0, "renewed": 0.04, "preview": frame(0.4), "polled": True,
+    }  # fmt: skip
+    dark = vial | {"light": False, "renewed": None, "interlock_closed": True}
+    curve = [ScatterReading(float(t), 0.3 / (1 + np.exp((70 - t) / 9)), False) for t in range(0, 88)]
+    web = {"job": "web.vam", "unit": "mm", "focus": -1.25, "position": 871.2, "slots": 0}
+    ended = dark | {"left": None}
+    return {
+        "standby": (DESK, {"job": "benchy.vam", "slots": 14400}),
+        "printing-vial": (DESK, vial | {"scatter": curve, "threshold": 0.35, "camera": frame(1.2) // 2 + 40}),
+        "printing-web": (DESK, vial | web),
+        "printing-two": (DESK, vial | {"job": "visible.vam uv.vam", "others": (frame(1.3),)}),
+        "paused": (DESK, dark | {"state": "paused"}),
+        "held": (DESK, dark | {
+            "state": "held",
+            "message": "the light went off: the controller closed the light: interlock; 9169 of 14400 slots remain",
+            "interlock_closed": False, "deadline": time.monotonic() + 24.9,
+        }),
+        "complete": (DESK, ended | {"state": "complete", "slot": 14399, "spent": 0.99}),
+        "incomplete": (DESK, ended | {"state": "incomplete", "slot": 14399, "dark": 7, "message": "7 lack light"}),
+        "cancelled": (DESK, ended | {"state": "cancelled", "message": "emergency stop at the panel"}),
+        "error": (DESK, ended | {"state": "error", "message": "the motor stalled at 5230.4 deg; look at its cable"}),
+        "lost": (DESK, vial),
+        "phone": (PHONE, vial | {"others": (frame(1.3),)}),
+        "phone-lost": (PHONE, vial),
+    }  # fmt: skip
+
+
+def runs(place: Path) -> None:
+    """Run folders of earlier prints."""
+    now = time.time()
+    told = (
+        ("benchy-3.run", "benchy.vam", "cancelled", "emergency stop at the panel", 4000, 131),
+        ("benchy-2.run", "benchy.vam", "complete", "scatter density 0.352 reached 0.35 after 212.4 s", 9000, 214),
+        ("ear.run", "ear.vam", "error", "the motor stalled at 212.8 deg; look at its cable", 90000, 61),
+    )
+    for name, job, state, message, ago, seconds in told:
+        (folder := place / name).mkdir()
+        began = now - ago
+        (folder / "run.json").write_text(json.dumps({"jobs": [job]}))
+        (folder / "events.jsonl").write_text(json.dumps({"wall": began}) + "\n")
+        (folder / "state.json").write_text(json.dumps({"state": state, "message": message, "wall": began + seconds}))
+        (folder / "report.html").write_text("")
+        os.utime(folder / "state.json", (began, began))
+
+
+def shoot(out: Path, wanted: tuple[str, ...] = ()) -> list[Path]:
+    """Draw the wanted pages, or all."""
+    from playwright.sync_api import sync_playwright
+
+    drawn = []
+    with tempfile.TemporaryDirectory() as place, sync_playwright() as tools:
+        runs(Path(place))
+        browser = tools.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        for name, (size, fields) in states().items():
+            if wanted and name not in wanted:
+                continue
+            board = Board()
+            for button in ("pause", "resume", "cancel"):
+                board.button(button, lambda: None)
+            page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+            with Panel(board, runs=place) as panel:
+                state = PrintState(fields.get("state", "standby"))
+                polled = time.monotonic() if "polled" in fields else None
+                board.show(**fields | {"state": state, "polled": polled})
+                page.goto(panel.url)
+                page.get_by_test_id("history").locator("li").first.wait_for()
+                page.wait_for_function("[...document.images].every((image) => image.complete)")
+                if polled is not None:
+                    board.show(polled=time.monotonic())
+                page.wait_for_timeout(400)
+                drawn.append(out / f"page-{name}.png")
+                page.screenshot(path=drawn[-1])
+            if name.endswith("lost"):
+                page.get_by_test_id("lost").wait_for()
+                page.wait_for_timeout(300)
+                page.screenshot(path=drawn[-1])
+            wide = page.evaluate("document.documentElement.scrollWidth")
+            if wide > size[0]:
+                raise BadInput(f"the page {name!r} is {wide} pixels wide; expected {size[0]} at most")
+            page.close()
+        browser.close()
+    return drawn
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    for image in shoot(folder or Path("docs"), () if folder else KEPT):
+        print(f"drew {image}")

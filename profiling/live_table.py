@@ -1,0 +1,283 @@
+"""Five generations of resin x what is off x how the print is ended: overlap, window, surface and exposure, proved."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import multiprocessing
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import vamgpu
+from vamgpu.live import LiveLoop, SensorNoise, Turbidity
+from vamgpu.live.printer import GENERATIONS, CuringResin, Truth, VirtualPrinter
+from vamgpu.live.record import LiveSetup
+from vamgpu.methods.run import optimize
+from vamgpu.metrics import score
+from vamgpu.optics.vial import Vial
+from vamgpu.printing.scatter import ScatterStop
+from vamgpu.printing.surface import deviation, iso_surface
+
+PLANNED, LONGEST = 16, 32
+OFF = {
+    "nothing else": Truth(),
+    "lamp -20 %": Truth(lamp=0.8),
+    "absorption +15 %": Truth(absorption=0.15),
+    "axis 0.5 pixel": Truth(across=0.5),
+    "gain 10 % along z": Truth(along_z=0.05),
+}
+POLICIES = ("timer", "scatter stop", "live")
+KEY = ("generation", "off", "policy", "seed")
+RECORD = Path(__file__).parent / "records" / "live-cpu.json"
+OFTEN = 20.0
+"""Seconds after which the record is written again."""
+
+Cell = tuple[int, str, str, int]
+
+
+class Bench:
+    """One part, its plan, and prints of it."""
+
+    part: np.ndarray
+    light: np.ndarray
+    density: float
+    """Of scattered light, half a turn before the plan's end in fresh resin."""
+    known: dict[str, Any]
+    """What takes long to find out, for other processes."""
+
+    def __init__(self, size: int, angles: int, device: str = "", known: dict[str, Any] | None = None) -> None:
+        pitch = 4.8 / size
+        vial = Vial(8.0, 0.5, 1.5, 1.5, 1.0, absorption=0.1)
+        self.setup = LiveSetup(
+            (size, size, size // 2), pitch, (2 * size, size // 2), pitch, angles, vial, replace(vial, absorption=0.0),
+            800.0, SensorNoise(read=0.8, gain=0.01, bits=10), CuringResin(), Turbidity((0.0, 1.0), (0.0, 0.25)),
+            1.3, PLANNED, LONGEST, device=device,
+        )  # fmt: skip
+        self.plan, self.camera = self.setup.projection(vial), self.setup.camera()
+        self.part = maze(*np.meshgrid(*self.plan.grid.axes(), indexing="ij"), pitch)
+        self.printer_like = cache(self._printer_like)
+        self.known = self._calibrated() if known is None else known
+        self.light, self.density = self.known["light"], self.known["density"]
+        self.setup = replace(self.setup, resin=CuringResin(solid=self.known["solid"]))
+        self.printer_like.cache_clear()
+        self.loop: LiveLoop = self.setup.loop(self.part, self.light)
+        self._doses: dict[tuple[float, ...], np.ndarray] = {}
+
+    def _calibrated(self) -> dict[str, Any]:
+        """What a user knows of the plan printed in fresh resin: where it is solid, and what scatters at the end."""
+        self.light = (np.asarray(optimize(self.plan, self.part, iterations=40).sinogram) / PLANNED).astype(np.float32)
+        printer = self.printer(Truth(), 99)
+        dose, stop = printer.dose(self.light), self._stop(1e30, printer)
+        for turn in range(1, PLANNED + 1):
+            printer.turn(dose)
+            stop.see(turn, printer.aside().sum(axis=0))
+        field, levels = printer.printed(), np.arange(0.8, 0.9, 0.005)
+        away = [self.surface(field, level) for level in printer.resin.conversion(levels)]
+        return {
+            "light": self.light,
+            "density": 0.5 * (stop.readings[-1].density + stop.readings[-2].density),
+            "solid": float(levels[np.nanargmin(away)]),
+            "fresh_um": 1e3 * float(np.nanmin(away)),
+        }
+
+    def _printer_like(self, absorption: float, across: float, along_z: float) -> VirtualPrinter:
+        truth = Truth(absorption=absorption, across=across, along_z=along_z)
+        return VirtualPrinter(self.plan, self.camera, self.setup.resin, self.setup.turbidity, truth)
+
+    def printer(self, truth: Truth, seed: int) -> VirtualPrinter:
+        """Before its first turn; those of the same optics share their tables."""
+        printer = copy.copy(self.printer_like(truth.absorption, truth.across, truth.along_z))
+        printer.truth, printer.seed, printer.state = truth, seed, np.zeros_like(printer.state)
+        printer.state[0] = truth.inhibitor * printer.resin.induction
+        return printer
+
+    def dose(self, printer: VirtualPrinter) -> np.ndarray:
+        """Of a turn of the plan."""
+        truth = printer.truth
+        optics = truth.absorption, truth.across, truth.along_z
+        if optics not in self._doses:
+            self._doses[optics] = printer.dose(self.light)
+        return self._doses[optics]
+
+    def _stop(self, density: float, printer: VirtualPrinter) -> ScatterStop:
+        stop = ScatterStop(float(self.part.sum()), density)
+        stop.see(0.0, printer.aside().sum(axis=0))
+        return stop
+
+    def ended(self, policy: str, printer: VirtualPrinter) -> float:
+        """Print until a policy ends it; the light used, in turns of the plan."""
+        dose, spent = self.dose(printer), 0.0
+        if policy == "timer":
+            for _ in range(PLANNED):
+                printer.turn(dose)
+            return float(PLANNED)
+        if policy == "scatter stop":
+            stop = self._stop(self.density, printer)
+            while stop.stopped is None and printer.turns < LONGEST:
+                printer.turn(dose)
+                stop.see(printer.turns, printer.aside().sum(axis=0))
+            return float(printer.turns)
+        state, action = self.loop.start(), "keep"
+        while action != "stop":
+            spent += float(state.light.mean() / self.light.mean())
+            printer.turn(dose)
+            state, decision = self.loop.decide(state, printer.through())
+            action = decision.action
+            if action == "swap":
+                dose = printer.dose(state.light)
+        return spent
+
+    def surface(self, field: np.ndarray, level: float) -> float:
+        """RMS distance of the surface of a field from the part's [mm]; NaN without one."""
+        pitch = self.plan.grid.pitch
+        target, printed = iso_surface(self.part, 0.5, pitch), iso_surface(field, level, pitch)
+        if not len(printed.points):
+            return float("nan")
+        return max(
+            float(np.sqrt(np.mean(np.square(deviation(*way))))) for way in ((printed, target), (target, printed))
+        )
+
+    def printed(self, cell: Cell) -> dict[str, Any]:
+        """A print and its end: overlap, window of conversion, RMS of the surfaces [mm], turns, and light in turns."""
+        generation, off, policy, seed = cell
+        began = time.perf_counter()
+        printer = self.printer(replace(OFF[off], inhibitor=GENERATIONS[generation - 1] / GENERATIONS[0]), seed)
+        spent = self.ended(policy, printer)
+        field, device, gel = printer.printed(), self.plan.device, self.setup.resin.gel
+        scores = score(device.upload(field.astype(np.float32)), device.upload(self.part), threshold=gel)
+        return dict(zip(KEY, cell, strict=True)) | {
+            "iou": scores.iou, "window": scores.windows.strict, "rms_mm": self.surface(field, gel),
+            "turns": printer.turns, "light": spent, "seconds": time.perf_counter() - began,
+        }  # fmt: skip
+
+
+def maze(x: np.ndarray, y: np.ndarray, z: np.ndarray, pitch: float) -> np.ndarray:
+    """Rings two pixels thick and two apart, with gates of two pixels on either side in turns, on a lid."""
+    r = np.hypot(x, y)
+    ring = np.floor((1.8 - r) / (2 * pitch)).astype(int)
+    gate = (np.abs(x) < pitch) & (np.where(ring % 4 == 0, y, -y) > 0)
+    walls = (ring % 2 == 0) & ~gate & (np.abs(z) < 0.85)
+    lid = (z > -0.85) & (z < 2 * pitch - 0.85)
+    return ((r < 1.8) & (r > 0.3) & (walls | lid)).astype(np.float32)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--size", type=int, default=48, help="voxels along an edge")
+    parser.add_argument("--angles", type=int, default=90)
+    parser.add_argument("--seeds", type=int, default=10, help="of the camera's noise; the timer has no camera")
+    parser.add_argument("--generations", type=int, nargs="+", default=range(1, 6), choices=range(1, 6))
+    parser.add_argument("--off", nargs="+", default=list(OFF), choices=list(OFF))
+    parser.add_argument("--policies", nargs="+", default=list(POLICIES), choices=POLICIES)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes, each with its share of the cores")
+    parser.add_argument("--device", default="", help="of all processes, e.g. warp:cuda:0; the usual one if left out")
+    parser.add_argument("--record", type=Path, default=RECORD)
+    parser.add_argument("--more", action="store_true", help="go on with the prints that the record does not have")
+    parser.add_argument("--markdown", action="store_true", help="print the table of the record, and make no print")
+    given = parser.parse_args()
+    if given.markdown:
+        print(told(json.loads(given.record.read_text())))
+        return
+    bench = Bench(given.size, given.angles, given.device)
+    record = {
+        "machine": {"device": bench.plan.device.name, "jobs": given.jobs, "vamgpu": vamgpu.__version__},
+        "size": [given.size, given.size, given.size // 2], "angles": given.angles,
+        "fresh_um": bench.known["fresh_um"], "solid": bench.known["solid"], "seconds": 0.0, "prints": [],
+    }  # fmt: skip
+    if given.more and given.record.exists():
+        record = json.loads(given.record.read_text())
+    there = {tuple(p[name] for name in KEY) for p in record["prints"]}
+    cells = [
+        (generation, off, policy, seed)
+        for seed, policy, generation, off in product(
+            range(given.seeds), reversed(given.policies), given.generations, given.off
+        )
+        if (generation, off, policy, seed) not in there and not (policy == "timer" and seed)
+    ]
+    began = written = time.perf_counter()
+    before = record["seconds"]
+    for printed in prints(bench, cells, given.jobs):
+        record["prints"].append(printed)
+        now = time.perf_counter()
+        record["seconds"] = before + now - began
+        if now - written > OFTEN or len(record["prints"]) == len(there) + len(cells):
+            given.record.write_text(json.dumps(record, indent=1) + "\n")
+            print(f"{len(record['prints'])} prints in {record['seconds']:.0f} s", flush=True)
+            written = now
+    print(told(record))
+
+
+_bench: Bench
+
+
+def prints(bench: Bench, cells: Sequence[Cell], jobs: int) -> Iterator[dict[str, Any]]:
+    """All cells, in processes if there is more than one."""
+    if jobs < 2:
+        yield from map(bench.printed, cells)
+        return
+    context = multiprocessing.get_context("spawn")  # devices do not survive a fork
+    turns, setup = context.Value("i", 0), bench.setup
+    given = setup.shape[0], setup.angles, setup.device, bench.known
+    with context.Pool(jobs, _opened, (turns, jobs, given)) as pool:
+        yield from pool.imap_unordered(_one, cells)
+
+
+def _opened(turns: Any, jobs: int, given: tuple[Any, ...]) -> None:
+    """A process's own bench, on its share of the cores, so that devices do not start as many threads as there are."""
+    global _bench
+    with turns.get_lock():
+        mine, turns.value = turns.value, turns.value + 1
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, cores[mine % len(cores) :: jobs] if jobs < len(cores) else [cores[mine % len(cores)]])
+    _bench = Bench(*given)
+
+
+def _one(cell: Cell) -> dict[str, Any]:
+    return _bench.printed(cell)
+
+
+def told(record: dict[str, Any]) -> str:
+    """In Markdown: of each cell the least overlap and window, the mean RMS of its seeds, and the mean light."""
+    made: dict[tuple[int, str, str], list[dict[str, Any]]] = {}
+    for p in record["prints"]:
+        made.setdefault((p["generation"], p["off"], p["policy"]), []).append(p)
+    lines = ["| generation, off | " + " | ".join(POLICIES) + " |", "|---|" + "---|" * len(POLICIES)]
+    half, drifting, kept, full = 0, 0, 0, 0
+    for generation, off in product(range(1, len(GENERATIONS) + 1), OFF):
+        cells, rms = [], {}
+        for policy in POLICIES:
+            some = made.get((generation, off, policy), [])
+            if not some:
+                cells.append("")
+                continue
+            iou, window = (min(p[name] for p in some) for name in ("iou", "window"))
+            rms[policy], light = 1e3 * np.mean([p["rms_mm"] for p in some]), np.mean([p["light"] for p in some])
+            cells.append(f"{iou:.3f}, {window:.2f}, {rms[policy]:.0f}, {light:.1f}")
+            if policy == "live":
+                full, kept = full + 1, kept + (iou >= 0.995)
+        if off != next(iter(OFF)) and {"live", "scatter stop"} <= rms.keys():
+            drifting += 1
+            half += not rms["live"] > 0.5 * rms["scatter stop"]
+        if any(cells):
+            lines.append(f"| {generation}, {off} | " + " | ".join(cells) + " |")
+    seeds = 1 + max((p["seed"] for p in record["prints"]), default=0)
+    return "\n".join([
+        *lines, "",
+        f"Live keeps an overlap of 0.995 in {kept} of {full} cells. Its RMS is at most half the scatter stop's in "
+        f"{half} of {drifting} where something drifts; in fresh resin the plan's own is {record['fresh_um']:.0f} µm. "
+        f"{seeds} seeds on {record['machine']['device']}, {record['machine']['jobs']} processes, "
+        f"{record['seconds']:.0f} s.",
+    ])  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
