@@ -202,7 +202,7 @@ def test_each_cause_of_darkness_is_told_apart(device: Device) -> None:
 @pytest.mark.parametrize("timed", [False, True])
 def test_frames_that_print_nothing_are_not_judged(device: Device, timed: bool) -> None:
     operator = projection(device)
-    times = {"irradiance": 1.0, "critical_dose": 0.1, "absorption": 0.1} if timed else {}
+    times: dict[str, Any] = {"irradiance": 1.0, "critical_dose": 0.1, "absorption": 0.1} if timed else {}
     dark = np.zeros(operator.range.shape)
     beside = dark.copy()
     beside[:, [0, -1]] = 1.0  # meets corners of the grid at most, beyond the cylinder

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,7 +110,8 @@ def test_mean_and_spread_brings_corners_nearer_to_their_mean() -> None:
 
 # ---- light -----------------------------------------------------------------------------------------------------------
 def test_one_light_prints_at_all_corners_with_one_threshold(device: Device) -> None:
-    A, few = projection(device), {"iterations": 64}
+    A = projection(device)
+    few: dict[str, Any] = {"iterations": 64}
     plan = vam.optimize(A, ring(), **few, tolerances=BOTH)
     plain = vam.optimize(A, ring(), **few)
     told = BOTH.doses(A, plan, ring())
@@ -194,7 +196,8 @@ def test_a_tolerance_that_contradicts_the_print_says_so(given: dict[str, float],
 def test_bad_tolerances_are_refused() -> None:
     with pytest.raises(ToleranceError, match="least one first"):
         Tolerances(spread=(0.2, 0.1))
-    for given in ({"absorption": 1.5}, {"axis": -0.1}, {"judged": "best"}, {"spread": 0.1}):
+    wrong: list[dict[str, Any]] = [{"absorption": 1.5}, {"axis": -0.1}, {"judged": "best"}, {"spread": 0.1}]
+    for given in wrong:
         with pytest.raises(BadInput):
             Tolerances(**given)
 

@@ -36,6 +36,7 @@ from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, doses_
 from vamgpu.methods.trajectory import LossTrajectory
 from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
+from vamgpu.operators.scenarios import Scenarios
 
 METHODS: dict[str, type[Any]] = {
     "default": BestWindow,
@@ -220,9 +221,9 @@ class _Run:
 
     def _corners(self, light: DeviceArray) -> CornerDoses | None:
         """What the light gives at every corner; warns where it does not print at all of them."""
-        if self.tolerances is None:
-            return None
         scenarios = self.state.operator
+        if self.tolerances is None or not isinstance(scenarios, Scenarios):
+            return None
         told = doses_of(scenarios, self.tolerances, light, scenarios.taken(self.state.target, 0))
         if told.window <= 0.0:
             warnings.warn(

@@ -24,6 +24,7 @@ from vamgpu.methods.projector import Projector
 from vamgpu.methods.ramp import Taps
 from vamgpu.operators.compose import NO_FLOOR, combine
 from vamgpu.operators.reductions import dot, extent, folded, parts_for, window
+from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.space import require
 from vamgpu.targets.limits import Limits
 
@@ -100,9 +101,10 @@ class OptimizerState:
 
     def _count(self, half: Callable[[], Any]) -> None:
         """Do half an evaluation; of several scenarios it is what their operator really made."""
-        before = getattr(self.operator, "projections", None)
+        several = self.operator if isinstance(self.operator, Scenarios) else None
+        before = several.projections if several else 0.0
         half()
-        self.evaluations += 0.5 if before is None else self.operator.projections - before
+        self.evaluations += several.projections - before if several else 0.5
         self.memory["evaluations"] = self.evaluations
 
     def affords(self, evaluations: float) -> bool:

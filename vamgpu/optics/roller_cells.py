@@ -119,7 +119,7 @@ def walks(map: WrapMap, segments: Segments, absorption: float, shape: tuple[int,
     """
     order, rays = np.argsort(segments.ray, kind="stable"), int(segments.ray.max(initial=-1)) + 1
     kinds = (_arcs(map, segments, segments.ray, order), _straights(map, segments, segments.ray, order))
-    pieces = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))]
+    pieces: list[tuple[np.ndarray, ...]] = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))]
     for lines in kinds:
         for some in _chunks(map, lines, pitch):
             place, weight, start, length = _pieces(map, *some, absorption, (rays, *shape), pitch)
