@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Field, Integer, Table, Tiling, kernel
+from vamgpu.kernels.signature import Array, ArrayOut, Field, Integer, Table, Tiling, kernel
 
 Plain = Annotated[np.ndarray, Table("float32", ("i", "j", "z"))]
 Source = Annotated[np.ndarray, Field(("i", "j", "source"))]
@@ -26,7 +26,7 @@ def from_lanes(field: Array, plain: PlainOut) -> None:
 
 
 @kernel(over="field", cpu=Tiling(major=1, minor=0))
-def copy_slices(source: Source, first: Integer, lanes: Integer, field: ArrayInOut) -> None:
+def copy_slices(source: Source, first: Integer, lanes: Integer, field: ArrayOut) -> None:
     """field[i, j, z] = source[i, j, first + z]; slices that the source does not have stay as they are.
 
     lanes: of the source's layout (0 where it is plain).

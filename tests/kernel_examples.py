@@ -219,7 +219,7 @@ def _resampled(n: int) -> Example:
 def _stacked(n: int) -> Example:
     """Slices that begin and end within slabs of the stack, added to what stands there."""
     source, first = n // 2 + 1, n // 3 + 1
-    given = {"first": first, "factor": 0.7, "keep": 1, "lanes": lambda _, arguments: arguments["source"].lanes}
+    given = {"first": first, "factor": 0.7, "keep": 1, "lanes": lambda _, arguments: arguments["source"]}
     return Example({"i": n, "j": n + n % 2, "source": source, "z": source + first + n}, given)
 
 

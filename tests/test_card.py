@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rich
 from PIL import Image
 
 import vamgpu as vam
@@ -94,6 +95,7 @@ def test_a_bar_is_shown_where_somebody_looks(
     monkeypatch.setattr(run, "watched", lambda: looks)
     monkeypatch.setenv("FORCE_COLOR", "1")  # the bar is told that there is a terminal, and one that moves its cursor
     monkeypatch.setenv("TERM", "xterm")
+    rich.reconfigure()  # its console may be older than these settings
     vam.optimize(made["operator"], made["target"], iterations=2)
     assert ("left" in capsys.readouterr().out) is looks
     vam.optimize(made["operator"], made["target"], iterations=2, progress=False)

@@ -209,10 +209,16 @@ def _band(
 class Runout:
     """What a turn says of the axis and of what stands on it, in columns of the mirrors.
 
-    axis: column of the axis at the middle row.  lean: columns by which the axis moves from row to row.  across: cosine
-    and sine over the angle of the pin's place, which is its eccentricity.  tilt: those of its slope, columns a row,
-    which is its wobble.  axis_error, lean_error, across_error, tilt_error: standard errors, those of cosine and sine
-    each.  left: standard deviation of the pin's place about the sine [columns], which is the bearing's and noise.
+    Args:
+        axis: Column of the axis at the middle row.
+        lean: Columns by which the axis moves from row to row.
+        across: Cosine and sine over the angle of the pin's place [columns], which is its eccentricity.
+        tilt: Those of its slope [columns a row], which is its wobble.
+        axis_error: Standard error of the axis [columns].
+        lean_error: Standard error of the lean [columns a row].
+        across_error: Standard error of cosine and sine each [columns].
+        tilt_error: Standard error of cosine and sine each [columns a row].
+        left: Standard deviation of the pin's place about the sine [columns], which is the bearing's and noise.
     """
 
     axis: float

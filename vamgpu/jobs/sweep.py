@@ -27,8 +27,8 @@ class Point:
         number: Of the point, from 1.
         values: Key of the job → its value, as ``--set`` takes it.
         folder: The job folder.
-        window: Proved strict process window; NaN where there is none.
-        iou: Proved intersection over union at the best threshold.
+        window: Proved strict process window, a share of the greatest dose; NaN where there is none.
+        iou: Proved intersection over union at the best threshold [0 to 1].
         error_rate: Share of voxels on the wrong side of it.
         seconds: Exposure that the proof expects [s]; NaN where the job says no irradiance.
         error: Why there is no light, or nothing.

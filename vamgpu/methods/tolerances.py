@@ -195,7 +195,7 @@ class Tolerances:
             fill: Share of a pixel's area that is lit.
             reach: Of the part before and behind the axis [mm]: spreads measured farther away do not count.
             followed: Whether frames follow the measured runout, as `vam print` moves them; its error alone is left.
-            sure: Standard errors that a tolerance spans.
+            sure: Standard errors that a tolerance spans [1].
             more: Further tolerances, by name.
 
         Returns:

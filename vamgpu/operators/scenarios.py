@@ -120,14 +120,14 @@ class Scenarios(Derived):
             The volume, [x, y, z].
         """
         out = self.device.empty(self.each.shape) if out is None else out
-        first, lanes = self._firsts[scenario], stack.lanes
-        self.device.launch(resample, source=stack, first=first, weights=self._ones, lanes=lanes, target=out)
+        first = self._firsts[scenario]
+        self.device.launch(resample, source=stack, first=first, weights=self._ones, lanes=stack, target=out)
         return out
 
     def _put(self, source: DeviceArray, scenario: int, factor: float, keep: bool, out: DeviceArray) -> None:
         self.device.launch(
             put_slices, source=source, first=scenario * self.each.shape[2], factor=factor, keep=int(keep),
-            lanes=source.lanes, stack=out,
+            lanes=source, stack=out,
         )  # fmt: skip
 
     def _shares(self, operator: int) -> list[int]:
