@@ -41,7 +41,7 @@ iterations = 20
 """
 TURNS = 6
 live: Any = vamgpu.live  # of the package that it shares its name with, type checkers see that alone
-OFF = Truth(inhibitor=0.6, lamp=0.95)
+OFF = Truth(inhibitor=0.5, lamp=0.95)
 
 
 @pytest.fixture(scope="module")

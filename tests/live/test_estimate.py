@@ -19,7 +19,7 @@ from vamgpu.optics.vial import Vial
 from vamgpu.printing.independent import IndependentExposure
 from vamgpu.printing.scenarios import clouded, displaced
 
-TRUE = np.array([0.85, 1.15, 0.05, 0.0, 0.05, 0.0])
+TRUE = np.array([0.85, 1.15, 0.05, 0.0, 0.05, 0.0, 0.0])
 NOISE = 0.04
 
 
@@ -63,10 +63,23 @@ def test_derivatives_of_the_dose_are_those_of_the_real_operator() -> None:
     used = np.arange(light.size)[: estimator.operator.grid.shape[0] ** 2 * 16]
     near = estimator._near(light, NOMINAL, used, 0.0)
     for index, step in ((0, 0.01), (1, 0.02), (2, 0.003), (3, 0.01), (4, 0.01), (5, 0.01)):
-        ends = [estimator.delivering(NOMINAL + side * step * (np.arange(6) == index)).T(light) for side in (-1, 1)]
+        ends = [estimator.delivering(NOMINAL + side * step * (np.arange(7) == index)).T(light) for side in (-1, 1)]
         real = (np.asarray(ends[1], float) - np.asarray(ends[0], float)).reshape(-1) / (2.0 * step)
         scale = np.abs(real).max()
         assert np.sqrt(np.mean((near.rates(NOMINAL)[index] - real) ** 2)) < 0.02 * scale, NAMES[index]
+
+
+def test_resin_that_has_had_some_dose_is_told_from_a_stronger_lamp() -> None:
+    estimator, light, dose = setup()
+    conversion = estimator.conversion(dose + 0.2)
+    conversion += NOISE * np.random.default_rng(0).standard_normal(dose.shape)
+    found = estimator.estimate(light, conversion, NOISE, Prior.of(None, {"head_start": 0.3}))
+    value, deviation = found.parameters["head_start"]
+    assert value == pytest.approx(0.2, abs=3.0 * deviation) and deviation < 0.05
+    within = estimator.operator.grid.cylinder()
+    assert np.sqrt(np.mean((found.dose - dose - 0.2)[within] ** 2)) < 0.02
+    with pytest.raises(BadInput, match="no print has"):  # by six parameters, all of them wrong
+        estimator.estimate(light, conversion, NOISE, Prior.of())
 
 
 def test_slices_have_the_dose_of_the_whole_and_some_tell_enough(monkeypatch: pytest.MonkeyPatch) -> None:

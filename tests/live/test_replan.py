@@ -11,6 +11,7 @@ import vamgpu
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.live import Estimator, Prior, Replanner
+from vamgpu.live.border import Border
 from vamgpu.losses.response import GeneralizedLogistic
 from vamgpu.methods.run import optimize
 from vamgpu.metrics import score
@@ -45,7 +46,7 @@ def test_a_print_that_drifts_is_saved(everything: bool) -> None:
     A, _, light, replanner = setup()
     estimator = Estimator(A, GeneralizedLogistic(steepness=8.0, middle=0.7))
     off = displaced(clouded(A, 0.15), 0.5) if everything else A
-    gain = estimator.gain(np.array([0.8, 1.0, 0.0, 0.0, 0.05 if everything else 0.0, 0.0]))
+    gain = estimator.gain(np.array([0.8, 1.0, 0.0, 0.0, 0.05 if everything else 0.0, 0.0, 0.0]))
     exposure = IndependentExposure(off)
 
     def proved(images: np.ndarray) -> np.ndarray:
@@ -75,11 +76,36 @@ def test_the_best_light_within_what_may_be_spent_is_the_same_each_time() -> None
 
 
 def test_a_print_that_has_its_dose_is_stopped() -> None:
-    A, _, light, replanner = setup()
+    A, part, light, replanner = setup()
     whole = np.asarray(A.T(TURNS * light))
+    whole *= Border(part, replanner.threshold or 0.0).share(0.0 * whole, whole)
     plan = replanner.replan(A, whole, light, 2, range(4), evaluations=4)
     assert plan.expected.turns == 0 and not np.asarray(plan.light).any()
     assert plan.expected.iou > 0.99 > plan.kept.iou
+
+
+def test_the_rest_is_as_much_as_brings_the_surface_home() -> None:
+    """The surface that rays prove of 5.4 turns' light by a machine whose gain falls along z."""
+    A, part, light, replanner = setup()
+    border, lean = (
+        Border(part, replanner.threshold or 0.0),
+        Estimator(A, GeneralizedLogistic(steepness=8.0, middle=0.7)),
+    )
+    gain = lean.gain(np.array([1.0, 1.0, 0.0, 0.0, 0.05, 0.0, 0.0]))
+    exposure = IndependentExposure(A)
+
+    def proved(images: np.ndarray) -> np.ndarray:
+        return np.asarray(exposure.averaged(A.device.upload(images))[0], float) * gain
+
+    delivering, delivered = lean.delivering(np.array([1.0, 1.0, 0.0, 0.0, 0.05, 0.0, 0.0])), proved(SHOWN * light)
+    given, wanted = np.asarray(delivering.T(SHOWN * light)), np.asarray(A.T(TURNS * light))
+    off = []
+    for aim in (None, wanted):
+        plan = replanner.replan(delivering, given, light, 3, range(6), evaluations=8, wanted=aim)
+        off.append(border.off(delivered + proved(plan.expected.turns * np.asarray(plan.light))))
+        assert plan.evaluations <= 8
+    best = min(border.off(delivered + share * proved(light)) for share in np.arange(2.0, 4.0, 0.05))
+    assert off[1] < 0.8 * best and off[0] < 1.1 * best
 
 
 def test_voxels_over_their_limit_have_no_weight() -> None:

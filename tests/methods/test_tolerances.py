@@ -158,10 +158,11 @@ def test_a_resumed_run_is_the_whole_run_and_takes_the_same_tolerances() -> None:
 
 @pytest.mark.slow
 def test_few_scenarios_are_computed_and_light_is_that_of_all() -> None:
-    A = projection()
-    plan = vam.optimize(A, ring(), "widest", iterations=200, tolerances=BOTH)
-    assert plan.evaluations < 0.85 * 5 * 200
-    assert plan.window == pytest.approx(BOTH.doses(A, plan, ring()).window, abs=1e-5)
+    """Of 17 corners about half; of the five of `BOTH` nearly all hold the window."""
+    A, many = projection(), Tolerances(axis=0.01, spread=(0.05, 0.06), wobble=0.01)
+    plan = vam.optimize(A, ring(), "widest", iterations=60, tolerances=many)
+    assert plan.evaluations < 0.6 * 17 * 60
+    assert plan.window == pytest.approx(many.doses(A, plan, ring()).window, abs=1e-5)
 
 
 def test_a_scenario_that_is_beyond_the_others_is_taken_up() -> None:

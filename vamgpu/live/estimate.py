@@ -21,15 +21,16 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
 from vamgpu.printing.scenarios import clouded_and_displaced, displaced
 
-NAMES = ("sensitivity", "absorption", "across", "height", "along_z", "along_r")
+NAMES = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", "head_start")
 """Factors of the dose and of the absorption coefficient; places of the axis across the light and of the light along z
-[mm]; what the gain changes by from the middle to the top, and over half of the squared radius."""
-NOMINAL = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+[mm]; what the gain changes by from the middle to the top, and over half of the squared radius; dose that the resin has
+had before, as where inhibitor was used up."""
+NOMINAL = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 OPTICAL = (1, 2, 3)
 """Parameters that need an operator of their own; the dose is linear in the others."""
-DEVIATIONS = (0.3, 0.2, 0.1, 0.1, 0.1, 0.1)
-LEAST = np.array([0.1, 0.2, -np.inf, -np.inf, -1.0, -1.0])
-MOST = np.array([10.0, 5.0, np.inf, np.inf, 1.0, 1.0])
+DEVIATIONS = (0.3, 0.2, 0.1, 0.1, 0.1, 0.1, 1e-3)
+LEAST = np.array([0.1, 0.2, -np.inf, -np.inf, -1.0, -1.0, -np.inf])
+MOST = np.array([10.0, 5.0, np.inf, np.inf, 1.0, 1.0, np.inf])
 """Beyond these a print is no print any more; nor is the axis, or the height, farther off than a tenth of the beam."""
 EDGE = 1e-3
 """From their bounds, where parameters may start."""
@@ -50,8 +51,8 @@ class Prior:
     """What is known of the parameters before a turn is seen: a normal distribution.
 
     Args:
-        mean: Of each of `NAMES`, (6,).
-        covariance: Of each with each, (6, 6).
+        mean: Of each of `NAMES`, (7,).
+        covariance: Of each with each, (7, 7).
 
     Raises:
         BadInput: A number is not finite, or the covariance is not positive definite.
@@ -113,8 +114,8 @@ class Estimate:
     """Parameters and dose after the turns seen so far.
 
     Args:
-        values: Of each of `NAMES`, (6,).
-        covariance: Of each with each, (6, 6), widened where the residuals are greater than the noise.
+        values: Of each of `NAMES`, (7,).
+        covariance: Of each with each, (7, 7), widened where the residuals are greater than the noise.
         dose: Delivered so far, in units of Aᵀ(light), [x, y, z].
         deviation: Standard deviation of the dose of each voxel, in its unit, [x, y, z].
         chi_square: Sum of squared residuals of the voxels used, each over its variance.
@@ -136,7 +137,7 @@ class Estimate:
 
     @property
     def correlation(self) -> np.ndarray:
-        """Of each parameter with each, −1 to 1, (6, 6)."""
+        """Of each parameter with each, −1 to 1, (7, 7)."""
         spread = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.outer(spread, spread)
 
@@ -163,7 +164,7 @@ class Estimate:
 class _Near:
     """Dose of n voxels near some parameters, to second order in the optical ones.
 
-    center: parameters, (6,).  even: dose there of a gain of 1, (n,).  slopes, curves: its derivatives, (3, n).  up,
+    center: parameters, (7,).  even: dose there of a gain of 1, (n,).  slopes, curves: its derivatives, (3, n).  up,
     out: profiles of the gain along z and along r, (n,).  before: dose of earlier turns, (n,).
     """
 
@@ -182,12 +183,13 @@ class _Near:
 
     def dose(self, p: np.ndarray) -> np.ndarray:
         even, _, profile = self._parts(p)
-        return self.before + p[0] * profile * even
+        return self.before + p[6] + p[0] * profile * even
 
     def rates(self, p: np.ndarray) -> np.ndarray:
-        """Derivatives of the dose by the parameters, (6, n)."""
+        """Derivatives of the dose by the parameters, (7, n)."""
         even, slopes, profile = self._parts(p)
-        return np.stack([profile * even, *(p[0] * profile * slopes), p[0] * even * self.up, p[0] * even * self.out])
+        gains = profile * even, *(p[0] * profile * slopes), p[0] * even * self.up, p[0] * even * self.out
+        return np.stack([*gains, np.ones_like(even)])
 
 
 def _raising(rows: int, up: float) -> np.ndarray:
@@ -260,7 +262,7 @@ class Estimator:
         """Dose over that of even light.
 
         Args:
-            values: Of each of `NAMES`, (6,).
+            values: Of each of `NAMES`, (7,).
 
         Returns:
             The factor of each voxel, [x, y, z].
@@ -271,7 +273,7 @@ class Estimator:
         """The operator with these parameters; its transpose is what light delivers.
 
         Args:
-            values: Of each of `NAMES`, (6,).
+            values: Of each of `NAMES`, (7,).
 
         Returns:
             The operator, on the device of the planned one.
@@ -293,7 +295,7 @@ class Estimator:
             deviation: Standard deviation of each voxel's conversion, [x, y, z], or one for all.
             prior: What is known of the parameters of these turns.
             before: Whose dose these turns add to; None at the start.
-            start: Values that are looked about first, as those of the turn before, (6,); None takes the prior's.
+            start: Values that the search begins with, as those of the turn before, (7,); None takes the prior's.
 
         Returns:
             The estimate.
@@ -309,10 +311,8 @@ class Estimator:
         told, used = np.asarray(seen, float).reshape(-1), self._used(seen, spread, self._slices(lit))
         base = 0.0 if before is None else before.dose.reshape(-1)[used]
         whitening = np.linalg.inv(np.linalg.cholesky(prior.covariance))
-        values, data, residuals = prior.mean.copy(), np.empty((0, len(NAMES))), np.empty(0)
-        optical = list(OPTICAL)
-        if start is not None:
-            values[optical] = np.asarray(start, float)[optical]
+        values = np.array(prior.mean if start is None else start, float)
+        data, residuals, optical = np.empty((0, len(NAMES))), np.empty(0), list(OPTICAL)
         near: _Near | None = None
         for _ in range(self.rounds):
             if near is not None and (np.abs(values - near.center)[optical] <= FAR * self._apart).all():
@@ -335,7 +335,7 @@ class Estimator:
         excess = max(chi / used.size, 1.0)
         covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
         dose = self.delivering(values).T(light)
-        field = np.asarray(dose, float) + (0.0 if before is None else before.dose)
+        field = np.asarray(dose, float) + values[6] + (0.0 if before is None else before.dose)
         field, deviations = self._by_voxel(field, np.asarray(seen, float), spread.reshape(seen.shape), excess)
         return Estimate(values, covariance, field, deviations, chi, used.size)
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import repeat
-from math import exp
+from math import exp, sqrt
 from time import perf_counter
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from vamgpu.errors import VamError
-from vamgpu.live.estimate import Estimate, Estimator, Prior
+from vamgpu.live.estimate import Estimator, Prior
 from vamgpu.live.printer import CuringResin
 from vamgpu.live.replan import Replanner
 from vamgpu.live.tomography import Seen, Tomograph
@@ -24,11 +25,14 @@ SIGNIFICANT = 0.1
 ENOUGH = 50
 """Voxels of it without which nothing is estimated."""
 MODEL = 0.1
-"""Conversion by which resin and tomograph may be wrong besides the noise; neighbors are wrong alike."""
+"""Conversion by which resin and tomograph may be wrong besides the noise."""
+ALIKE = 30.0
+"""Neighbors that are wrong alike, and speak as one."""
 FIRST = 1000
 """Voxels of the first look at most."""
-USUAL = {"absorption": 0.1, "across": 0.05, "height": 0.05}
-"""Deviations of what little can be told apart by a rounded field; absorption dimensionless, places [mm]."""
+USUAL = {"absorption": 0.1, "across": 0.05, "height": 0.05, "head_start": 0.2, "sensitivity": 0.2}
+"""Deviations of what little can be told apart by a rounded field, and of the inhibitor that a vial's age used up;
+places [mm], others dimensionless."""
 GAINS = np.geomspace(0.5, 2.0, 41)
 INHIBITORS = np.linspace(0.4, 1.1, 36)
 """Light and inhibitor over planned, looked at before the rest is estimated."""
@@ -102,7 +106,7 @@ class LiveState:
         seen: The last field; None before the first.
         committed: Light of turns before the coming one that can be changed no more, one [angle, r, z] each: the first
             of them is what the frames that come next saw.
-        values: The last estimate of the parameters, (6,); None before the first.
+        values: The last estimate of the parameters, (7,); None before the first.
     """
 
     turn: int
@@ -243,18 +247,12 @@ class LiveLoop:
         even = np.asarray(operator.T(acted.astype(np.float32)), float)
         some = np.flatnonzero(inside)[:: max(np.count_nonzero(inside) // FIRST, 1)]
         gain, inhibitor = self._first_look(*(field.reshape(-1)[some] for field in (even, seen.conversion, deviation)))
-        offset = np.full(grid.shape, self.resin.induction * (1.0 - inhibitor))
-        mean = self.prior.mean.copy()
-        mean[0] = gain
-        before = Estimate(mean, self.prior.covariance, offset, offset, 0.0, 0)
+        start = np.array(self.prior.mean if state.values is None else state.values)
+        start[0], start[6] = gain, self.resin.induction * (1.0 - inhibitor)
         found = self.estimator.estimate(
-            acted.astype(np.float32),
-            seen.conversion,
-            deviation,
-            Prior(mean, self.prior.covariance),
-            before,
-            state.values,
+            acted.astype(np.float32), seen.conversion, sqrt(ALIKE) * deviation, self.prior, start=start
         )
+        inhibitor = 1.0 - float(found.values[6]) / self.resin.induction
         laps.over("estimate")
         delivering = self.estimator.delivering(found.values)
         coming = pending + np.sum(committed, axis=0) if committed else pending
@@ -262,6 +260,7 @@ class LiveLoop:
         plan = self.replanner.replan(
             delivering, delivered.astype(np.float32), state.light.astype(np.float32), left,
             range(max(self.longest - turn - self.ahead, 0) + 1), evaluations=self.evaluations,
+            wanted=self._wanted(float(found.values[6])),
         )  # fmt: skip
         turns, light = plan.expected.turns, np.array(plan.light)
         laps.over("replan")
@@ -269,6 +268,15 @@ class LiveLoop:
         action = "stop" if not turns else "swap" if swapped else "keep"
         return Decision(turn, action, state.version + swapped, light, turns, inhibitor, found.parameters,
                         float(plan.expected.iou), f"overlap {plan.kept.iou:.4f} without")  # fmt: skip
+
+    def _wanted(self, head_start: float) -> np.ndarray:
+        """Dose of the whole plan, by as much less as resin with a head start needs, which counts as dose."""
+        solid = self.resin.solid
+        return head_start + (solid - head_start) / solid * self._planned_dose
+
+    @cached_property
+    def _planned_dose(self) -> np.ndarray:
+        return np.asarray(self.estimator.operator.T((self.planned * self.light).astype(np.float32)))
 
     def _first_look(self, dose: np.ndarray, seen: np.ndarray, deviation: np.ndarray) -> tuple[float, float]:
         """Light and inhibitor over planned that explain best what is seen: where neither is known, slopes are none."""

@@ -13,6 +13,8 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.kernels.update import correct_by_ratio
+from vamgpu.live.border import Border
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import DoseObjective
@@ -23,7 +25,7 @@ from vamgpu.methods.ramp import capped_ramp
 from vamgpu.methods.state import OptimizerState
 from vamgpu.methods.window import SPAN
 from vamgpu.metrics import score
-from vamgpu.operators.compose import capped
+from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.reductions import extent
 from vamgpu.operators.space import require
 
@@ -35,6 +37,10 @@ CAP = 0.25
 """Frequency [cycles per column] beyond which the preconditioner is level."""
 ROUNDING = 1e-6
 """Share by which light may seem to exceed a bound."""
+RATIO = 5.0
+"""By which a pixel of the plan is brightened at most for the dose that is wanted."""
+WORTH = 0.02
+"""By which further turns must bring the surface nearer to the part's [voxels]."""
 
 
 def finite(space: Any, values: Any, device: Device, name: str) -> DeviceArray:
@@ -83,7 +89,8 @@ class Replanner:
     """Optimizes the light of the turns that remain; all of them show the same.
 
     The delivered dose enters the loss as an offset. Voxels that are surely over their limit (void that is already
-    printed, part above ``most``) cannot be mended and get no weight.
+    printed, part above ``most``) cannot be mended and get no weight. How much of the light is given, and whether any
+    is, is decided by where the surface of the print will lie.
 
     Args:
         target: A `Target`, or fractions [x, y, z].
@@ -116,7 +123,7 @@ class Replanner:
 
     def replan(
         self, operator: Projector, delivered: Any, plan: Any, planned: int, turns: Sequence[int], *,
-        evaluations: float, deviation: Any = 0.0,
+        evaluations: float, deviation: Any = 0.0, wanted: Any = None,
     ) -> Replanned:  # fmt: skip
         """Light for the rest of a print, the best found with what may be spent.
 
@@ -128,9 +135,11 @@ class Replanner:
             turns: Numbers of further turns that are allowed, 0 for a stop now.
             evaluations: Projector evaluations that may be spent; seconds times those a machine makes in one.
             deviation: Standard deviation of the delivered dose, [x, y, z], or one for all.
+            wanted: Dose that the whole print was meant to have, [x, y, z]; the plan's light is first corrected by
+                what is left of it. None to begin with the plan as it is.
 
         Returns:
-            The best of the light found and the plan's own.
+            The light found, or the plan's own where its surface lies no farther off.
 
         Raises:
             BadInput: A dose or light that is no number, or no turns.
@@ -146,41 +155,60 @@ class Replanner:
         given = finite(operator.domain, delivered, device, "the delivered dose")
         light = finite(operator.range, plan, device, "the plan's light")
         loss = self._loss(np.asarray(given, float), np.asarray(target, float), deviation).on(state.field)
+        border = Border(np.asarray(target), self.threshold or 0.0)
         dose, work = state.volume(), state.volume()
-
-        def loss_of(dose: DeviceArray) -> float:
-            return loss.value_and_gradient(dose, target, dose, state.reach)
 
         state.expose(light, dose)
         mean = state.part_mean(dose)
         state.combine(1.0, given, float(planned), dose, work)
-        kept, kept_loss = self._outlook(planned, work, target, state), loss_of(work)
+        kept, kept_off = self._outlook(planned, work, target, state), border.off(work)
         possible = extent(light)[1] <= self.most * (1.0 + ROUNDING) and planned in counts
 
-        best, best_loss, expected = None, inf, kept
+        best, best_off, expected = None, inf, kept
         if counts[-1]:
-            missing = max(0.5 * (self.inside + self.greatest) - state.part_mean(given), LITTLE)
-            best = self._lowered(state, loss, given, light, missing / mean, counts[-1])
+            missing = max(0.5 * (self.inside + self.greatest) - state.part_mean(given), LITTLE) / mean
+            begin = state.memory["light"] = state.sinogram()
+            state.scale(missing, light, begin)
+            fewest = self._turns(begin, counts)
+            if wanted is not None:
+                self._corrected(state, begin, missing, dose, given, finite(operator.domain, wanted, device,
+                                "the wanted dose"))  # fmt: skip
+            capped(begin, fewest * self.most)
+            best = self._lowered(state, loss, given, fewest)
             state.expose(best, dose)
-            state.combine(1.0, given, 1.0, dose, work)
-            needed = next((n for n in counts if n and extent(best)[1] <= n * self.most * (1.0 + ROUNDING)), counts[-1])
-            expected, best_loss = self._outlook(needed, work, target, state), loss_of(work)
-        state.scale(1.0, given, work)
-        if counts[0] == 0 and loss_of(work) <= min(best_loss, kept_loss if possible else inf):
+            share = border.share(given, dose)
+            state.scale(share, best, best)
+            capped(best, counts[-1] * self.most)
+            state.combine(1.0, given, share, dose, work)
+            needed = self._turns(best, counts)
+            expected, best_off = self._outlook(needed, work, target, state), border.off(work)
+        if counts[0] == 0 and border.off(given) <= min(best_off, kept_off if possible else inf) + WORTH:
             dark = state.device.upload(np.zeros(light.shape, np.float32))
             return Replanned(dark, kept, self._outlook(0, given, target, state), state.evaluations)
-        if best is None or (possible and kept_loss <= best_loss):
+        if best is None or (possible and kept_off <= best_off):
             return Replanned(light, kept, kept, state.evaluations)
         state.scale(1.0 / expected.turns, best, best)
         return Replanned(best, kept, expected, state.evaluations)
 
-    def _lowered(
-        self, state: OptimizerState, loss: Loss, given: DeviceArray, plan: DeviceArray, share: float, turns: int
-    ) -> DeviceArray:
-        """Light of all the turns together, from ``share`` of the plan's on, with what may be spent less one half."""
-        light = state.memory["light"] = state.sinogram()
-        state.scale(share, plan, light)
-        capped(light, turns * self.most)
+    def _turns(self, light: DeviceArray, counts: Sequence[int]) -> int:
+        """The fewest turns above 0 in which the projector gives so much light."""
+        return next((n for n in counts if n and extent(light)[1] <= n * self.most * (1.0 + ROUNDING)), counts[-1])
+
+    def _corrected(
+        self, state: OptimizerState, light: DeviceArray, share: float, dose: DeviceArray, given: DeviceArray,
+        wanted: DeviceArray,
+    ) -> None:  # fmt: skip
+        """Light, which gives ``share`` times a dose, times what is wanted over what it gives along each of its rays."""
+        missing, there, here = state.volume(), state.sinogram(), state.sinogram()
+        combine(1.0, wanted, -1.0, given, missing, floor=0.0)
+        state.project(missing, there)
+        state.project(dose, here)
+        state.device.launch(
+            correct_by_ratio, dose=here, scale=share, target=there, low=0.0, high=1.0, most=RATIO, model=light
+        )
+
+    def _lowered(self, state: OptimizerState, loss: Loss, given: DeviceArray, turns: int) -> DeviceArray:
+        """Light of all the turns together, from the state's on, with what may be spent less one half."""
         gain = float(np.mean(np.square(np.asarray(getattr(state.operator, "gain", 1.0), float))))
         pace = Pace(1.0 / gain, soon=1.0, possible=True)
         channel = Channel(state, capped_ramp(state.operator, CAP, SPAN))
@@ -189,7 +217,7 @@ class Replanner:
             capped(channel.light, turns * self.most)
             capped(channel.ahead, turns * self.most)
         steps.close()
-        return state.memory.get("best", light)
+        return state.memory.get("best", state.memory["light"])
 
     def _loss(self, delivered: np.ndarray, target: np.ndarray, deviation: Any) -> Band:
         """The loss of what can still be mended."""
