@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -137,7 +137,8 @@ class Snapshot:
     interlock_closed: None where nobody knows.  lens_temperature: None where the lens tells none [degC]; both are asked
     in the dark.  camera: its last image.  scatter: readings of the resin, oldest first; may grow.  threshold: that
     stops the print.  plan: version of the frames that coming turns show.  stop: the turn before which the light is to
-    end; None for all.  parameters: what live estimation believes.  live: what became of the process that estimates and
+    end; None for all.  parameters: what live estimation believes.  maps: pictures of it by name, uint8
+    [row, column, color].  live: what became of the process that estimates and
     plans.
     """
 
@@ -172,6 +173,7 @@ class Snapshot:
     plan: int = 0
     stop: int | None = None
     parameters: Sequence[Estimated] = ()
+    maps: Mapping[str, np.ndarray] = field(default_factory=dict)
     live: str = ""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
@@ -15,6 +15,7 @@ from vamgpu.hosts.state import Estimated
 from vamgpu.printing.frames import Frames
 
 MOST = 64  # parameters that are shown
+MAPS, WIDEST = 4, 2048  # pictures that are shown, and the longest side of one [pixels]
 _JOBS: WeakKeyDictionary[Frames, float] = WeakKeyDictionary()  # light of jobs' frames
 TOP = {8: 255, 1: 1}  # the highest level of a pixel of so many bits
 
@@ -93,3 +94,15 @@ def parameters(told: Any) -> tuple[Estimated, ...]:
     if len(found) > MOST or not all(isfinite(each.value) and 0 <= each.error < np.inf for each in found):
         raise BadInput(f"got parameters {found[:MOST]}; expected {MOST} at most, finite, and errors of 0 or more")
     return found
+
+
+def maps(told: Any) -> dict[str, np.ndarray]:
+    """Pictures as a board shows them. Raises `BadInput`."""
+    if not isinstance(told, Mapping) or len(told) > MAPS:
+        raise BadInput(f"those are no pictures: {type(told).__name__}; expected {MAPS} at most, by name")
+    for name, image in told.items():
+        shape = getattr(image, "shape", ())
+        fits = len(shape) == 3 and shape[2] == 3 and 0 < min(shape) <= max(shape) <= WIDEST
+        if not fits or image.dtype != np.uint8:
+            raise BadInput(f"the picture {str(name)[:80]!r} is no uint8 [row, column, color] of up to {WIDEST} pixels")
+    return {str(name): np.asarray(image) for name, image in told.items()}

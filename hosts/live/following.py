@@ -17,6 +17,7 @@ import numpy as np
 from vamgpu.errors import BadInput
 from vamgpu.hosts.live.worker import Desk
 from vamgpu.live import Decision, LiveRecord, LiveSetup
+from vamgpu.live.maps import cuts
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.frames import Frames
@@ -57,6 +58,10 @@ def follow(desk: Desk) -> None:
     Following(desk).run()
 
 
+BRIGHT = 1.5
+"""Dose of the brightest color, over that from which resin is solid."""
+
+
 class Following:
     """One print that is followed.
 
@@ -70,7 +75,7 @@ class Following:
         job = task["jobs"][0]
         self._frames = load_frames(job, "numpy")
         light = light_of(self._frames, self._setup.planned)
-        part = np.array(Folder.open(job).array("target"), np.float32)
+        self._part = part = np.array(Folder.open(job).array("target"), np.float32)
         self._record = LiveRecord(Path(task["folder"]) / PLACE)
         self._loop = self._record.begin(self._setup, part, light)
         self._state = self._loop.start()
@@ -138,7 +143,20 @@ class Following:
         found = [(name, *pair) for name, pair in decision.parameters.items()]
         if found:
             ends = decision.turn + 1 + decision.turns
-            self._desk.estimate([*found, ("inhibitor", decision.inhibitor, 0.0), ("expected stop [turn]", ends, 0.0)])
+            facts = (
+                ("inhibitor", decision.inhibitor),
+                ("estimated after turn", decision.turn),
+                ("expected stop [turn]", ends),
+            )
+            self._desk.estimate([*found, *((name, value, 0.0) for name, value in facts)], self._maps(decision))
+
+    def _maps(self, decision: Decision) -> dict[str, np.ndarray]:
+        seen, drawn = self._state.seen, {}
+        if decision.dose is not None:
+            drawn[f"dose; brightest is {BRIGHT:g} times what turns solid"] = cuts(decision.dose, self._part, BRIGHT)
+        if seen is not None:
+            drawn["conversion seen"] = cuts(seen.conversion, self._part, 1.0, "viridis")
+        return drawn
 
     def _propose(self, version: int, light: np.ndarray, turn: int, stop: int) -> None:
         levels = levels_of(light, self._frames, self._setup.planned, self._loop.estimator.operator)

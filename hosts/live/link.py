@@ -28,7 +28,7 @@ from vamgpu.errors import BadInput, VamError
 from vamgpu.geometry import positive
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.frames.versions import FramePlans
-from vamgpu.hosts.live.checks import frames_of, parameters, proposal, relative_light
+from vamgpu.hosts.live.checks import frames_of, maps, parameters, proposal, relative_light
 from vamgpu.hosts.live.images import LiveCamera
 from vamgpu.hosts.plans import boundary, keep, last_kept, replaced, sources_of
 from vamgpu.hosts.players.player import StatusPoll
@@ -260,6 +260,8 @@ class LiveLink:
                 self._tell("live ended", f"the planning process has no more to do; the turns are {self._version()}")
             if "parameters" in told:
                 self._board.show(parameters=parameters(told["parameters"]))
+            if "maps" in told:
+                self._board.show(maps=maps(told["maps"]))
             if "version" in told:
                 number = self._offer(told["version"])
                 self._answer(number=number)

@@ -5,7 +5,7 @@ Its function is named ``package.module:function`` and is called with a `Desk`. I
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any
@@ -72,13 +72,17 @@ class Desk:
         pieces = [list(_pieces(each)) for each in levels]
         self.tell({"version": {"print": self.task["print"], "levels": pieces, "turn": turn, "stop": stop}})
 
-    def estimate(self, parameters: Sequence[tuple[str, float, float]]) -> None:
+    def estimate(
+        self, parameters: Sequence[tuple[str, float, float]], maps: Mapping[str, np.ndarray] | None = None
+    ) -> None:
         """Tell what is believed, for people.
 
         Args:
             parameters: Name with its unit, value and standard deviation of each.
+            maps: Pictures by name, uint8 [row, column, color]; those told before stay without it.
         """
-        self.tell({"parameters": [list(each) for each in parameters]})
+        told: dict[str, Any] = {"parameters": [list(each) for each in parameters]}
+        self.tell(told if maps is None else told | {"maps": dict(maps)})
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message as it is."""

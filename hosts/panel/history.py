@@ -11,7 +11,7 @@ from vamgpu.storage.reading import open_file, parse_json, read_text
 NEWEST = 50  # prints that are listed
 LAST = 4096  # bytes of a file's end in which its last line is looked for
 LARGEST = 1 << 20  # bytes of a file that are read at most
-REPORT = re.compile(r"report(-\d+)?\.html")
+REPORT = re.compile(r"(live|report(-\d+)?)\.html")
 
 
 def past(place: Path) -> list[dict[str, Any]]:
@@ -53,7 +53,7 @@ def _told(folder: Path) -> dict[str, Any]:
         "began": end if began is None else began,
         "seconds": 0.0 if began is None else max(end, last or end) - began,
         "dark": timing.get("dark"),
-        "reports": sorted(each.name for each in folder.glob("report*.html") if REPORT.fullmatch(each.name)),
+        "reports": sorted(each.name for each in folder.glob("*.html") if REPORT.fullmatch(each.name)),
     }
 
 

@@ -14,7 +14,7 @@ from vamgpu.hosts.state import Board, Snapshot
 
 WIDTH = 640  # pixels of a picture's longer side on the page
 POINTS = 400  # of the curve
-ARRAYS = ("preview", "others", "camera", "scatter")
+ARRAYS = ("preview", "others", "camera", "scatter", "maps")
 ALLOWED: dict[str, tuple[str, ...]] = {"start": ("standby",), "pause": ("printing",), "resume": ("paused", "held")}
 """States in which a button does something; any other button does until the print has ended."""
 WANTED = {
@@ -56,10 +56,10 @@ def refusal(now: Snapshot, name: str) -> str | None:
 
 
 def images(now: Snapshot) -> dict[str, np.ndarray]:
-    """Pictures by name: of each projector, and of the camera."""
+    """Pictures by name: of each projector, of the camera, and of what is estimated."""
     frames = () if now.preview is None else (now.preview, *now.others)
     named = {f"projector {n + 1}": frame for n, frame in enumerate(frames)}
-    return named if now.camera is None else named | {"camera": now.camera}
+    return named | ({} if now.camera is None else {"camera": now.camera}) | dict(now.maps)
 
 
 def curve(now: Snapshot) -> dict[str, Any]:

@@ -15,11 +15,12 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.panel import Panel
-from vamgpu.hosts.state import Board, PrintState
+from vamgpu.hosts.state import Board, Estimated, PrintState
+from vamgpu.live.maps import cuts
 from vamgpu.printing.scatter import ScatterReading
 
 DESK, PHONE = (1100, 760), (390, 844)
-KEPT = ("printing-vial", "printing-two", "held", "phone")
+KEPT = ("printing-vial", "printing-two", "held", "live", "phone")
 """Which stand in docs/; all others are drawn to be looked at."""
 
 
@@ -29,6 +30,18 @@ def frame(angle: float, rows: int = 240, columns: int = 320) -> np.ndarray:
     width = 0.25 + 0.6 * abs(np.cos(angle))
     ring = (np.hypot(x / width, z) < 0.9) & (np.hypot(x / width, z) > 0.5)
     return np.where(ring, 200, np.where(abs(z) < 0.08, 120, 0)).astype(np.uint8) * (abs(x) < 1.2)
+
+
+def believed() -> dict[str, np.ndarray]:
+    """Dose and conversion of a nut, as a print that is watched shows them."""
+    x, y, z = np.meshgrid(*(np.linspace(-1.5, 1.5, n) for n in (48, 48, 32)), indexing="ij")
+    away = np.maximum(np.abs(np.hypot(x, y) - 0.75) - 0.35, np.abs(z) - 0.8)
+    dose = 0.35 + 0.75 / (1.0 + np.exp(12.0 * (away + 0.03)))
+    part = (away < 0).astype(float)
+    return {
+        "dose; brightest is 1.5 times what turns solid": cuts(dose, part, 1.5),
+        "conversion seen": cuts(np.clip(1.0 - np.exp(-4.0 * (dose - 0.65)), 0.0, 1.0), part, 1.0, "viridis"),
+    }
 
 
 def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
@@ -47,6 +60,13 @@ def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
         "printing-vial": (DESK, vial | {"scatter": curve, "threshold": 0.35, "camera": frame(1.2) // 2 + 40}),
         "printing-web": (DESK, vial | web),
         "printing-two": (DESK, vial | {"job": "visible.vam uv.vam", "others": (frame(1.3),)}),
+        "live": (DESK, vial | {
+            "preview": frame(0.4), "camera": frame(1.2) // 2 + 40, "plan": 3, "stop": 13, "parameters": (
+                Estimated("sensitivity", 0.812, 0.021), Estimated("absorption", 1.131, 0.042),
+                Estimated("across", 0.062, 0.008), Estimated("inhibitor", 0.735, 0.0),
+                Estimated("estimated after turn", 9, 0.0), Estimated("expected stop [turn]", 13, 0.0),
+            ), "maps": believed(),
+        }),
         "paused": (DESK, dark | {"state": "paused"}),
         "held": (DESK, dark | {
             "state": "held",

@@ -44,6 +44,8 @@ def nonsense(desk: Desk) -> None:
         desk.tell({"version": right | each})
     desk.tell({"version": 5})
     desk.tell({"parameters": [("gain", float("nan"), 1.0)]})
+    for maps in (5, {"dose": np.zeros((4, 4), np.uint8)}, {"dose": np.zeros((4, 4, 3))}, {"dose": "red"}):
+        desk.tell({"maps": maps})
     desk._line.send_bytes(b"\xff no message")
     desk.tell({"version": right})
     for _ in desk:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import io
 import json
 import os
 import threading
@@ -15,6 +16,7 @@ from typing import Any
 import needs
 import numpy as np
 import pytest
+from PIL import Image
 from rich.console import Console
 
 from vamgpu.errors import BadInput, DeviceError
@@ -173,6 +175,16 @@ def test_a_picture_is_encoded_once_however_many_ask(monkeypatch: pytest.MonkeyPa
         assert json.loads(asked(panel, "/state")[1])["pictures"] != first
         asked(panel, "/picture/projector%201")
         assert len(made) == 2 and asked(panel, "/picture/camera")[0] == 404
+
+
+def test_what_is_estimated_is_shown_in_color() -> None:
+    drawn = np.zeros((30, 80, 3), np.uint8)
+    drawn[:, :40] = (200, 30, 40)
+    with Panel(Board(maps={"dose; in parts": drawn}), page=False) as panel:
+        state = json.loads(asked(panel, "/state")[1])
+        assert set(state["pictures"]) == {"dose; in parts"} and "maps" not in state
+        status, png, *_ = asked(panel, "/picture/dose%3B%20in%20parts")
+    assert status == 200 and np.array_equal(np.asarray(Image.open(io.BytesIO(png))), drawn)
 
 
 def test_many_pages_look_less_often() -> None:

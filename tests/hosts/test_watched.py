@@ -19,6 +19,7 @@ from vamgpu.jobs.demo import _begun
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
 from vamgpu.live import LiveLoop, LiveRecord, LiveState, Truth
+from vamgpu.live.report import page
 from vamgpu.printing.folder import load_frames
 
 JOB = """
@@ -79,6 +80,9 @@ def test_a_watched_print_reaches_the_resin_and_repeats_bit_by_bit(nut: Path, run
     assert len(lit) / 40 < TURNS, "aged resin is done sooner"
     names = [each.name for each in board.now.parameters]
     assert {"sensitivity", "inhibitor", "expected stop [turn]"} <= set(names)
+    assert {name.partition(";")[0] for name in board.now.maps} == {"dose", "conversion seen"}
+    for drawn in board.now.maps.values():
+        assert drawn.dtype == np.uint8 and drawn.ndim == 3 and (drawn == 255).all(axis=2).any(), "the part is outlined"
     firsts = {int(told.shown["slot"][told.shown["version"] == number][0]) // 40 for number in versions(told)}
     swapped = [each for each in ended.decisions if each["action"] == "swap"]
     assert {each["effective"] for each in swapped} <= firsts and swapped, "each as the print showed it"
@@ -88,6 +92,10 @@ def test_a_watched_print_reaches_the_resin_and_repeats_bit_by_bit(nut: Path, run
     assert ended.iou is not None and unwatched.iou is not None and ended.iou > unwatched.iou + 0.02
     replayed = list(LiveRecord(run / "live").replay())
     assert len(replayed) == len(ended.decisions) and not any(differs for _, differs in replayed)
+    made = page(LiveRecord(run / "live"), OFF, (unwatched.iou, ended.iou), ended.conversion)
+    text = made.write(run / "live.html").read_text(encoding="utf-8")
+    assert all(f"<td>{each['reason']}</td>" in text for each in ended.decisions) and f"{ended.iou:.4f}" in text
+    assert "sensitivity" in text and text.count("data:image/png") == 1 and ">nan<" not in text
     with pytest.raises(StorageError, match="exists"):
         live(nut, turns=TURNS, folder=run)
 

@@ -20,6 +20,7 @@ from vamgpu.errors import VamError
 if TYPE_CHECKING:
     import numpy as np
 
+    from vamgpu.hosts.live.watched import Watched
     from vamgpu.hosts.realtime.order import PrintOrder
     from vamgpu.hosts.rig import PrintPlan
     from vamgpu.hosts.state import Board, PrintState
@@ -124,10 +125,7 @@ def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bo
         raise BadInput("a print that is watched takes one job, --rig, --turns and --out; leave out the rest")
     place = _place(out, "demo" if demo else jobs[0], False)
     if not demo:
-        ended = live(jobs[0], rig, turns=turns, folder=place)
-        screen.print(escape(str(ended)))
-        screen.print(f"run     [bold]{escape(str(place))}[/]")
-        return _status(ended.state)
+        return _reported(screen, live(jobs[0], rig, turns=turns, folder=place))
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.live_demo import AGED, demo_job
     from vamgpu.live import Truth
@@ -141,9 +139,21 @@ def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bo
     ended = live(job, truth=truth, turns=turns, folder=place)
     off = ", ".join(f"{name} {value:g}" for name, value in AGED.items())
     screen.print(f"off     {escape(off)}")
-    screen.print(escape(str(ended)))
     screen.print(f"unwatched overlap {unwatched.iou:.4f}, watched [bold]{ended.iou:.4f}[/]")
-    screen.print(f"run     [bold]{escape(str(place))}[/]")
+    overlaps = unwatched.iou or 0.0, ended.iou or 0.0
+    return _reported(screen, ended, truth=truth, overlaps=overlaps, conversion=ended.conversion)
+
+
+def _reported(screen: Console, ended: Watched, **facts: Any) -> int:
+    """Tell of a print that was watched, and write its report."""
+    from vamgpu.live import LiveRecord
+    from vamgpu.live.report import page
+
+    screen.print(escape(str(ended)))
+    if ended.decisions:
+        report = page(LiveRecord(ended.folder / "live"), **facts).write(ended.folder / "live.html")
+        screen.print(f"report  [bold]{escape(str(report))}[/]")
+    screen.print(f"run     [bold]{escape(str(ended.folder))}[/]")
     return _status(ended.state)
 
 

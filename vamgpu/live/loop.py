@@ -54,6 +54,8 @@ class Decision:
         iou: Overlap expected at the end, dimensionless.
         reason: Why, in words.
         stages: Wall time of "see", "estimate" and "replan" [s]; no part of `entry`, as no replay takes as long.
+        dose: Estimated of all light so far, over that from which resin is solid, [x, y, z]; no part of `entry`. None
+            where nothing is estimated.
     """
 
     turn: int
@@ -66,6 +68,7 @@ class Decision:
     iou: float = 0.0
     reason: str = ""
     stages: dict[str, float] = field(default_factory=dict)
+    dose: np.ndarray | None = None
 
     @property
     def entry(self) -> dict[str, Any]:
@@ -267,7 +270,8 @@ class LiveLoop:
         swapped = not np.array_equal(light, state.light)
         action = "stop" if not turns else "swap" if swapped else "keep"
         return Decision(turn, action, state.version + swapped, light, turns, inhibitor, found.parameters,
-                        float(plan.expected.iou), f"overlap {plan.kept.iou:.4f} without")  # fmt: skip
+                        float(plan.expected.iou), f"overlap {plan.kept.iou:.4f} without",
+                        dose=delivered / self.resin.solid)  # fmt: skip
 
     def _wanted(self, head_start: float) -> np.ndarray:
         """Dose of the whole plan, by as much less as resin with a head start needs, which counts as dose."""

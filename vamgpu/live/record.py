@@ -225,6 +225,26 @@ class LiveRecord:
             raise StorageError(f"{DECISIONS} in {str(self.folder)!r} is damaged: {error!r}") from error
         return list(told.values())
 
+    def setup(self) -> LiveSetup:
+        """What the loop was made of.
+
+        Raises:
+            BadInput: It cannot be read.
+            StorageError: The file is missing or damaged.
+        """
+        try:
+            return LiveSetup.of(parse_json(self._text(SETUP)))
+        except ValueError as error:
+            raise StorageError(f"{SETUP} in {str(self.folder)!r} is damaged: {error}") from error
+
+    def part(self) -> np.ndarray:
+        """Fractions of the part, [x, y, z].
+
+        Raises:
+            StorageError: The file is missing or damaged.
+        """
+        return np.array(map_npy(self.folder / "live-part.npy"))
+
     def replay(self) -> Iterator[tuple[dict[str, Any], list[str]]]:
         """Decide every turn anew from what was seen.
 
@@ -236,11 +256,7 @@ class LiveRecord:
             BadInput: The setup cannot be read.
             StorageError: A file is missing or damaged.
         """
-        try:
-            setup = LiveSetup.of(parse_json(self._text(SETUP)))
-        except ValueError as error:
-            raise StorageError(f"{SETUP} in {str(self.folder)!r} is damaged: {error}") from error
-        part, light = (np.array(map_npy(self.folder / f"live-{name}.npy")) for name in ("part", "light"))
+        setup, part, light = self.setup(), self.part(), np.array(map_npy(self.folder / "live-light.npy"))
         told: Sequence[dict[str, Any]] = self.decisions
         showed = [was.get("showed", ()) for was in told]
         seen = (np.array(map_npy(self._frames(turn))) for turn in range(1, len(told) + 1))

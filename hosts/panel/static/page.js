@@ -61,7 +61,7 @@ function rows(now) {
   if (now.lens_temperature !== null) told["lens temperature"] = [`${now.lens_temperature.toFixed(1)} °C, as told in the dark`, ""];
   if (now.light) told.buffer = [`${Math.round(100 * now.fill)} % full, frames ready ${ms(now.margin / 1e9)} early`, ""];
   if (now.plan || now.live) told.plan = [`version ${now.plan}, ${now.stop === null ? "all turns" : `until turn ${now.stop}`}${now.live ? `; ${now.live}` : ""}`, now.live ? "warn" : ""];
-  for (const each of now.parameters) told[each.name] = [`${each.value.toPrecision(4)} ± ${each.error.toPrecision(2)}`, ""];
+  for (const each of now.parameters) told[each.name] = [`${+each.value.toPrecision(4)}${each.error ? ` ± ${each.error.toPrecision(2)}` : ""}`, ""];
   told["shown black"] = [`${now.dark} frames`, now.dark ? "warn" : ""];
   if (silent) told.light = [`last known ON, no look at the machines for ${time(now.ago)}`, "warn"];
   return told;
@@ -115,7 +115,7 @@ function show(now) {
   if (now.ended && at("ask").open) at("ask").close();
   for (const [key, number] of Object.entries(now.pictures)) {
     picture(key, number);
-    const text = now.light || key === "camera" ? key : `${key}: last frame; the light is off`;
+    const text = now.light || !key.startsWith("projector") ? key : `${key}: last frame; the light is off`;
     if (pictures[key].caption.textContent !== text) pictures[key].caption.textContent = text;
   }
   for (const key of Object.keys(pictures)) if (!(key in now.pictures)) { pictures[key].figure.remove(); delete pictures[key]; }
@@ -137,7 +137,7 @@ function explain(text, now) {
 function picture(key, number) {
   if (!pictures[key]) {
     const figure = made("figure", at("pictures")), image = made("img", figure);
-    image.alt = `frame of ${key}`;
+    image.alt = key.startsWith("projector") ? `frame of ${key}` : key;
     image.dataset.testid = key;
     pictures[key] = { figure, image, caption: made("figcaption", figure), number: 0, loading: false };
     image.onload = image.onerror = () => { pictures[key] && (pictures[key].loading = false); };
