@@ -11,7 +11,7 @@ from math import ceil, pi
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import FULL_TURN, Beam, Vessel, centers, counts
+from vamgpu.geometry import FULL_TURN, Beam, Grid, Vessel, centers, counts
 from vamgpu.kernels.footprint import half_support, share, sides
 from vamgpu.kernels.spectrum import ROWS
 from vamgpu.schema import check
@@ -112,6 +112,28 @@ class PolarGrid:
         """Area of each cell over that of a square of the pitch, (cells,)."""
         samples = np.concatenate([np.full(b.rings * b.samples, b.samples * self.angles) for b in self.belts])
         return 2.0 * pi * self.places[0] / self.pitch / samples
+
+    @property
+    def box(self) -> Grid:
+        """Voxels as wide as the rings, in the box about them."""
+        return Grid((2 * self.rings, 2 * self.rings, self.slices), self.pitch)
+
+    @classmethod
+    def within(cls, grid: Grid, angles: int) -> PolarGrid:
+        """Rings as wide as the voxels of a box, out to the cylinder in it that every angle lights.
+
+        Args:
+            grid: The voxels.
+            angles: Even angles of the turntable.
+
+        Returns:
+            The rings, with a slice more than the box where that has an odd number.
+
+        Raises:
+            BadInput: There are fewer than two angles.
+        """
+        rings = -(-min(grid.shape[:2]) // (2 * ROWS)) * ROWS
+        return cls(rings, grid.shape[2] + grid.shape[2] % 2, grid.pitch, angles)
 
     @property
     def z(self) -> np.ndarray:
