@@ -20,6 +20,7 @@ GEOMETRIES: dict[str, Any] = {
     "straight": (PolarGrid(8, 4, 0.1, 9), vam.Beam((15, 4), 0.1), None),
     "one row": (PolarGrid(8, 2, 0.1, 6), vam.Beam((16, 1), 0.1), None),
     "several belts": (PolarGrid(24, 2, 0.05, 12), vam.Beam((40, 4), 0.06), None),
+    "angles that take three passes": (PolarGrid(8, 2, 0.1, 420), vam.Beam((16, 2), 0.1), None),
     "a prime number of angles": (PolarGrid(8, 2, 0.1, 53), vam.Beam((16, 2), 0.1), None),
     "refracted and absorbed": (PolarGrid(8, 2, 0.11, 12), vam.Beam((13, 3), 0.15), VIAL),
     "light that nothing mirrors": (PolarGrid(8, 2, 0.11, 12), vam.Beam((14, 3), 0.15), ASIDE),

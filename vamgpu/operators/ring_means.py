@@ -43,7 +43,7 @@ def shares_of_voxels(rings: PolarGrid, shape: tuple[int, int], pitch: float) -> 
     from scipy.sparse import csr_array, vstack
 
     blocks = [_of_belt(rings, number, shape, pitch) for number in range(len(rings.belts))]
-    whole = vstack(blocks, format="csr")
+    whole = csr_array(vstack(blocks))
     cells, at, sizes = rings.shape[1], [], 0
     for belt in rings.belts:  # rows come belt by belt; volumes hold the belts of an angle together
         own = belt.rings * belt.samples
@@ -86,7 +86,7 @@ class _Means(LinearOperator):
             raise BadInput(f"a slice has {most} voxels or cells; expected {WHOLE} at most: use a coarser geometry")
         self.grid, self.rings = grid, rings
         self.device: Device = open_device(device)
-        self._slices = RowResampler(grid.shape[2], grid.pitch, rings.slices, rings.pitch, self.device)
+        self._slices = RowResampler(grid.shape[2], grid.pitch, rings.slices, rings.slice_pitch, self.device)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.grid!r}, {self.rings!r}, device={self.device.name!r})"
@@ -127,7 +127,7 @@ class ToRings(_Means):
         self.domain, self.range = VolumeSpace(grid), PolarSpace(rings)  # pyright: ignore[reportIncompatibleVariableOverride] - never replaced
         # The resampling along z sums what slices hold [slices of the grid]; a mean divides by their height
         shares = self._shares()
-        shares = replace(shares, weight=shares.weight * (grid.pitch / rings.pitch))
+        shares = replace(shares, weight=shares.weight * (grid.pitch / rings.slice_pitch))
         self._tables(shares, rings.shape[:2], grid.shape[:2])
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:

@@ -38,6 +38,8 @@ class SpectralProjection(LinearOperator):
         beam: Pixels, with their fill factor and point spread.
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best one here by default.
+        square: Side [mm] of squares about the middles of the cells, over which doses are means in place of the cells;
+            ``pitch`` above is theirs then.
 
     Raises:
         BadInput: An argument is of another kind, or no light reaches a ring.
@@ -52,8 +54,9 @@ class SpectralProjection(LinearOperator):
     vessel: Vessel | None
 
     def __init__(
-        self, grid: PolarGrid, beam: Beam, vessel: Vessel | None = None, device: str | Device | None = None
-    ) -> None:
+        self, grid: PolarGrid, beam: Beam, vessel: Vessel | None = None, device: str | Device | None = None, *,
+        square: float | None = None,
+    ) -> None:  # fmt: skip
         for value, kind in ((grid, PolarGrid), (beam, Beam)):
             if not isinstance(value, kind):
                 raise BadInput(f"got {value!r} where a {kind.__name__} is expected; SpectralProjection(grid, beam, …)")
@@ -64,8 +67,8 @@ class SpectralProjection(LinearOperator):
         self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
         pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
-        self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.slices, grid.pitch, self.device, **pixel)
-        table = ring_table(grid, beam, vessel or OpenAir())
+        self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.slices, grid.slice_pitch, self.device, **pixel)
+        table = ring_table(grid, beam, vessel or OpenAir(), square)
         self._folded = (grid.angles, table.pairs * (2 if table.mirrored else 1), grid.slices)
         upload = self.device.table
         self._entries = {
@@ -121,7 +124,7 @@ class SpectralProjection(LinearOperator):
         folded = self._of_light.run(-1.0, folded, empty(self._folded), folded)
         spectrum = empty(out.shape)
         launch(light_rings, folded=folded, **self._entries, spectrum=spectrum)
-        self._to_rings.run(1.0, spectrum, empty(out.shape), out, last=out)
+        self._to_rings.run(1.0, spectrum, empty(out.shape), spectrum, last=out)
 
 
 Place = tuple[int, int, int, int]
@@ -151,12 +154,13 @@ class _Passes:
     def run(
         self, sign: float, source: DeviceArray, one: DeviceArray, two: DeviceArray, last: DeviceArray | None = None
     ) -> DeviceArray:
-        """Transform; ``one`` and ``two`` are written in turn, ``last`` by the last pass. Where the result is."""
+        """Transform; ``one`` and ``two``, which may be the source, are written in turn, ``last`` by the last pass.
+
+        Where the result is.
+        """
         count = len(self._tables)
         for number, belts in enumerate(self._tables):
             sink = last if last is not None and number == count - 1 else one if number % 2 == 0 else two
-            if sink is source:  # the pass before the last may have written there
-                sink = one if source is two else two
             self._device.launch(fourier, source=source, belts=belts, waves=self._waves, sign=sign, sink=sink)
             source = sink
         return source

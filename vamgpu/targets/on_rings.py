@@ -42,7 +42,8 @@ def voxelized(solid: Solid, rings: PolarGrid, device: Device) -> npt.NDArray[np.
     from vamgpu.targets.voxelize import voxelize
 
     across = 2 * min(rings.rings, ceil(float(np.abs(solid.vertices[:, :2]).max()) / rings.pitch) + 1) * FINE
-    pitch, squeezed = rings.pitch / FINE, solid.vertices / (1.0, 1.0, FINE)
+    pitch = rings.pitch / FINE
+    squeezed = solid.vertices * (1.0, 1.0, pitch / rings.slice_pitch)
     shares = shares_of_voxels(rings, (across, across), pitch)
     band = max(1, min(rings.slices, _BAND // across**2))
     found = np.zeros((rings.shape[0] * rings.shape[1], rings.slices), np.float32)
@@ -77,6 +78,6 @@ def averaged_on_rings(fraction: npt.NDArray[np.floating], grid: Grid, rings: Pol
     from vamgpu.targets.resampling import along
 
     shares = shares_of_voxels(rings, grid.shape[:2], grid.pitch)
-    on_slices = along(fraction, grid, Grid((1, 1, rings.slices), rings.pitch), 2)
+    on_slices = along(fraction, grid, Grid((1, 1, rings.slices), rings.slice_pitch), 2)
     found = shares @ np.ascontiguousarray(on_slices, np.float32).reshape(-1, rings.slices)
     return np.minimum(found, np.float32(1.0)).reshape(rings.shape)
