@@ -24,12 +24,12 @@ every_geometry = pytest.mark.parametrize("geometry", GEOMETRIES)
 
 @every_geometry
 def test_the_transpose_is_exact(device: Device, geometry: str) -> None:
-    assert vam.RingProjection(*GEOMETRIES[geometry], device).dot_test() <= 1e-7
+    assert vam.RingProjection(*GEOMETRIES[geometry], device=device).dot_test() <= 1e-7
 
 
 @every_geometry
 def test_devices_agree(device: Device, geometry: str) -> None:
-    here, reference = (vam.RingProjection(*GEOMETRIES[geometry], place) for place in (device, "numpy"))
+    here, reference = (vam.RingProjection(*GEOMETRIES[geometry], device=place) for place in (device, "numpy"))
     light = np.random.default_rng(0).random(here.range.shape)
     wanted = np.asarray(reference.T(light))
     assert np.abs(np.asarray(here.T(light)) - wanted).max() <= 3e-6 * wanted.max()
