@@ -41,7 +41,8 @@ LIMITS = "dose", "weight", "body"
 
 @dataclass(frozen=True)
 class PlanRecord:
-    """A plan without its light: method as text, history as plain records, citations, seconds, strict window, bound."""
+    """A plan without its light: method as text, history as plain records, citations, seconds, strict window, bound,
+    corners, and the operator and device that ran."""
 
     method: str
     history: tuple[Mapping[str, float], ...]
@@ -50,6 +51,7 @@ class PlanRecord:
     window: float
     bound: float | None = None
     corners: tuple[Mapping[str, Any], ...] = ()
+    ran: str = ""
 
     @classmethod
     def of(cls, plan: Any, window: float | None = None) -> PlanRecord:
@@ -60,8 +62,9 @@ class PlanRecord:
         told = getattr(plan, "corners", None)
         corners = () if told is None else tuple(asdict(corner) for corner in told.corners)
         return cls(
-            repr(plan.method), history, tuple(map(str, plan.papers)), float(plan.seconds), window, bound, corners
-        )
+            repr(plan.method), history, tuple(map(str, plan.papers)), float(plan.seconds), window, bound, corners,
+            str(getattr(plan, "ran", "")),
+        )  # fmt: skip
 
     @classmethod
     def read(cls, data: Any) -> PlanRecord:
@@ -69,7 +72,7 @@ class PlanRecord:
         try:
             return cls(
                 str(data["method"]), tuple(data["history"]), tuple(data["papers"]), data["seconds"], data["window"],
-                data.get("bound"), tuple(data.get("corners") or ()),
+                data.get("bound"), tuple(data.get("corners") or ()), str(data.get("ran", "")),
             )  # fmt: skip
         except (KeyError, TypeError) as error:
             raise StorageError(f"the manifest garbles its plan: {error}; write the job again") from error

@@ -147,6 +147,22 @@ def against_rings(A: Any) -> str:
     return _against(A.grid, A.motion)
 
 
+def pays_on_rings(A: Projection) -> bool:
+    """Whether rings were measured to be faster for the like of an operator that they take.
+
+    Args:
+        A: The operator.
+
+    Returns:
+        True for volumes of 96 voxels or more across and 180 angles or more, in short transforms, on OpenCL processors.
+    """
+    from vamgpu.operators.spectral import LONGEST, passes
+
+    is_processor = A.device.name.startswith("opencl") and not getattr(A.device, "is_gpu", False)
+    across, angles = min(A.grid.shape[:2]), A.motion.angles
+    return is_processor and across >= 96 and angles >= 180 and max(passes([angles])[0]) <= LONGEST
+
+
 def _against(grid: Grid, motion: Turntable) -> str:
     if not motion.is_even or motion.angles < 2:
         return f"its angles, {motion}, are not two or more, even over a full turn from 0, each lit as long"

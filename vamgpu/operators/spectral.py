@@ -136,7 +136,7 @@ class _Passes:
 
     def __init__(self, device: Device, belts: list[tuple[int, int, Place, Place]]) -> None:
         self._device = device
-        radices = _passes([n for n, *_ in belts])
+        radices = passes([n for n, *_ in belts])
         waves = [FULL_TURN * np.arange(n) / n for n, *_ in belts]
         self._waves = device.table(np.concatenate([np.stack([np.cos(w), np.sin(w)], axis=1) for w in waves]))
         self._tables = [device.table(self._pass(belts, radices, number), "int32") for number in range(len(radices[0]))]
@@ -166,7 +166,7 @@ class _Passes:
         return source
 
 
-def _passes(lengths: list[int]) -> list[tuple[int, ...]]:
+def passes(lengths: list[int]) -> list[tuple[int, ...]]:
     """Radices of each transform, as many for all: as few passes as keep them short, else those of the least work."""
     choices = [found for count in range(1, MOST + 1) if all(found := [_radices(n, count) for n in lengths])]
     short = [found for found in choices if max(map(max, found)) <= LONGEST]
