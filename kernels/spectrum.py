@@ -21,6 +21,11 @@ from vamgpu.kernels.signature import Field, Integer, Real, Table, Tiling, kernel
 ROWS = 8
 """Neighboring rings, and pairs of columns, that one item computes together."""
 
+AT_ONCE = 2048
+"""Greatest radix of a pass that processors compute by passes of their own, within their caches."""
+ONE_SUM = 20
+"""Greatest radix of a pass that is a plain sum everywhere, where radices can be so small."""
+
 Light = Annotated[np.ndarray, Field(("k", "r", "z"))]
 LightOut = Annotated[np.ndarray, Field(("k", "r", "z"), writes=True)]
 Source = Annotated[np.ndarray, Field(("a", "b", "z"))]
@@ -92,7 +97,7 @@ def unfold_columns(folded: Folded, mirrored: Integer, sinogram: LightOut) -> Non
     over="sink",
     cpu=Tiling(major=1, minor=0),
     gpu=Tiling(major=1, minor=2),
-    constants={"cpu": {"OUTPUTS": 4}, "gpu": {"OUTPUTS": 5}},
+    constants={"cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM}, "gpu": {"OUTPUTS": 5}},
 )
 def fourier(source: Source, belts: Belts, waves: Waves, sign: Real, sink: Sink) -> None:
     """One pass of the Fourier transforms of rings over their samples, of exponent ``sign``·i; in order after the last.

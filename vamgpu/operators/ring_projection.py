@@ -14,13 +14,13 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, Vessel
 from vamgpu.kernels.gather import gather_rows
-from vamgpu.kernels.spectrum import ROWS
+from vamgpu.kernels.spectrum import ONE_SUM, ROWS
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_means import BLOCK
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
-from vamgpu.operators.spectral import SpectralProjection
+from vamgpu.operators.spectral import SpectralProjection, passes
 from vamgpu.operators.traced import WHOLE, SparseEntries
 
 WIDTH = 0.65
@@ -156,11 +156,9 @@ def pays_on_rings(A: Projection) -> bool:
     Returns:
         True for volumes of 96 voxels or more across and 180 angles or more, in short transforms, on OpenCL processors.
     """
-    from vamgpu.operators.spectral import LONGEST, passes
-
     is_processor = A.device.name.startswith("opencl") and not getattr(A.device, "is_gpu", False)
     across, angles = min(A.grid.shape[:2]), A.motion.angles
-    return is_processor and across >= 96 and angles >= 180 and max(passes([angles])[0]) <= LONGEST
+    return is_processor and across >= 96 and angles >= 180 and max(passes([angles], ONE_SUM)[0]) <= ONE_SUM
 
 
 def _against(grid: Grid, motion: Turntable) -> str:

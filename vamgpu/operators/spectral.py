@@ -13,15 +13,15 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Turntable, Vessel
-from vamgpu.kernels.spectrum import fold_columns, fourier, gather_rings, light_rings, unfold_columns
+from vamgpu.kernels.spectrum import AT_ONCE, ONE_SUM, fold_columns, fourier, gather_rings, light_rings, unfold_columns
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid, ring_table
 from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import PolarSpace, SinogramSpace
 
-LONGEST, MOST = 20, 4
-"""Greatest radix of a pass, where more passes can keep to it, and how many passes there may be. Measured on an H200."""
+MOST = 4
+"""Passes that there may be."""
 
 
 @final
@@ -136,7 +136,7 @@ class _Passes:
 
     def __init__(self, device: Device, belts: list[tuple[int, int, Place, Place]]) -> None:
         self._device = device
-        radices = passes([n for n, *_ in belts])
+        radices = passes([n for n, *_ in belts], ONE_SUM if getattr(device, "is_gpu", True) else AT_ONCE)
         waves = [FULL_TURN * np.arange(n) / n for n, *_ in belts]
         self._waves = device.table(np.concatenate([np.stack([np.cos(w), np.sin(w)], axis=1) for w in waves]))
         self._tables = [device.table(self._pass(belts, radices, number), "int32") for number in range(len(radices[0]))]
@@ -166,10 +166,10 @@ class _Passes:
         return source
 
 
-def passes(lengths: list[int]) -> list[tuple[int, ...]]:
+def passes(lengths: list[int], longest: int) -> list[tuple[int, ...]]:
     """Radices of each transform, as many for all: as few passes as keep them short, else those of the least work."""
     choices = [found for count in range(1, MOST + 1) if all(found := [_radices(n, count) for n in lengths])]
-    short = [found for found in choices if max(map(max, found)) <= LONGEST]
+    short = [found for found in choices if max(map(max, found)) <= longest]
     return short[0] if short else min(choices, key=lambda found: sum(map(sum, found)))
 
 
