@@ -244,7 +244,7 @@ def ring_table(grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None
     """The products of each angular frequency, from the light of one pose; arguments as for `pose_on_rings`."""
     from scipy.fft import rfft
 
-    spectra = [rfft(pose, axis=1) / pose.shape[1] for pose in pose_on_rings(grid, beam, vessel, square)]
+    spectra = [rfft(pose, axis=1, workers=-1) / pose.shape[1] for pose in pose_on_rings(grid, beam, vessel, square)]
     most = max(float(np.abs(each).max()) for each in spectra)
     if most == 0.0:
         raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")

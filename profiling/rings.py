@@ -1,0 +1,147 @@
+"""Time projection on rings stage by stage, beside the direct operator, and what its bytes and sums would take.
+
+Every launch is timed on its own, between two synchronizations, in the order in which a product makes them. "bytes" are
+those that a stage has to read and write once, "flops" its additions and multiplications; "moved" of a whole product
+are its stages' bytes over those of volume, light and table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+from common import HERE, machine, timed, write_record
+
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.ring_projection import RingProjection
+from vamgpu.operators.spectral import SpectralProjection
+from vamgpu.optics.vial import Vial
+
+VIAL = Vial(radius=12.4, wall=1.0, resin_index=1.5, wall_index=1.473, bath_index=1.0, absorption=0.05)
+SIZE = 14.8
+"""Width of the grid [mm]."""
+PRODUCTS = ("light_rings", "gather_rings")
+
+
+def stages(device: Device, run: Callable[[], Any], runs: int) -> list[dict[str, Any]]:
+    """Every launch of a call: kernel, median time [s], bytes of its fields, flops where they are counted."""
+    launch, found = device.launch, []
+
+    def watched(kernel: Any, **given: Any) -> None:
+        device.synchronize()
+        began = time.perf_counter()
+        launch(kernel, **given)
+        device.synchronize()
+        seconds = time.perf_counter() - began
+        arrays = [each for each in given.values() if hasattr(each, "shape") and hasattr(each, "dtype")]
+        moved = {id(each): 4 * int(np.prod(each.shape)) for each in arrays}
+        found[-1].append((kernel.name, seconds, sum(moved.values()), _flops(kernel.name, given)))
+
+    device.launch = watched  # pyright: ignore[reportAttributeAccessIssue] - for the time of the measurement
+    try:
+        for _ in range(runs + 1):
+            found.append([])
+            run()
+    finally:
+        del device.launch
+    return [
+        {"stage": first[0], "s": median(each[1] for each in same), "bytes": first[2], "flops": first[3]}
+        for first, *same in zip(*found, strict=True)
+    ]
+
+
+def _flops(kernel: str, given: dict[str, Any]) -> int:
+    """Of products and transforms."""
+    if kernel in PRODUCTS:
+        tiles, angles = given["tiles"].numpy(), given["folded"].shape[0]
+        return int(2 * 16 * tiles[:, 1].sum()) * angles * given["folded"].shape[2]
+    if kernel == "fourier":
+        belts = given["belts"].numpy().astype(np.float64)  # as is usual, 5·n·log₂ n for n complex numbers
+        return int(2.5 * given["sink"].shape[2] * (belts[:, 1] * belts[:, 2] * np.log2(belts[:, 3])).sum())
+    return 0
+
+
+def measured(n: int, angles: int, device: Device, runs: int, cases: list[str]) -> dict[str, Any]:
+    """Every operator of one size on a device."""
+    grid, motion, pitch = Grid((n, n, n), SIZE / n), Turntable(angles), SIZE / n
+    rng = np.random.default_rng(0)
+    light = device.upload(rng.random((angles, n, n), np.float32))
+    found: dict[str, Any] = {}
+    for name, beam, vessel in (
+        ("straight", Beam((n, n), pitch, spread=0.0), None),
+        ("vial", Beam((n, n), 1.5 * pitch), VIAL),
+    ):
+        if name not in cases:
+            continue
+        A = Projection(grid, beam, motion, vessel, device)
+        began = time.perf_counter()
+        R = RingProjection.of(A)
+        made = time.perf_counter() - began
+        # rings as wide as voxels, without the way to voxels
+        half = -(-n // 16) * 8
+        S = SpectralProjection(type(R.rings)(half, n, pitch, angles), beam, vessel, device)
+        for which, operator in (("voxels", A), ("rings", R), ("cells", S)):
+            volume, out = device.upload(rng.random(operator.domain.shape, np.float32)), device.empty(light.shape)
+            dose = device.empty(operator.domain.shape)
+            ways: dict[str, Callable[[], Any]] = {
+                "forward": lambda A=operator, x=volume, y=out: A(x, out=y),
+                "back": lambda A=operator, x=dose: A.T(light, out=x),
+            }
+            for way, run in ways.items():
+                row: dict[str, Any] = timed(run, device.synchronize, runs)
+                if not isinstance(operator, Projection):
+                    row["stages"] = stages(device, run, 3)
+                    need = 4 * int(np.prod(volume.shape) + np.prod(light.shape)) + 4 * _entries(operator)
+                    row |= {"bytes_needed": need, "moved": sum(s["bytes"] for s in row["stages"]) / need}
+                found[f"{name}, {which}, {way}"] = row
+            del volume, out, dose
+        found[f"{name}, made [s]"] = made
+        del A, R, S
+    return found
+
+
+def _entries(operator: RingProjection | SpectralProjection) -> int:
+    spectral = operator._spectral if isinstance(operator, RingProjection) else operator
+    return int(spectral._entries["entries"].shape[0])  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def show(record: dict[str, Any]) -> None:
+    """Print times and stages."""
+    for name, row in record["times"].items():
+        if not isinstance(row, dict):
+            print(f"{name:28} {row:.2f}")
+            continue
+        print(f"{name:28} {1e3 * row['median_s']:9.2f} ms", f"  moved {row['moved']:.1f}" if "moved" in row else "")
+        for stage in row.get("stages", ()):
+            rate = f"{stage['bytes'] / stage['s'] / 1e9:8.0f} GB/s"
+            rate += f"{stage['flops'] / stage['s'] / 1e12:7.2f} Tflop/s" if stage["flops"] else ""
+            print(f"    {stage['stage']:24} {1e3 * stage['s']:9.3f} ms {rate}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--n", type=int, default=128)
+    parser.add_argument("--angles", type=int, default=360)
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--device", default=None)
+    parser.add_argument("--cases", nargs="+", default=["straight", "vial"])
+    parser.add_argument("--records", type=Path, default=HERE / "records")
+    parser.add_argument("--label", default="here", help="of the machine, part of the record's name")
+    args = parser.parse_args()
+    device = open_device(args.device)
+    times = measured(args.n, args.angles, device, args.runs, args.cases)
+    record = {"n": args.n, "angles": args.angles, "machine": machine(device), "times": times}
+    show(record)
+    print(write_record(args.records, f"rings-{args.n}-{args.label}", record))
+
+
+if __name__ == "__main__":
+    main()
