@@ -202,9 +202,11 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 
 // The tile whose entries an item takes, and where those of its frequency begin.
 #define ENTRIES                                                                                                        \
-    const int back = 2 * k > n_k;                                                                                      \
-    __global const float *frequency = entries + (size_t)(back ? n_k - k : k) * (n_entry / (n_k / 2 + 1));
-#define TILE_OF(tile) (tiles + 3 * (back ? tiles[3 * (tile) + 2] : (tile)))
+    const int back = 2 * k > n_k, kept = back ? n_k - k : k;                                                           \
+    __global const float *frequency = entries + (size_t)kept * (n_entry / (n_k / 2 + 1));
+#define TILE_OF(tile) (tiles + 5 * (back ? tiles[5 * (tile) + 2] : (tile)))
+// How many pairs of columns light it at this frequency.
+#define PAIRS_OF(own) (kept >= (own)[3] && kept < (own)[4] ? 0 : (own)[1])
 // How far the slab after this item's own lies, for items of several; the last one again where there is none.
 #define NEXT_SLAB(u, n_major, n_minor) \
     ((size_t)min(u, (n_z - 1) / LANES - ITEM_SLAB) * (n_major) * (n_minor) * LANES)
@@ -247,7 +249,7 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
     ENTRIES
     __local float4 light[2][CHUNK][SLABS][THREADS], shares[TILES][CHUNK][4];
     int most = 0;
-    for (int t = 0; t < TILES && GROUP_TILE + t < n_tile; t++) most = max(most, TILE_OF(GROUP_TILE + t)[1]);
+    for (int t = 0; t < TILES && GROUP_TILE + t < n_tile; t++) most = max(most, PAIRS_OF(TILE_OF(GROUP_TILE + t)));
     Vector real[TILE_SLABS][ROWS], imaginary[TILE_SLABS][ROWS];
     EACH_SLAB EACH_ROW(row) real[u][row] = imaginary[u][row] = ZERO;
     for (int begin = 0; begin < most; begin += CHUNK) {
@@ -256,7 +258,7 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
             const int t = m / (CHUNK * 4), rest = m % (CHUNK * 4);
             __global const int *own = TILE_OF(min(GROUP_TILE + t, n_tile - 1));
             ((__local float4 *)shares)[m] =
-                begin < own[1] ? ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[rest] : ZERO;
+                begin < PAIRS_OF(own) ? ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[rest] : ZERO;
         }
         for (int m = MEMBER; m < 2 * CHUNK * HELD * THREADS; m += MEMBERS) {
             const int lane = m % THREADS, u = m / THREADS % HELD, p = m / THREADS / HELD % CHUNK;
@@ -292,7 +294,7 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
         Vector real[TILE_SLABS][ROWS], imaginary[TILE_SLABS][ROWS];
         EACH_SLAB EACH_ROW(row) real[u][row] = imaginary[u][row] = ZERO;
         __global const float *entry = frequency + own[0];
-        for (int pair = 0; pair < own[1]; pair++, entry += 2 * ROWS) {
+        for (int pair = 0, pairs = PAIRS_OF(own); pair < pairs; pair++, entry += 2 * ROWS) {
             Vector sum[TILE_SLABS], difference[TILE_SLABS];
             EACH_SLAB {
                 sum[u] = LOAD(from + NEXT_SLAB(u, n_k, n_pair) + SAMPLE(0, pair, 0));
@@ -319,8 +321,8 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
 
 #ifdef GPU
 // The first tile from one on that a pair of columns lights.
-static inline int next_lit(int tile, int n_tile, int pair, __global const int *tiles, int back) {
-    while (tile < n_tile && TILE_OF(tile)[1] <= pair) tile++;
+static inline int next_lit(int tile, int n_tile, int pair, __global const int *tiles, int back, int kept) {
+    while (tile < n_tile && PAIRS_OF(TILE_OF(tile)) <= pair) tile++;
     return tile;
 }
 #endif
@@ -335,12 +337,12 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
     __local float4 light[ROWS][SLABS][THREADS], shares[TILES * ROWS][4];
     Vector real[ROWS][TILE_SLABS], imaginary[ROWS][TILE_SLABS];
     EACH_SLAB EACH_ROW(pair) real[pair][u] = imaginary[pair][u] = ZERO;
-    for (int tile = next_lit(0, n_tile, begin, tiles, back); tile < n_tile;
-         tile = next_lit(tile + 1, n_tile, begin, tiles, back)) {
+    for (int tile = next_lit(0, n_tile, begin, tiles, back, kept); tile < n_tile;
+         tile = next_lit(tile + 1, n_tile, begin, tiles, back, kept)) {
         __global const int *own = TILE_OF(tile);
         barrier(CLK_LOCAL_MEM_FENCE);
         for (int m = MEMBER; m < TILES * ROWS * 4; m += MEMBERS)
-            if (begin + m / 4 < own[1])
+            if (begin + m / 4 < PAIRS_OF(own))
                 shares[m / 4][m % 4] = ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[m];
         for (int m = MEMBER; m < ROWS * HELD * THREADS; m += MEMBERS) {
             const int lane = m % THREADS, u = m / THREADS % HELD, row = m / THREADS / HELD;
@@ -349,7 +351,7 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
                 [(tile * ROWS + row) * THREADS + lane];
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        if (own[1] > first) {
+        if (PAIRS_OF(own) > first) {
             Vector ring[TILE_SLABS][ROWS];
             EACH_SLAB EACH_ROW(row) ring[u][row] = light[row][get_local_id(2) * TILE_SLABS + u][LANE_ITEM];
             EACH_ROW(pair) {
@@ -379,7 +381,7 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
         EACH_SLAB EACH_ROW(pair) real[pair][u] = imaginary[pair][u] = ZERO;
         for (int tile = 0; tile < n_tile; tile++) {
             __global const int *own = TILE_OF(tile);
-            if (own[1] <= first) continue;
+            if (PAIRS_OF(own) <= first) continue;
             __global const float *entry = frequency + own[0] + 2 * ROWS * first;
             Vector ring[TILE_SLABS][ROWS];
             EACH_SLAB EACH_ROW(row)

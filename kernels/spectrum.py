@@ -41,8 +41,9 @@ first + (s mod n)·a + (s div n)·b + j."""
 Waves = Annotated[np.ndarray, Table("float32", ("wave", "2"))]  # cosine and sine of each n-th of a turn
 Entries = Annotated[np.ndarray, Table("float32", ("entry",))]
 """For each frequency up to half of all, tile and pair of columns: real parts of `ROWS` cells, then the imaginary."""
-Tiles = Annotated[np.ndarray, Table("int32", ("tile", "3"))]
-"""Of each `ROWS` cells: first entry, pairs of columns that light them, and the tile whose entries are conjugate."""
+Tiles = Annotated[np.ndarray, Table("int32", ("tile", "5"))]
+"""Of each `ROWS` cells: first entry, pairs of columns that light them, the tile whose entries are conjugate, and the
+frequencies, up to half of all, from which to before which no entry counts."""
 
 
 def _paired(values: np.ndarray) -> np.ndarray:
@@ -130,10 +131,10 @@ def _entries(entries: np.ndarray, tiles: np.ndarray, k: int, count: int) -> list
     back, per = 2 * k > count, len(entries) // (count // 2 + 1)
     found = []
     for tile in range(len(tiles)):
-        first, pairs, mate = (int(n) for n in tiles[tile])
-        if back:
-            first, pairs = (int(n) for n in tiles[mate, :2])
-        start = (count - k if back else k) * per + first
+        first, pairs, _, dark, lit = (int(n) for n in tiles[int(tiles[tile, 2]) if back else tile])
+        kept = count - k if back else k
+        pairs *= not dark <= kept < lit
+        start = kept * per + first
         parts = entries[start : start + 2 * ROWS * pairs].reshape(pairs, 2, ROWS)
         found.append(parts[:, 0] + (-1j if back else 1j) * parts[:, 1])
     return found

@@ -126,16 +126,76 @@ def show(record: dict[str, Any]) -> None:
             print(f"    {stage['stage']:24} {1e3 * stage['s']:9.3f} ms {rate}")
 
 
+def picture(path: Path) -> None:
+    """Cells of rings and what one column leaves on them; the same by angular frequency; what rings change of a dose."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    from vamgpu.operators.polar import PolarGrid, pose_on_rings
+
+    vial = Vial(radius=1.55, wall=0.1, resin_index=1.5, wall_index=1.473)
+    rings, beam, column = PolarGrid(48, 2, 1 / 48, 96), Beam((120, 2), 0.026), 68
+    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(14, 4.4), layout="constrained")
+    poses = list(pose_on_rings(rings, beam, vial))
+    most = max(float(pose[..., column].max()) for pose in poses)
+    spectrum = np.full((rings.rings, 48 * max(belt.samples for belt in rings.belts) + 1), np.nan)
+    for belt, pose in zip(rings.belts, poses, strict=True):
+        count = rings.angles * belt.samples
+        edges = 2.0 * np.pi / count * (np.arange(count + 1) - 0.5)
+        radii = np.arange(belt.begin, belt.stop + 1) / rings.rings
+        turn, radius = np.meshgrid(edges, radii)
+        left.pcolormesh(
+            radius * np.cos(turn), radius * np.sin(turn), pose[..., column] / most, cmap="magma_r", vmin=0.0, vmax=1.0,
+            edgecolors=(0.0, 0.0, 0.0, 0.12), linewidth=0.2,
+        )  # fmt: skip
+        found = np.abs(np.fft.rfft(pose[..., column], axis=1)) / count
+        spectrum[belt.begin : belt.stop, : found.shape[1]] = found
+    left.set(
+        aspect="equal", xlabel="x / radius", ylabel="y / radius", title="light of one column, one angle, in a vial"
+    )
+    shown = middle.imshow(
+        np.log10(np.maximum(spectrum / np.nanmax(spectrum), 1e-9)), origin="lower", aspect="auto", cmap="magma",
+        vmin=-5, vmax=0, extent=(0, spectrum.shape[1], 0, rings.rings),
+    )  # fmt: skip
+    across = 2.0 * np.pi * np.arange(rings.rings + 1) / 48 / (0.026 / 1.5)
+    middle.plot(across, np.arange(rings.rings + 1), lw=1, label="waves as long as a column is wide")
+    middle.set(xlim=(0, spectrum.shape[1]), ylim=(0, rings.rings), xlabel="angular frequency", ylabel="ring",
+               title="the same by frequency, log₁₀ of the greatest")  # fmt: skip
+    middle.legend(loc="lower right")
+    figure.colorbar(shown, ax=middle)
+    grid, turn = Grid((64, 64, 2), 1 / 32), Turntable(120)
+    A = Projection(grid, Beam((80, 8), 0.04), turn, vial, "numpy")
+    light = np.random.default_rng(0).random(A.range.shape)
+    wanted = np.asarray(A.T(light))
+    for width, style in ((1.0, "C1"), (0.65, "C0")):
+        own = PolarGrid(-(-int(32 / width + 3) // 8) * 8, 2, width * grid.pitch, 120, grid.pitch)
+        R = RingProjection(grid, A.beam, turn, vial, "numpy", rings=own)
+        off = np.abs(np.asarray(R.T(light)) - wanted)[grid.cylinder()] / wanted.max()
+        levels = np.sort(off.ravel())[::-1]
+        right.loglog(100.0 * levels, np.arange(1, levels.size + 1) / levels.size, style,
+                     label=f"rings as wide as {width:g} of a voxel")  # fmt: skip
+    right.set(xlabel="dose differs by more than [% of the greatest]", ylabel="share of voxels",
+              title="dose of noise, against rays through voxels", xlim=(1e-3, 5), ylim=(1e-4, 1.1))  # fmt: skip
+    right.legend()
+    figure.savefig(path, dpi=110)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--n", type=int, default=128)
     parser.add_argument("--angles", type=int, default=360)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--device", default=None)
+    parser.add_argument("--picture", type=Path, default=None, help="draw that of the docs there, measure nothing")
     parser.add_argument("--cases", nargs="+", default=["straight", "vial"])
     parser.add_argument("--records", type=Path, default=HERE / "records")
     parser.add_argument("--label", default="here", help="of the machine, part of the record's name")
     args = parser.parse_args()
+    if args.picture is not None:
+        picture(args.picture)
+        return
     device = open_device(args.device)
     times = measured(args.n, args.angles, device, args.runs, args.cases)
     record = {"n": args.n, "angles": args.angles, "machine": machine(device), "times": times}

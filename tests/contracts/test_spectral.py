@@ -64,6 +64,17 @@ def test_the_transpose_is_exact(device: Device, geometry: str) -> None:
         assert np.abs(matrix - transpose.T).max() <= 3e-6 * np.abs(matrix).max()
 
 
+def test_faint_frequencies_are_left_out_both_ways(device: Device) -> None:
+    grid, beam = PolarGrid(24, 2, 0.05, 48), vam.Beam((40, 2), 0.06)
+    whole, part = (SpectralProjection(grid, beam, None, device, faint=faint) for faint in (0.0, 1e-2))
+    left_out = part._entries["tiles"].numpy()[:, 3:]
+    assert (left_out[:, 1] - left_out[:, 0]).sum() > 0.1 * len(left_out) * 25
+    light, volume = (np.random.default_rng(0).random(space.shape) for space in (whole.range, whole.domain))
+    for a, b in ((part.T(light), whole.T(light)), (part(volume), whole(volume))):
+        assert 1e-5 < np.abs(np.asarray(a) - np.asarray(b)).max() / np.asarray(b).max() < 0.02
+    assert part.dot_test() <= 1e-7
+
+
 def test_light_that_nothing_mirrors_is_told_apart() -> None:
     assert operator("refracted and absorbed", "numpy")._entries["mirrored"] == 1
     assert operator("light that nothing mirrors", "numpy")._entries["mirrored"] == 0

@@ -240,8 +240,13 @@ class RingTable:
     mirrored: bool
 
 
-def ring_table(grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None = None) -> RingTable:
-    """The products of each angular frequency, from the light of one pose; arguments as for `pose_on_rings`."""
+def ring_table(
+    grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None = None, faint: float = 0.0
+) -> RingTable:  # fmt: skip
+    """The products of each angular frequency, from the light of one pose; arguments as for `pose_on_rings`.
+
+    faint: share of the greatest entry up to which those of a tile at neighboring frequencies count as none.
+    """
     from scipy.fft import rfft
 
     spectra = [rfft(pose, axis=1, workers=-1) / pose.shape[1] for pose in pose_on_rings(grid, beam, vessel, square)]
@@ -264,11 +269,18 @@ def ring_table(grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None
                 held = own[..., :pairs].swapaxes(1, 2)
                 block[:, : held.shape[1], 0], block[:, : held.shape[1], 1] = np.real(held), np.imag(held)
                 mate = (belt.cell + (belt.samples - 1 - j) * belt.rings + ring) // ROWS
-                tiles.append((start, pairs, mate))
+                tiles.append((start, pairs, mate, *_dark(np.abs(own).max(axis=(1, 2)) <= faint * most)))
                 blocks.append(block.reshape(len(own), -1))
                 start += blocks[-1].shape[1]
     half = -(-((columns + 1) // 2 if mirrored else columns) // ROWS) * ROWS
     return RingTable(np.concatenate(blocks, axis=1).ravel(), np.array(tiles), half, mirrored)
+
+
+def _dark(vanish: np.ndarray) -> tuple[int, int]:
+    """The longest run of frequencies that vanish: its first, and the one after it."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], vanish, [0]])))
+    runs = ends.reshape(-1, 2)
+    return tuple(runs[np.argmax(runs[:, 1] - runs[:, 0])].tolist()) if len(runs) else (0, 0)
 
 
 def _harmonics(spectrum: np.ndarray, turns: int, j: int, samples: int) -> np.ndarray:

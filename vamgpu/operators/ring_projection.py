@@ -26,6 +26,8 @@ from vamgpu.operators.traced import WHOLE, SparseEntries
 WIDTH = 0.65
 """Width of a ring over that of a voxel. Strict windows of a print of 48 voxels across differ by 0.012 at 1, by 0.006 at
 0.75, by 0.002 at 0.6."""
+FAINT = 1e-4
+"""Share of the greatest entry of the table that counts as none: a fifth to a third of the products."""
 TAPS = np.arange(-1, 3)
 """Samples about a place that a cubic polynomial goes through."""
 
@@ -81,7 +83,7 @@ class RingProjection(LinearOperator):
         self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
-        self._spectral = SpectralProjection(self.rings, beam, vessel, self.device, square=grid.pitch)
+        self._spectral = SpectralProjection(self.rings, beam, vessel, self.device, square=grid.pitch, faint=FAINT)
         found = _interpolated(self.rings, grid)
         self._to_voxels = found.table(self.device, grid.shape[:2], BLOCK)
         self._to_rings = found.transposed().table(self.device, self.rings.shape[:2], BLOCK)

@@ -40,6 +40,7 @@ class SpectralProjection(LinearOperator):
         device: A name or a device; the best one here by default.
         square: Side [mm] of squares about the middles of the cells, over which doses are means in place of the cells;
             ``pitch`` above is theirs then.
+        faint: Share of the greatest entry of its table up to which entries of neighboring frequencies count as none.
 
     Raises:
         BadInput: An argument is of another kind, or no light reaches a ring.
@@ -55,7 +56,7 @@ class SpectralProjection(LinearOperator):
 
     def __init__(
         self, grid: PolarGrid, beam: Beam, vessel: Vessel | None = None, device: str | Device | None = None, *,
-        square: float | None = None,
+        square: float | None = None, faint: float = 0.0,
     ) -> None:  # fmt: skip
         for value, kind in ((grid, PolarGrid), (beam, Beam)):
             if not isinstance(value, kind):
@@ -68,7 +69,7 @@ class SpectralProjection(LinearOperator):
         self.device: Device = open_device(device)
         pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
         self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.slices, grid.slice_pitch, self.device, **pixel)
-        table = ring_table(grid, beam, vessel or OpenAir(), square)
+        table = ring_table(grid, beam, vessel or OpenAir(), square, faint)
         self._folded = (grid.angles, table.pairs * (2 if table.mirrored else 1), grid.slices)
         upload = self.device.table
         self._entries = {
