@@ -48,6 +48,20 @@ def test_dose_and_projection_are_those_of_rays(vessel: Any) -> None:
         assert off.max() <= 0.03 and np.sqrt((off**2).mean()) <= 0.004
 
 
+def test_what_is_cubic_across_the_rings_is_met_everywhere_and_at_the_axis() -> None:
+    R = vam.RingProjection(vam.Grid((12, 12, 2), 0.1), vam.Beam((12, 2), 0.1), vam.Turntable(24), device="numpy")
+    rho, phi = R.rings.places
+    across, along = R.grid.axes()[:2]
+    entries, first = (R._to_voxels[name].numpy() for name in ("entries", "first"))
+    taken = np.add.reduceat(
+        np.append(entries[:, 1] * (rho * np.cos(phi)).ravel()[entries[:, 0].astype(int)], 0.0), first
+    )
+    blocks = (first.size - 1) // 144
+    found = np.where(np.diff(first) > 0, taken[:-1], 0.0).reshape(12, blocks, 12).sum(axis=1)
+    near = R.grid.cylinder()
+    assert np.abs(found - across[:, None] + 0.0 * along)[near].max() <= 1e-3 * 0.1
+
+
 def test_narrower_rings_come_nearer() -> None:
     grid, beam, turn = vam.Grid((40, 40, 2), 0.025), vam.Beam((44, 6), 0.025), vam.Turntable(48)
     A = vam.Projection(grid, beam, turn, None, "numpy")

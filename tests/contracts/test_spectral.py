@@ -52,7 +52,7 @@ def test_it_is_the_sum_over_poses(device: Device, geometry: str) -> None:
     slices = reference.device.empty((*A.range.shape[:2], A.grid.slices))
     reference._rows.to_slices(reference.device.upload(light), slices)
     wanted = summed(A, slices.numpy())
-    assert np.abs(A.T(light) - wanted).max() <= 2e-6 * wanted.max()
+    assert np.abs(A.T(light) - wanted).max() <= 3e-6 * wanted.max()
 
 
 @every_geometry

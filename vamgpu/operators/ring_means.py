@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 POINTS, GENERATOR = 89, 55
 """Points of a cell that stand for equal parts of its area, a Fibonacci lattice: one in each of 89 rows and columns."""
-BLOCK = 1 << 14
+BLOCK = 1 << 24
 """Columns of the matrix that are read together."""
 
 

@@ -118,12 +118,12 @@ class RingProjection(LinearOperator):
         return f"RingProjection({self.grid!r}, {self.beam!r}, {self.motion!r}{vessel}, device={self.device.name!r})"
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        on_rings = self.device.empty(self.rings.shape)
+        on_rings = self._spectral._work("samples", self.rings.shape)
         self.device.launch(gather_rows, source=x, **self._to_rings, out=on_rings)
         self._spectral.forward(on_rings, out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        on_rings = self.device.empty(self.rings.shape)
+        on_rings = self._spectral._work("samples", self.rings.shape)
         self._spectral.transposed(y, on_rings)
         self.device.launch(gather_rows, source=on_rings, **self._to_voxels, out=out)
 

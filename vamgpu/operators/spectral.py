@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from math import prod, sqrt
+from threading import local
 from typing import final
 
 import numpy as np
@@ -67,6 +69,7 @@ class SpectralProjection(LinearOperator):
         self.domain = PolarSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
+        self._held = local()
         pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
         self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.slices, grid.slice_pitch, self.device, **pixel)
         table = ring_table(grid, beam, vessel or OpenAir(), square, faint)
@@ -105,27 +108,34 @@ class SpectralProjection(LinearOperator):
         ]
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        launch, empty = self.device.launch, self.device.empty
-        spectrum = self._from_rings.run(-1.0, x, empty(x.shape), empty(x.shape))
-        folded = empty(self._folded)
+        launch, work = self.device.launch, self._work
+        spectrum = self._from_rings.run(-1.0, x, lambda number: work(f"rings {number}", x.shape))
+        folded = work("folded 0", self._folded)
         launch(gather_rings, spectrum=spectrum, **self._entries, folded=folded)
-        folded = self._of_light.run(1.0, folded, empty(self._folded), folded)
-        rows = out if self._rows.same else empty((*self.range.shape[:2], self.grid.slices))
+        folded = self._of_light.run(1.0, folded, lambda number: work(f"folded {1 - number}", self._folded))
+        rows = out if self._rows.same else work("rows", (*self.range.shape[:2], self.grid.slices))
         launch(unfold_columns, folded=folded, mirrored=self._entries["mirrored"], sinogram=rows)
         if rows is not out:
             self._rows.from_slices(rows, out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        launch, empty, rows = self.device.launch, self.device.empty, y
+        launch, work, rows = self.device.launch, self._work, y
         if not self._rows.same:
-            rows = empty((*self.range.shape[:2], self.grid.slices))
+            rows = work("rows", (*self.range.shape[:2], self.grid.slices))
             self._rows.to_slices(y, rows)
-        folded = empty(self._folded)
+        folded = work("folded 0", self._folded)
         launch(fold_columns, sinogram=rows, mirrored=self._entries["mirrored"], folded=folded)
-        folded = self._of_light.run(-1.0, folded, empty(self._folded), folded)
-        spectrum = empty(out.shape)
+        folded = self._of_light.run(-1.0, folded, lambda number: work(f"folded {1 - number}", self._folded))
+        spectrum = work("rings 0", out.shape)
         launch(light_rings, folded=folded, **self._entries, spectrum=spectrum)
-        self._to_rings.run(1.0, spectrum, empty(out.shape), spectrum, last=out)
+        self._to_rings.run(1.0, spectrum, lambda number: work(f"rings {1 - number}", out.shape), last=out)
+
+    def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
+        """A field to work in, kept for the next product: the pages of new memory cost more than a pass over them."""
+        held = vars(self._held)  # of each thread
+        if name not in held:
+            held[name] = self.device.empty(shape)
+        return held[name]
 
 
 Place = tuple[int, int, int, int]
@@ -153,15 +163,15 @@ class _Passes:
         return np.array(found)
 
     def run(
-        self, sign: float, source: DeviceArray, one: DeviceArray, two: DeviceArray, last: DeviceArray | None = None
+        self, sign: float, source: DeviceArray, work: Callable[[int], DeviceArray], last: DeviceArray | None = None
     ) -> DeviceArray:
-        """Transform; ``one`` and ``two``, which may be the source, are written in turn, ``last`` by the last pass.
+        """Transform; passes write to work(0) and work(1), which may be the source, in turn, the last one to ``last``.
 
         Where the result is.
         """
         count = len(self._tables)
         for number, belts in enumerate(self._tables):
-            sink = last if last is not None and number == count - 1 else one if number % 2 == 0 else two
+            sink = last if last is not None and number == count - 1 else work(number % 2)
             self._device.launch(fourier, source=source, belts=belts, waves=self._waves, sign=sign, sink=sink)
             source = sink
         return source
