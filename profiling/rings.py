@@ -11,7 +11,6 @@ import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ PRODUCTS = ("light_rings", "gather_rings")
 
 
 def stages(device: Device, run: Callable[[], Any], runs: int) -> list[dict[str, Any]]:
-    """Every launch of a call: kernel, median time [s], bytes of its fields, flops where they are counted."""
+    """Every launch of a call: kernel, least time [s], bytes of its fields, flops where they are counted."""
     launch, found = device.launch, []
 
     def watched(kernel: Any, **given: Any) -> None:
@@ -53,7 +52,7 @@ def stages(device: Device, run: Callable[[], Any], runs: int) -> list[dict[str, 
     finally:
         del device.launch
     return [
-        {"stage": first[0], "s": median(each[1] for each in same), "bytes": first[2], "flops": first[3]}
+        {"stage": first[0], "s": min(each[1] for each in same), "bytes": first[2], "flops": first[3]}
         for first, *same in zip(*found, strict=True)
     ]
 
@@ -119,7 +118,10 @@ def show(record: dict[str, Any]) -> None:
         if not isinstance(row, dict):
             print(f"{name:28} {row:.2f}")
             continue
-        print(f"{name:28} {1e3 * row['median_s']:9.2f} ms", f"  moved {row['moved']:.1f}" if "moved" in row else "")
+        print(
+            f"{name:28} {1e3 * row['median_s']:9.2f} ms, least {1e3 * row['least_s']:9.2f}",
+            f"  moved {row['moved']:.1f}" if "moved" in row else "",
+        )
         for stage in row.get("stages", ()):
             rate = f"{stage['bytes'] / stage['s'] / 1e9:8.0f} GB/s"
             rate += f"{stage['flops'] / stage['s'] / 1e12:7.2f} Tflop/s" if stage["flops"] else ""
