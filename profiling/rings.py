@@ -1,6 +1,7 @@
 """Time projection on rings stage by stage, beside the direct operator, and what its bytes and sums would take.
 
-Every launch is timed on its own, between two synchronizations, in the order in which a product makes them. "bytes" are
+Every launch is timed on its own, between two synchronizations, in the order in which a product makes them; least times
+of a stage, medians and least times of products. "bytes" are
 those that a stage has to read and write once, "flops" its additions and multiplications; "moved" of a whole product
 are its stages' bytes over those of volume, light and table.
 """
@@ -118,10 +119,8 @@ def show(record: dict[str, Any]) -> None:
         if not isinstance(row, dict):
             print(f"{name:28} {row:.2f}")
             continue
-        print(
-            f"{name:28} {1e3 * row['median_s']:9.2f} ms, least {1e3 * row['least_s']:9.2f}",
-            f"  moved {row['moved']:.1f}" if "moved" in row else "",
-        )
+        moved = f"  moved {row['moved']:.1f}" if "moved" in row else ""
+        print(f"{name:28} {1e3 * row['median_s']:9.2f} ms, least {1e3 * row['least_s']:9.2f}{moved}")
         for stage in row.get("stages", ()):
             rate = f"{stage['bytes'] / stage['s'] / 1e9:8.0f} GB/s"
             rate += f"{stage['flops'] / stage['s'] / 1e12:7.2f} Tflop/s" if stage["flops"] else ""
