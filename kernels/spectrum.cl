@@ -55,7 +55,77 @@ FIELD_KERNEL unfold_columns(ARRAY folded, int mirrored, __global float *restrict
 #endif
 
 #ifdef COMPILE_fourier
-// An item computes OUTPUTS samples of a transform, which share what they are made of.
+#ifdef AT_ONCE
+
+// The radix of the next pass of a transform: of those that have a pass of their own the first, or the least factor.
+static inline int radix_of(int n) {
+    if (n % 4 == 0) return 4;
+    if (n % 5 == 0) return 5;
+    int radix = 2;
+    while (n % radix) radix++;
+    return radix;
+}
+
+#define TIMES(wave, value) ((wave).x * (value) + sign * (wave).y * turned(value))
+// A pass of one radix: what it takes, `near`, is `apart` from the next; what it makes, `out`, is `done`. Waves of the first
+// input are 1.
+#define PASS(radix, ...)                                                                                               \
+    for (int inner = 0; inner < done; inner++) {                                                                       \
+        float2 turn[radix];                                                                                            \
+        UNROLL for (int r = 1; r < radix; r++) turn[r] = wave[r * inner * turns * wide];                               \
+        for (int start = 0; start < turns; start++) {                                                                  \
+            const Vector *near = from + start * done + inner;                                                          \
+            Vector *out = to + start * done * radix + inner, g[radix];                                                 \
+            g[0] = near[0];                                                                                            \
+            UNROLL for (int r = 1; r < radix; r++) g[r] = TIMES(turn[r], near[r * turns * done]);                      \
+            __VA_ARGS__                                                                                                \
+        }                                                                                                              \
+    }
+
+// The transform of `radix` values, pass by pass between two private arrays; `wide` waves make one of theirs. Returns
+// where the result is.
+static inline Vector *passes(Vector *from, Vector *to, int radix, __global const float2 *wave, int wide, float sign) {
+    for (int done = 1, part = 1; done < radix; done *= part) {
+        part = radix_of(radix / done);
+        const int turns = radix / (done * part);
+        if (part == 4) PASS(4, {
+            const Vector a = g[0] + g[2], b = g[0] - g[2], c = g[1] + g[3], d = sign * turned(g[1] - g[3]);
+            out[0] = a + c; out[done] = b + d; out[2 * done] = a - c; out[3 * done] = b - d;
+        })
+        else if (part == 5) PASS(5, {
+            const Vector a = g[1] + g[4], b = g[1] - g[4], c = g[2] + g[3], d = g[2] - g[3];
+            const Vector low = g[0] + 0.30901699f * a - 0.80901699f * c, high = g[0] - 0.80901699f * a + 0.30901699f * c;
+            const Vector slow = sign * turned(0.95105652f * b + 0.58778525f * d);
+            const Vector fast = sign * turned(0.58778525f * b - 0.95105652f * d);
+            out[0] = g[0] + a + c; out[done] = low + slow; out[4 * done] = low - slow;
+            out[2 * done] = high + fast; out[3 * done] = high - fast;
+        })
+        else if (part == 3) PASS(3, {
+            const Vector a = g[1] + g[2], b = sign * 0.86602540f * turned(g[1] - g[2]), c = g[0] - 0.5f * a;
+            out[0] = g[0] + a; out[done] = c + b; out[2 * done] = c - b;
+        })
+        else if (part == 2) PASS(2, { out[0] = g[0] + g[1]; out[done] = g[0] - g[1]; })
+        else for (int start = 0; start < turns; start++) for (int inner = 0; inner < done; inner++)
+            for (int k = 0, step = inner * turns; k < part; k++, step += done * turns) {
+                Vector along = ZERO, across = ZERO;
+                for (int r = 0, phase = 0; r < part; r++, phase = (phase + step) % radix) {
+                    const Vector given = from[(start + r * turns) * done + inner];
+                    const float2 turn = wave[phase * wide];
+                    along += turn.x * given;
+                    across += turn.y * given;
+                }
+                to[start * done * part + inner + k * done] = along + sign * turned(across);
+            }
+        Vector *next = from;
+        from = to;
+        to = next;
+    }
+    return from;
+}
+#endif
+
+// An item computes OUTPUTS samples of a transform, which share what they are made of. Of a radix above ONE_SUM, where
+// there is room for it, it computes all or none.
 FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global const float2 *restrict waves, float sign,
                      __global float *restrict sink, int n_a, int n_b, int n_z, int n_belt, int n_wave, int n_i, int n_j) {
     if (ITEM_MAJOR >= n_i || ITEM_Z >= n_z) return;
@@ -73,6 +143,29 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
         }
         if (b == n_belt) return;
         const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], turns = n / (done * radix);
+#ifdef AT_ONCE
+        if (radix > ONE_SUM && radix <= AT_ONCE) {
+            if (own % blocks) continue;
+            const int which = own / blocks, ring = which % rings, inner = which / rings % done, start = which / rings / done;
+            __global const float2 *wave = waves + belt[5];
+            Vector values[2 * AT_ONCE];
+            EACH_VECTOR {
+                for (int r = 0, sample = start * done + inner; r < radix; r++, sample += turns * done) {
+                    const int at = belt[6] + sample % belt[7] * belt[8] + sample / belt[7] * belt[9] + ring;
+                    const Vector given = LOAD(from + SAMPLE(0, at, 0));
+                    const float2 turn = wave[(long)r * inner * turns % n];
+                    values[r] = inner ? turn.x * given + sign * turn.y * turned(given) : given;
+                }
+                const Vector *found = passes(values, values + AT_ONCE, radix, wave, n / radix, sign);
+                for (int b = 0; b < radix; b++) {
+                    const int out = start * done * radix + inner + b * done;
+                    const int at = belt[10] + out % belt[11] * belt[12] + out / belt[11] * belt[13] + ring;
+                    STORE(to + SAMPLE(0, at, 0), found[b]);
+                }
+            }
+            continue;
+        }
+#endif
         const int ring = own % rings, block = own / rings % blocks * OUTPUTS, group = own / rings / blocks;
         const int inner = group % done, start = group / done;
         __global const float2 *wave = waves + belt[5];
@@ -109,9 +202,11 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 
 // The tile whose entries an item takes, and where those of its frequency begin.
 #define ENTRIES                                                                                                        \
-    const int back = 2 * k > n_k;                                                                                      \
-    __global const float *frequency = entries + (size_t)(back ? n_k - k : k) * (n_entry / (n_k / 2 + 1));
-#define TILE_OF(tile) (tiles + 3 * (back ? tiles[3 * (tile) + 2] : (tile)))
+    const int back = 2 * k > n_k, kept = back ? n_k - k : k;                                                           \
+    __global const float *frequency = entries + (size_t)kept * (n_entry / (n_k / 2 + 1));
+#define TILE_OF(tile) (tiles + 5 * (back ? tiles[5 * (tile) + 2] : (tile)))
+// How many pairs of columns light it at this frequency.
+#define PAIRS_OF(own) (kept >= (own)[3] && kept < (own)[4] ? 0 : (own)[1])
 // How far the slab after this item's own lies, for items of several; the last one again where there is none.
 #define NEXT_SLAB(u, n_major, n_minor) \
     ((size_t)min(u, (n_z - 1) / LANES - ITEM_SLAB) * (n_major) * (n_minor) * LANES)
@@ -154,7 +249,7 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
     ENTRIES
     __local float4 light[2][CHUNK][SLABS][THREADS], shares[TILES][CHUNK][4];
     int most = 0;
-    for (int t = 0; t < TILES && GROUP_TILE + t < n_tile; t++) most = max(most, TILE_OF(GROUP_TILE + t)[1]);
+    for (int t = 0; t < TILES && GROUP_TILE + t < n_tile; t++) most = max(most, PAIRS_OF(TILE_OF(GROUP_TILE + t)));
     Vector real[TILE_SLABS][ROWS], imaginary[TILE_SLABS][ROWS];
     EACH_SLAB EACH_ROW(row) real[u][row] = imaginary[u][row] = ZERO;
     for (int begin = 0; begin < most; begin += CHUNK) {
@@ -163,7 +258,7 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
             const int t = m / (CHUNK * 4), rest = m % (CHUNK * 4);
             __global const int *own = TILE_OF(min(GROUP_TILE + t, n_tile - 1));
             ((__local float4 *)shares)[m] =
-                begin < own[1] ? ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[rest] : ZERO;
+                begin < PAIRS_OF(own) ? ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[rest] : ZERO;
         }
         for (int m = MEMBER; m < 2 * CHUNK * HELD * THREADS; m += MEMBERS) {
             const int lane = m % THREADS, u = m / THREADS % HELD, p = m / THREADS / HELD % CHUNK;
@@ -199,7 +294,7 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
         Vector real[TILE_SLABS][ROWS], imaginary[TILE_SLABS][ROWS];
         EACH_SLAB EACH_ROW(row) real[u][row] = imaginary[u][row] = ZERO;
         __global const float *entry = frequency + own[0];
-        for (int pair = 0; pair < own[1]; pair++, entry += 2 * ROWS) {
+        for (int pair = 0, pairs = PAIRS_OF(own); pair < pairs; pair++, entry += 2 * ROWS) {
             Vector sum[TILE_SLABS], difference[TILE_SLABS];
             EACH_SLAB {
                 sum[u] = LOAD(from + NEXT_SLAB(u, n_k, n_pair) + SAMPLE(0, pair, 0));
@@ -226,8 +321,8 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
 
 #ifdef GPU
 // The first tile from one on that a pair of columns lights.
-static inline int next_lit(int tile, int n_tile, int pair, __global const int *tiles, int back) {
-    while (tile < n_tile && TILE_OF(tile)[1] <= pair) tile++;
+static inline int next_lit(int tile, int n_tile, int pair, __global const int *tiles, int back, int kept) {
+    while (tile < n_tile && PAIRS_OF(TILE_OF(tile)) <= pair) tile++;
     return tile;
 }
 #endif
@@ -242,12 +337,12 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
     __local float4 light[ROWS][SLABS][THREADS], shares[TILES * ROWS][4];
     Vector real[ROWS][TILE_SLABS], imaginary[ROWS][TILE_SLABS];
     EACH_SLAB EACH_ROW(pair) real[pair][u] = imaginary[pair][u] = ZERO;
-    for (int tile = next_lit(0, n_tile, begin, tiles, back); tile < n_tile;
-         tile = next_lit(tile + 1, n_tile, begin, tiles, back)) {
+    for (int tile = next_lit(0, n_tile, begin, tiles, back, kept); tile < n_tile;
+         tile = next_lit(tile + 1, n_tile, begin, tiles, back, kept)) {
         __global const int *own = TILE_OF(tile);
         barrier(CLK_LOCAL_MEM_FENCE);
         for (int m = MEMBER; m < TILES * ROWS * 4; m += MEMBERS)
-            if (begin + m / 4 < own[1])
+            if (begin + m / 4 < PAIRS_OF(own))
                 shares[m / 4][m % 4] = ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[m];
         for (int m = MEMBER; m < ROWS * HELD * THREADS; m += MEMBERS) {
             const int lane = m % THREADS, u = m / THREADS % HELD, row = m / THREADS / HELD;
@@ -256,7 +351,7 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
                 [(tile * ROWS + row) * THREADS + lane];
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        if (own[1] > first) {
+        if (PAIRS_OF(own) > first) {
             Vector ring[TILE_SLABS][ROWS];
             EACH_SLAB EACH_ROW(row) ring[u][row] = light[row][get_local_id(2) * TILE_SLABS + u][LANE_ITEM];
             EACH_ROW(pair) {
@@ -286,7 +381,7 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
         EACH_SLAB EACH_ROW(pair) real[pair][u] = imaginary[pair][u] = ZERO;
         for (int tile = 0; tile < n_tile; tile++) {
             __global const int *own = TILE_OF(tile);
-            if (own[1] <= first) continue;
+            if (PAIRS_OF(own) <= first) continue;
             __global const float *entry = frequency + own[0] + 2 * ROWS * first;
             Vector ring[TILE_SLABS][ROWS];
             EACH_SLAB EACH_ROW(row)

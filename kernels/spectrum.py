@@ -21,6 +21,11 @@ from vamgpu.kernels.signature import Field, Integer, Real, Table, Tiling, kernel
 ROWS = 8
 """Neighboring rings, and pairs of columns, that one item computes together."""
 
+AT_ONCE = 2048
+"""Greatest radix of a pass that processors compute by passes of their own, within their caches."""
+ONE_SUM = 20
+"""Greatest radix of a pass that is a plain sum everywhere, where radices can be so small."""
+
 Light = Annotated[np.ndarray, Field(("k", "r", "z"))]
 LightOut = Annotated[np.ndarray, Field(("k", "r", "z"), writes=True)]
 Source = Annotated[np.ndarray, Field(("a", "b", "z"))]
@@ -36,8 +41,9 @@ first + (s mod n)·a + (s div n)·b + j."""
 Waves = Annotated[np.ndarray, Table("float32", ("wave", "2"))]  # cosine and sine of each n-th of a turn
 Entries = Annotated[np.ndarray, Table("float32", ("entry",))]
 """For each frequency up to half of all, tile and pair of columns: real parts of `ROWS` cells, then the imaginary."""
-Tiles = Annotated[np.ndarray, Table("int32", ("tile", "3"))]
-"""Of each `ROWS` cells: first entry, pairs of columns that light them, and the tile whose entries are conjugate."""
+Tiles = Annotated[np.ndarray, Table("int32", ("tile", "5"))]
+"""Of each `ROWS` cells: first entry, pairs of columns that light them, the tile whose entries are conjugate, and the
+frequencies, up to half of all, from which to before which no entry counts."""
 
 
 def _paired(values: np.ndarray) -> np.ndarray:
@@ -92,7 +98,7 @@ def unfold_columns(folded: Folded, mirrored: Integer, sinogram: LightOut) -> Non
     over="sink",
     cpu=Tiling(major=1, minor=0),
     gpu=Tiling(major=1, minor=2),
-    constants={"cpu": {"OUTPUTS": 4}, "gpu": {"OUTPUTS": 5}},
+    constants={"cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM}, "gpu": {"OUTPUTS": 5}},
 )
 def fourier(source: Source, belts: Belts, waves: Waves, sign: Real, sink: Sink) -> None:
     """One pass of the Fourier transforms of rings over their samples, of exponent ``sign``·i; in order after the last.
@@ -125,10 +131,10 @@ def _entries(entries: np.ndarray, tiles: np.ndarray, k: int, count: int) -> list
     back, per = 2 * k > count, len(entries) // (count // 2 + 1)
     found = []
     for tile in range(len(tiles)):
-        first, pairs, mate = (int(n) for n in tiles[tile])
-        if back:
-            first, pairs = (int(n) for n in tiles[mate, :2])
-        start = (count - k if back else k) * per + first
+        first, pairs, _, dark, lit = (int(n) for n in tiles[int(tiles[tile, 2]) if back else tile])
+        kept = count - k if back else k
+        pairs *= not dark <= kept < lit
+        start = kept * per + first
         parts = entries[start : start + 2 * ROWS * pairs].reshape(pairs, 2, ROWS)
         found.append(parts[:, 0] + (-1j if back else 1j) * parts[:, 1])
     return found

@@ -155,6 +155,15 @@ def tile_at(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
     return tile
 
 
+@wp.func
+def pairs_of(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
+    """How many pairs of columns light a tile at a frequency."""
+    kept = wp.where(2 * k > n_k, n_k - k, k)
+    if kept >= tiles[tile, 3] and kept < tiles[tile, 4]:
+        return 0
+    return tiles[tile, 1]
+
+
 @wp.kernel
 def light_rings(
     folded: Vectors, entries: wp.array[float], tiles: wp.array2d[int], mirrored: int, spectrum: Vectors,
@@ -174,7 +183,7 @@ def light_rings(
     imaginary = Rows()
     other_real = Rows()
     other_imaginary = Rows()
-    for pair in range(tiles[own, 1]):
+    for pair in range(pairs_of(tiles, own, k, n_k)):
         a = eight(entries, entry)
         b = eight(entries, entry + ROWS)
         real += wp.outer(a, folded[slab, k, pair, lane])
@@ -207,7 +216,7 @@ def gather_rings(
     imaginary = Rows()
     for tile in range(n_tile):
         own = tile_at(tiles, tile, k, n_k)
-        if tiles[own, 1] > first:
+        if pairs_of(tiles, own, k, n_k) > first:
             entry = frequency + tiles[own, 0] + 2 * ROWS * first
             rings = Rows()
             for row in range(ROWS):

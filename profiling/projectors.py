@@ -4,7 +4,8 @@ All weigh light by exact footprints. "straight": light of full pixels through a 
 in air that also absorbs, columns 1.5 voxels apart in air and so one voxel apart in the resin, where they cover the
 grid's inscribed disc. "refracted" is a perfect lens and "blurred" the usual point spread of half a pixel, both with one
 row of light a slice, as a sparse matrix has; "vial" is the whole operator of the latter, which also spreads the pixels'
-rows over slices. Peers: torch's CSR product with a prebuilt matrix of the same operator where a processor is timed,
+rows over slices. "straight on rings" and "vial on rings" are the same light by `RingProjection`, with how long its
+tables take to make. Peers: torch's CSR product with a prebuilt matrix of the same operator where a processor is timed,
 ASTRA's CUDA projector where a GPU is.
 """
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,12 +25,14 @@ from vamgpu.backend.device import Device
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.kernels.footprint import back_footprint, forward_footprint
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.optics.vial import Vial
 
 VIAL = Vial(radius=12.4, wall=1.0, resin_index=1.5, wall_index=1.473, bath_index=1.0, absorption=0.05)
 WIDTH = 14.8
 """Of the grid [mm]: its inscribed disc lies inside the printable radius of 8.27 mm."""
 
+ON_RINGS = " on rings"
 MATRICES = ("straight", "refracted", "blurred")
 """What is timed slice by slice, as a sparse matrix works."""
 
@@ -51,12 +55,19 @@ class Bench:
             "blurred": Projection(grid, Beam((n, n), 1.5 * pitch), motion, VIAL, device),
         }
 
-    def pairs(self) -> Iterator[tuple[str, Pair]]:
-        """Name, and forward and back projection without arguments."""
+    def pairs(self) -> Iterator[tuple[str, Pair, float]]:
+        """Name, forward and back projection without arguments, and how long a table of rings takes to make [s]."""
         for name in MATRICES:
-            yield name, self.slices(name)
-        A = self.operators["blurred"]
-        yield "vial", (lambda: A(self.volume, out=self.shadow), lambda: A.T(self.light, out=self.dose))
+            yield name, self.slices(name), 0.0
+        yield "vial", self.whole(self.operators["blurred"]), 0.0
+        for name, of in (("straight", "straight"), ("vial", "blurred")):
+            began = time.perf_counter()
+            rings = RingProjection.of(self.operators[of])
+            yield f"{name}{ON_RINGS}", self.whole(rings), time.perf_counter() - began
+
+    def whole(self, A: Projection | RingProjection) -> Pair:
+        """An operator with all that belongs to it."""
+        return lambda: A(self.volume, out=self.shadow), lambda: A.T(self.light, out=self.dose)
 
     def slices(self, name: str) -> Pair:
         """The kernels of an operator alone, one row of light a slice."""
@@ -84,8 +95,12 @@ def ours(n: int, angles: int, device: Device, runs: int) -> dict[str, Any]:
     """Forward and back times of every operator on a device."""
     bench = Bench(n, angles, device)
     out: dict[str, Any] = {}
-    for name, (forward, back) in bench.pairs():
+    for name, (forward, back), made in bench.pairs():
         out[name] = {"forward": timed(forward, device.synchronize, runs), "back": timed(back, device.synchronize, runs)}
+        if name.endswith(ON_RINGS):
+            beside = out[name.removesuffix(ON_RINGS)]
+            times = [beside[way]["median_s"] / out[name][way]["median_s"] for way in ("forward", "back")]
+            out[name] |= {"made_s": made, "times_as_fast": [round(ratio, 2) for ratio in times]}
     return out
 
 
@@ -129,9 +144,10 @@ def ratios(times: dict[str, Any], peers: dict[str, Any], least: bool = False) ->
     for device, operators in times.items():
         for name, pair in operators.items():
             for who, records in peers.items():
-                if "missing" in records[name]:
+                record = records[name.removesuffix(ON_RINGS)]
+                if "missing" in record:
                     continue
-                both = [_ratio(records[name], pair[way], way, least) for way in ("forward", "back")]
+                both = [_ratio(record, pair[way], way, least) for way in ("forward", "back")]
                 out.setdefault(device, {}).setdefault(name, {})[who] = [round(ratio, 2) for ratio in both]
     return out
 
@@ -148,11 +164,13 @@ def show(record: dict[str, Any]) -> None:
             cells = " / ".join(f"{1e3 * pair[way]['median_s']:9.3f}" for way in ("forward", "back"))
             beside = record["ratios"].get(device, {}).get(name, {})
             least = record["ratios_of_least"].get(device, {}).get(name, {})
+            own = pair.get("times_as_fast")
+            print(f"  {device:18} {name:17} {cells}", f"{own[0]} / {own[1]} x voxels" if own else "", end="  ")
             times = "  ".join(
                 f"{f:g} / {b:g} x {who} (least times {least[who][0]:g} / {least[who][1]:g})"
                 for who, (f, b) in beside.items()
             )
-            print(f"  {device:18} {name:10} {cells}   {times}")
+            print(times)
     for who, records in record["peers"].items():
         for name in MATRICES:
             found = records[name]

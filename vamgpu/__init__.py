@@ -19,6 +19,7 @@ _PUBLIC = {
     "WebGrid": "vamgpu.web",
     "Projection": "vamgpu.operators.projection",
     "PolarGrid": "vamgpu.operators.polar",
+    "RingProjection": "vamgpu.operators.ring_projection",
     "SpectralProjection": "vamgpu.operators.spectral",
     "WebProjection": "vamgpu.operators.web",
     "TracedProjection": "vamgpu.operators.traced",

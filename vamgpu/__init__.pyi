@@ -66,6 +66,7 @@ from vamgpu.operators.moves import Wobbled as Wobbled
 from vamgpu.operators.oblique import Oblique as Oblique
 from vamgpu.operators.polar import PolarGrid as PolarGrid
 from vamgpu.operators.projection import Projection as Projection
+from vamgpu.operators.ring_projection import RingProjection as RingProjection
 from vamgpu.operators.spectral import SpectralProjection as SpectralProjection
 from vamgpu.operators.traced import TracedProjection as TracedProjection
 from vamgpu.operators.web import WebProjection as WebProjection

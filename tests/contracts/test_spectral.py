@@ -20,6 +20,7 @@ GEOMETRIES: dict[str, Any] = {
     "straight": (PolarGrid(8, 4, 0.1, 9), vam.Beam((15, 4), 0.1), None),
     "one row": (PolarGrid(8, 2, 0.1, 6), vam.Beam((16, 1), 0.1), None),
     "several belts": (PolarGrid(24, 2, 0.05, 12), vam.Beam((40, 4), 0.06), None),
+    "angles that take three passes": (PolarGrid(8, 2, 0.1, 420), vam.Beam((16, 2), 0.1), None),
     "a prime number of angles": (PolarGrid(8, 2, 0.1, 53), vam.Beam((16, 2), 0.1), None),
     "refracted and absorbed": (PolarGrid(8, 2, 0.11, 12), vam.Beam((13, 3), 0.15), VIAL),
     "light that nothing mirrors": (PolarGrid(8, 2, 0.11, 12), vam.Beam((14, 3), 0.15), ASIDE),
@@ -51,7 +52,7 @@ def test_it_is_the_sum_over_poses(device: Device, geometry: str) -> None:
     slices = reference.device.empty((*A.range.shape[:2], A.grid.slices))
     reference._rows.to_slices(reference.device.upload(light), slices)
     wanted = summed(A, slices.numpy())
-    assert np.abs(A.T(light) - wanted).max() <= 2e-6 * wanted.max()
+    assert np.abs(A.T(light) - wanted).max() <= 3e-6 * wanted.max()
 
 
 @every_geometry
@@ -61,6 +62,17 @@ def test_the_transpose_is_exact(device: Device, geometry: str) -> None:
     if np.prod(A.domain.shape) < 4000:
         matrix, transpose = A.dense(), A.T.dense()
         assert np.abs(matrix - transpose.T).max() <= 3e-6 * np.abs(matrix).max()
+
+
+def test_faint_frequencies_are_left_out_both_ways(device: Device) -> None:
+    grid, beam = PolarGrid(24, 2, 0.05, 48), vam.Beam((40, 2), 0.06)
+    whole, part = (SpectralProjection(grid, beam, None, device, faint=faint) for faint in (0.0, 1e-2))
+    left_out = part._entries["tiles"].numpy()[:, 3:]
+    assert (left_out[:, 1] - left_out[:, 0]).sum() > 0.1 * len(left_out) * 25
+    light, volume = (np.random.default_rng(0).random(space.shape) for space in (whole.range, whole.domain))
+    for a, b in ((part.T(light), whole.T(light)), (part(volume), whole(volume))):
+        assert 1e-5 < np.abs(np.asarray(a) - np.asarray(b)).max() / np.asarray(b).max() < 0.02
+    assert part.dot_test() <= 1e-7
 
 
 def test_light_that_nothing_mirrors_is_told_apart() -> None:

@@ -187,10 +187,11 @@ def shown(page: str) -> list[str]:
 
 
 def test_the_pages_show_jobs_that_read() -> None:
-    (first,), (vial, bath), (slices,) = shown("README.md"), shown("docs/jobs.md"), shown("docs/curethrough.md")
+    (first,), (vial, bath, rings), (slices,) = map(shown, ("README.md", "docs/jobs.md", "docs/curethrough.md"))
     assert first == vial and parse_job(vial, source="README.md").file.vial is not None
     bathed = re.sub(r"\[vial\]\n.*?(?=\[beam\])", bath, vial, flags=re.DOTALL)
     assert isinstance(parse_job(bathed, source="jobs.md").file.vessel, SquareBath)
+    assert parse_job(vial + rings, source="jobs.md").file.solve.operator == "rings"
     assert parse_curethrough(slices, source="curethrough.md").given["slices"] == {"path": "slices"}
 
 

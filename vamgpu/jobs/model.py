@@ -243,7 +243,9 @@ class SolveSection(Section):
 
     method: by its name, with its own parameters; the table [method] sets them.  iterations: in all; the method's own by
     default.  tolerance: share of the first loss at which to stop.  evaluations: projector evaluations that may be
-    spent.  device: where to compute; the best one here by default.
+    spent.  device: where to compute; the best one here by default.  operator: "voxels", by rays through each; "rings",
+    by Fourier transforms over even angles (`RingProjection`), which is faster on large volumes and within 0.003 of the
+    window of a run of 40 evaluations; "auto", rings where they take the job and were measured to pay.
     """
 
     method: str = "default"
@@ -252,6 +254,7 @@ class SolveSection(Section):
     evaluations: Positive | None = None
     renamed: ClassVar[dict[str, str]] = {"pairs": "evaluations"}
     device: str | None = None
+    operator: Literal["voxels", "rings", "auto"] = "voxels"
 
 
 class FramesSection(Section):

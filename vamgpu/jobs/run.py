@@ -24,6 +24,7 @@ from vamgpu.methods.saved import (
     target_from,
     tolerances_from,
 )
+from vamgpu.operators.ring_projection import RingProjection, against_rings, pays_on_rings
 from vamgpu.schema.registry import family, find, nearest
 from vamgpu.storage.atomic import clear
 from vamgpu.storage.folder import Folder, digest
@@ -167,6 +168,8 @@ def _one(
     file, limit = job.file, job.file.solve.iterations or method.iterations
     light = projection_of(file, target, device, job.folder)
     A = with_diffusion(file, light, job.folder)
+    if file.solve.operator != "voxels":
+        light, A = (_on_rings(light, A, file.solve.operator == "rings"),) * 2
     describe(A, {})  # refuse what no manifest can describe before the long work
     progress("light", 0.0)
     if file.resin.precompensate:  # the method itself lets the dose of the plain light diffuse
@@ -178,6 +181,20 @@ def _one(
         **_onward(begun, solved, target, method, file.tolerances),
     )  # fmt: skip
     return replace(plan, operator=A)
+
+
+def _on_rings(light: Any, A: Any, asked: bool) -> Any:
+    """The light of a job on rings, where they take it and are asked for or pay; else the operator as it is.
+
+    Raises:
+        JobError: They are asked for and do not take it.
+    """
+    why = "the dose diffuses" if light is not A else against_rings(light)
+    if not why:
+        return RingProjection.of(light) if asked or pays_on_rings(light) else A
+    if asked:
+        raise JobError(f'solve.operator: got "rings", which do not take this job: {why}; expected "voxels" or "auto"')
+    return A
 
 
 def _onward(
@@ -207,6 +224,8 @@ def _both(job: Job, target: Target, device: Device, progress: StageProgress) -> 
     from vamgpu.jobs.colors import recolored, recorded, superposed
     from vamgpu.printing.pack import Solved
 
+    if job.file.solve.operator == "rings":
+        raise JobError('solve.operator: got "rings", which take one color; expected "voxels" or "auto"')
     operators: list[Any] = []
     for file in (job.file, recolored(job.file)):
         light = projection_of(file, target, device, job.folder)

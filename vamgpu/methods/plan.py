@@ -96,7 +96,7 @@ class Plan:
             "method": type(self.method).__name__,
             "iterations": f"{len(self.history)}, the best after {self.best_iteration}",
             "evaluations of the projector": f"{self.evaluations:g}",
-            "took": f"{self.seconds:.3g} s on {self.operator.device.name}",
+            "took": f"{self.seconds:.3g} s by {self.ran}",
             "light [angle, r, z]": " × ".join(f"{n:,}" for n in self.sinogram.shape),
         }
         planes: dict[str, np.ndarray | None] = {
@@ -104,6 +104,11 @@ class Plan:
             "light of the middle row, r × angle": None if light is None else light[:, :, light.shape[2] // 2].T,
         }
         return card(f"Plan of {self.target_name!r}", numbers, planes)
+
+    @property
+    def ran(self) -> str:
+        """The operator and the device that found the light, in words."""
+        return f"{type(self.operator).__name__} on {self.operator.device.name}"
 
     def dose(self) -> DeviceArray:
         """Dose [x, y, z] of the light on the operator's device: Aᵀ sinogram."""

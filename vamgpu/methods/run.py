@@ -36,7 +36,10 @@ from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, doses_
 from vamgpu.methods.trajectory import LossTrajectory
 from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
+from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.scenarios import Scenarios
+from vamgpu.operators.spectral import SpectralProjection
+from vamgpu.targets.target import Target
 
 METHODS: dict[str, type[Any]] = {
     "default": BestWindow,
@@ -76,7 +79,8 @@ def optimize(
     The plan holds the best light that the run evaluated, not its last; see `Plan`.
 
     Args:
-        operator: The projector, or any object that is a `vamgpu.operators.protocol.Operator`.
+        operator: The projector, or any object that is a `vamgpu.operators.protocol.Operator`. A `SpectralProjection`
+            stands for a `RingProjection` on its rings: the dose is asked for, and judged, on the target's voxels.
         target: A `Target`, or fractions [x, y, z] (NumPy or on the device).
         method: A name of `METHODS`, an instance, or a `vamgpu.losses.Loss` that `Descent` lowers.
         iterations: In all, those of ``resume`` included; None takes the method's own, or what ``evaluations`` allows.
@@ -114,10 +118,11 @@ def optimize(
     how = chosen(resume.method if resume is not None and method == "default" else method)
     limit = _limit(how, iterations, evaluations)
     tolerance = positive("tolerance", tolerance, zero=True)
-    field_ = fractions_of(operator, target)
+    posed: Any = _posed_on_voxels(operator, target)
+    field_ = fractions_of(posed, target)
     limits = getattr(target, "limits", None)
-    asked = operator if limits is None else limited(operator, limits)
-    memory = _memory(operator, how, resume, tolerances)
+    asked = posed if limits is None else limited(posed, limits)
+    memory = _memory(posed, how, resume, tolerances)
     scenarios = None
     if tolerances is not None:
         scenarios = asked = tolerances.scenarios(asked)
@@ -129,7 +134,7 @@ def optimize(
     state.budget = min(limit * how.cost, state.most_evaluations)
     if start is not None:
         begin(state, how, start, resume)
-    run = _Run(operator, how, state, target, resume, tolerances=tolerances)
+    run = _Run(posed, how, state, target, resume, tolerances=tolerances)
     with _reporting(progress, limit) as report:
         run.go(limit, tolerance, report, cancel or (lambda: False))
     return run.plan()
@@ -235,6 +240,16 @@ class _Run:
         return told
 
 
+def _posed_on_voxels(operator: Any, target: Any) -> Any:
+    """A projection on rings as one of the target's voxels: cells have unlike volumes, and no light tells apart those
+    near the axis, which are narrower than a pixel. Any other operator itself."""
+    if not isinstance(operator, SpectralProjection):
+        return operator
+    rings = operator.grid
+    grid = target.grid if isinstance(target, Target) else rings.box
+    return RingProjection(grid, operator.beam, operator.motion, operator.vessel, operator.device, rings=rings)
+
+
 def chosen(method: str | Method | Loss) -> Method:
     """The method meant by a name, an instance, or a loss to lower. Raises `BadInput`."""
     if isinstance(method, Loss):
@@ -280,6 +295,9 @@ def _memory(
             f"the plan to resume has light {resume.sinogram.shape} on {resume.operator.device}; expected "
             f"{operator.range.shape} on {operator.device}: resume with the operator that made it"
         )
+    if resume.operator.domain.shape != operator.domain.shape:
+        raise BadInput(f"the plan to resume has a dose of {resume.operator.domain.shape}, the operator one of "
+                       f"{operator.domain.shape}; resume with the operator that made it")  # fmt: skip
     motion, poses = (getattr(one, "motion", None) for one in (resume.operator, operator))
     if motion != poses:
         raise BadInput(f"the plan to resume is for {motion!r}, the operator has {poses!r}; resume at the same angles")

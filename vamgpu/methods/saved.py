@@ -20,6 +20,7 @@ from vamgpu.methods.method import Criterion, Steps
 from vamgpu.methods.tolerances import CornerDose, CornerDoses, Tolerances
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.schema import write
 from vamgpu.schema.read import read
 from vamgpu.storage.folder import Entry, Folder, write_folder
@@ -40,7 +41,8 @@ LIMITS = "dose", "weight", "body"
 
 @dataclass(frozen=True)
 class PlanRecord:
-    """A plan without its light: method as text, history as plain records, citations, seconds, strict window, bound."""
+    """A plan without its light: method as text, history as plain records, citations, seconds, strict window, bound,
+    corners, and the operator and device that ran."""
 
     method: str
     history: tuple[Mapping[str, float], ...]
@@ -49,6 +51,7 @@ class PlanRecord:
     window: float
     bound: float | None = None
     corners: tuple[Mapping[str, Any], ...] = ()
+    ran: str = ""
 
     @classmethod
     def of(cls, plan: Any, window: float | None = None) -> PlanRecord:
@@ -59,8 +62,9 @@ class PlanRecord:
         told = getattr(plan, "corners", None)
         corners = () if told is None else tuple(asdict(corner) for corner in told.corners)
         return cls(
-            repr(plan.method), history, tuple(map(str, plan.papers)), float(plan.seconds), window, bound, corners
-        )
+            repr(plan.method), history, tuple(map(str, plan.papers)), float(plan.seconds), window, bound, corners,
+            str(getattr(plan, "ran", "")),
+        )  # fmt: skip
 
     @classmethod
     def read(cls, data: Any) -> PlanRecord:
@@ -68,7 +72,7 @@ class PlanRecord:
         try:
             return cls(
                 str(data["method"]), tuple(data["history"]), tuple(data["papers"]), data["seconds"], data["window"],
-                data.get("bound"), tuple(data.get("corners") or ()),
+                data.get("bound"), tuple(data.get("corners") or ()), str(data.get("ran", "")),
             )  # fmt: skip
         except (KeyError, TypeError) as error:
             raise StorageError(f"the manifest garbles its plan: {error}; write the job again") from error
@@ -85,13 +89,15 @@ def describe(A: LinearOperator, arrays: dict[str, np.ndarray] | None = None) -> 
     Raises:
         BadInput: what only Python can describe.
     """
-    if not isinstance(A, Projection):
+    if not isinstance(A, Projection | RingProjection):
         return write(A, arrays=arrays)
+    on_rings = isinstance(A, RingProjection)
     return {
         "grid": write(A.grid),
-        "beam": {**write(A.beam), "footprint": A.footprint},
+        "beam": {**write(A.beam), "footprint": "exact" if on_rings else A.footprint},
         "turntable": described(A.motion),
         "vessel": None if A.vessel is None else write(A.vessel, arrays=arrays),
+        **({"operator": "rings"} if on_rings else {}),
     }
 
 
@@ -100,10 +106,13 @@ def entries_of(arrays: Mapping[str, np.ndarray]) -> dict[str, Entry]:
     return {name: Entry(values, tuple("ijklm"[: values.ndim])) for name, values in arrays.items()}
 
 
-def projection_from(description: Any, device: Device, arrays: Callable[[str], np.ndarray] | None = None) -> Any:
+def projection_from(
+    description: Any, device: Device, arrays: Callable[[str], np.ndarray] | None = None, *, solved: bool = False
+) -> Any:
     """The operator that `describe` described. Raises `StorageError` for a description that is not one.
 
     arrays: those kept beside it, by name: `Folder.array` of its job folder, which proves them by their hashes.
+    solved: the one that light was found by, perhaps on rings; else the one that it is judged by.
 
     Warns:
         OpticsWarning: the description is older than the beam's optics, and means light without any.
@@ -117,6 +126,8 @@ def projection_from(description: Any, device: Device, arrays: Callable[[str], np
         footprint, motion = beam.pop("footprint"), turntable_from(table["turntable"])
         grid, light = (read(name, part, units=False) for name, part in (("grid", table["grid"]), ("beam", beam)))
         around = None if vessel is None else read("vessel", vessel, units=False, arrays=arrays)
+        if solved and table.get("operator") == "rings":
+            return RingProjection(grid, light, motion, around, device)
     except StorageError:
         raise
     except (KeyError, TypeError, ValueError, BadInput) as error:
@@ -262,15 +273,15 @@ def limits_from(described: Any, array: Callable[[str], np.ndarray], shape: tuple
         raise StorageError(f"the manifest garbles its bodies: {error}; write the job again") from error
 
 
-def operator_from(folder: Folder, device: Device) -> Any:
-    """The operator that a job folder describes. Raises `StorageError`."""
+def operator_from(folder: Folder, device: Device, *, solved: bool = False) -> Any:
+    """The operator that a job folder describes; ``solved`` as for `projection_from`. Raises `StorageError`."""
     inputs = folder.manifest.inputs
     if "geometry" not in inputs:
         why = inputs.get("undescribed", "it was written without the plan that its frames show")
         raise StorageError(f"{str(folder.path)!r} has no geometry to simulate: {why}; save the plan, or write the job "
                            "with `vam solve`")  # fmt: skip
     try:
-        return projection_from(inputs["geometry"], device, folder.array)
+        return projection_from(inputs["geometry"], device, folder.array, solved=solved)
     except MemoryError as error:
         raise OutOfMemory(f"the light of {str(folder.path)!r} takes more memory than there is: {error}; check its "
                           "manifest, or take a larger machine") from error  # fmt: skip
@@ -332,7 +343,7 @@ def load_plan(path: str | Path, device: str | Device | None = None) -> Plan:
     from vamgpu.methods.plan import Plan, Step
 
     folder, place = Folder.open(path), open_device(device)
-    operator = operator_from(folder, place)
+    operator = operator_from(folder, place, solved=True)
     details = folder.manifest.details.get("plan") or {}
     record = PlanRecord.read(folder.manifest.inputs.get("plan") or IMPORTED)
     grid = getattr(operator, "grid", None)

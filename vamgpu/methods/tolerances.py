@@ -19,6 +19,7 @@ from vamgpu.operators.compose import Composed, Sum
 from vamgpu.operators.moves import Tiles, Wobbled
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import window
+from vamgpu.operators.ring_projection import RingProjection, against_rings
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.wobble import Wobble
 from vamgpu.optics.beams import Misaligned
@@ -344,6 +345,9 @@ def _rebuilt(operator: Any, corner: Corner) -> Any:
         return operator
     if isinstance(operator, Projection):
         return _projected(operator, corner)
+    if isinstance(operator, RingProjection):
+        changed = _projected(operator.direct, corner)
+        return changed if against_rings(changed) else RingProjection.of(changed)
     if isinstance(operator, Composed):
         return Composed(_rebuilt(operator.outer, corner), operator.inner)
     if isinstance(operator, Wobbled):

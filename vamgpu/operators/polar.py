@@ -11,7 +11,7 @@ from math import ceil, pi
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import FULL_TURN, Beam, Vessel, centers, counts
+from vamgpu.geometry import FULL_TURN, Beam, Grid, Vessel, centers, counts
 from vamgpu.kernels.footprint import half_support, share, sides
 from vamgpu.kernels.spectrum import ROWS
 from vamgpu.schema import check
@@ -42,7 +42,7 @@ class Belt:
 
 @dataclass(frozen=True)
 class PolarGrid:
-    """Rings of voxels about the axis of rotation: rings are as wide as slices are high, cells about as long.
+    """Rings of voxels about the axis of rotation: cells are about as long as rings are wide.
 
     Each ring has a whole number of cells between two angles of the turntable, so that turning it by one of them maps
     the grid onto itself. A volume is ``[angle, cell, z]``: cell q of ring j between angle t and the next lies at
@@ -51,8 +51,9 @@ class PolarGrid:
     Args:
         rings: Rings, a multiple of eight.
         slices: Voxels along z, an even number.
-        pitch: Width of a ring and height of a slice [mm].
+        pitch: Width of a ring [mm].
         angles: Even angles of the turntable, two or more.
+        height: Of a slice [mm]; None for that of the width.
 
     Raises:
         BadInput: A value is out of its range.
@@ -62,6 +63,7 @@ class PolarGrid:
     slices: int
     pitch: Length
     angles: int
+    height: Length | None = None
 
     def __post_init__(self) -> None:
         for name in ("rings", "slices", "angles"):
@@ -114,20 +116,60 @@ class PolarGrid:
         return 2.0 * pi * self.places[0] / self.pitch / samples
 
     @property
+    def box(self) -> Grid:
+        """Cubes as high as the slices, in the box about the rings."""
+        across = 2 * ceil(self.rings * self.pitch / self.slice_pitch - 1e-9)
+        return Grid((across, across, self.slices), self.slice_pitch)
+
+    @property
+    def slice_pitch(self) -> float:
+        """Height of a slice [mm]."""
+        return self.pitch if self.height is None else self.height
+
+    @classmethod
+    def within(cls, grid: Grid, angles: int) -> PolarGrid:
+        """Rings as wide as the voxels of a box, out to the cylinder in it that every angle lights.
+
+        Args:
+            grid: The voxels.
+            angles: Even angles of the turntable.
+
+        Returns:
+            The rings, with a slice more than the box where that has an odd number.
+
+        Raises:
+            BadInput: There are fewer than two angles.
+        """
+        rings = -(-min(grid.shape[:2]) // (2 * ROWS)) * ROWS
+        return cls(rings, grid.shape[2] + grid.shape[2] % 2, grid.pitch, angles)
+
+    @property
     def z(self) -> np.ndarray:
         """Middles of the slices [mm], (slices,)."""
-        return centers(self.slices, self.pitch)
+        return centers(self.slices, self.slice_pitch)
 
 
-def pose_on_rings(grid: PolarGrid, beam: Beam, vessel: Vessel) -> Iterator[np.ndarray]:
+def pose_on_rings(
+    grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None = None
+) -> Iterator[np.ndarray]:  # fmt: skip
     """What the columns of the pose at θ = 0 leave in each cell, belt by belt.
 
     A cell is cut into parts that light sees as trapezoids, as it sees the voxels of a box; the dose is their mean.
 
+    Args:
+        grid: The cells.
+        beam: The columns.
+        vessel: Around them.
+        square: Side [mm] of squares about the middles of the cells that take their place; they face the axis.
+
     Yields:
-        Mean over the cell of a column's light × pitch² / pixel pitch [mm], (rings, cells of a ring, columns).
+        Mean over the cell of a column's light × pitch² / pixel pitch [mm], (rings, cells of a ring, columns); the side
+        of the squares is the pitch where there are some.
     """
     for belt in grid.belts:
+        if square is not None:
+            yield _in_squares(grid, belt, beam, vessel, square)
+            continue
         count = PARTS * grid.angles * belt.samples
         rho = (np.arange(PARTS * belt.rings) + 0.5)[:, None] / PARTS + belt.begin
         psi = FULL_TURN / count * (np.arange(count) - 0.5 * (PARTS - 1))
@@ -141,14 +183,36 @@ def pose_on_rings(grid: PolarGrid, beam: Beam, vessel: Vessel) -> Iterator[np.nd
         yield _in_cells(column, strength, a, b, beam, (belt.rings, count // PARTS, beam.pixels[0]))
 
 
+def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: float) -> np.ndarray:
+    """Shares of columns in squares about the middles of a belt's cells."""
+    count = grid.angles * belt.samples
+    rho = (np.arange(belt.begin, belt.stop) + 0.5)[:, None] * grid.pitch
+    psi = FULL_TURN / count * np.arange(count)
+
+    def column(outward: float, onward: float) -> tuple[np.ndarray, np.ndarray]:
+        across = (rho + outward) * np.sin(psi) + onward * np.cos(psi)
+        along = -(rho + outward) * np.cos(psi) + onward * np.sin(psi)
+        u, weight = vessel.illuminate(across, along)
+        return u / beam.pitch, weight
+
+    middle, weight = column(0.0, 0.0)
+    a, b = (
+        np.abs(column(*way)[0] - column(*(-step for step in way))[0]) for way in ((0.5 * side, 0.0), (0.0, 0.5 * side))
+    )
+    lit = rho <= vessel.lit_radius
+    first = middle + 0.5 * (beam.pixels[0] - 1)
+    return _in_cells(first, weight * lit * side**2 / beam.pitch, a, b, beam, (belt.rings, count, beam.pixels[0]), 1)
+
+
 def _middle(rho: np.ndarray) -> np.ndarray:
     """Middle of the ring that each part lies in."""
     return np.floor(rho) + 0.5
 
 
 def _in_cells(
-    column: np.ndarray, strength: np.ndarray, a: np.ndarray, b: np.ndarray, beam: Beam, shape: tuple[int, int, int]
-) -> np.ndarray:
+    column: np.ndarray, strength: np.ndarray, a: np.ndarray, b: np.ndarray, beam: Beam, shape: tuple[int, int, int],
+    parts: int = PARTS,
+) -> np.ndarray:  # fmt: skip
     """Shares of columns in parts of cells, added up by cell."""
     fill, sigma = beam.fill**0.5, beam.sigma
     reach = half_support(*sides(a, b, sigma), fill, sigma)
@@ -159,9 +223,9 @@ def _in_cells(
         at = first + tap
         value = strength * share(column - at, a, b, fill, sigma) * ((at >= 0) & (at < shape[2]))
         at = np.clip(at, 0, shape[2] - 1)
-        for i in range(PARTS):
-            for j in range(PARTS):
-                part = (slice(i, None, PARTS), slice(j, None, PARTS))
+        for i in range(parts):
+            for j in range(parts):
+                part = (slice(i, None, parts), slice(j, None, parts))
                 found[ring, cell, at[part]] += value[part]
     return found
 
@@ -176,11 +240,16 @@ class RingTable:
     mirrored: bool
 
 
-def ring_table(grid: PolarGrid, beam: Beam, vessel: Vessel) -> RingTable:
-    """The products of each angular frequency, from the light of one pose."""
+def ring_table(
+    grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None = None, faint: float = 0.0
+) -> RingTable:  # fmt: skip
+    """The products of each angular frequency, from the light of one pose; arguments as for `pose_on_rings`.
+
+    faint: share of the greatest entry up to which those of a tile at neighboring frequencies count as none.
+    """
     from scipy.fft import rfft
 
-    spectra = [rfft(pose, axis=1) / pose.shape[1] for pose in pose_on_rings(grid, beam, vessel)]
+    spectra = [rfft(pose, axis=1, workers=-1) / pose.shape[1] for pose in pose_on_rings(grid, beam, vessel, square)]
     most = max(float(np.abs(each).max()) for each in spectra)
     if most == 0.0:
         raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
@@ -200,11 +269,18 @@ def ring_table(grid: PolarGrid, beam: Beam, vessel: Vessel) -> RingTable:
                 held = own[..., :pairs].swapaxes(1, 2)
                 block[:, : held.shape[1], 0], block[:, : held.shape[1], 1] = np.real(held), np.imag(held)
                 mate = (belt.cell + (belt.samples - 1 - j) * belt.rings + ring) // ROWS
-                tiles.append((start, pairs, mate))
+                tiles.append((start, pairs, mate, *_dark(np.abs(own).max(axis=(1, 2)) <= faint * most)))
                 blocks.append(block.reshape(len(own), -1))
                 start += blocks[-1].shape[1]
     half = -(-((columns + 1) // 2 if mirrored else columns) // ROWS) * ROWS
     return RingTable(np.concatenate(blocks, axis=1).ravel(), np.array(tiles), half, mirrored)
+
+
+def _dark(vanish: np.ndarray) -> tuple[int, int]:
+    """The longest run of frequencies that vanish: its first, and the one after it."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], vanish, [0]])))
+    runs = ends.reshape(-1, 2)
+    return tuple(runs[np.argmax(runs[:, 1] - runs[:, 0])].tolist()) if len(runs) else (0, 0)
 
 
 def _harmonics(spectrum: np.ndarray, turns: int, j: int, samples: int) -> np.ndarray:

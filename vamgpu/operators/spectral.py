@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from math import prod, sqrt
+from threading import local
 from typing import final
 
 import numpy as np
@@ -13,15 +15,15 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Turntable, Vessel
-from vamgpu.kernels.spectrum import fold_columns, fourier, gather_rings, light_rings, unfold_columns
+from vamgpu.kernels.spectrum import AT_ONCE, ONE_SUM, fold_columns, fourier, gather_rings, light_rings, unfold_columns
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid, ring_table
 from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import PolarSpace, SinogramSpace
 
-LONGEST, MOST = 20, 4
-"""Greatest radix of a pass, where more passes can keep to it, and how many passes there may be. Measured on an H200."""
+MOST = 4
+"""Passes that there may be."""
 
 
 @final
@@ -38,6 +40,9 @@ class SpectralProjection(LinearOperator):
         beam: Pixels, with their fill factor and point spread.
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best one here by default.
+        square: Side [mm] of squares about the middles of the cells, over which doses are means in place of the cells;
+            ``pitch`` above is theirs then.
+        faint: Share of the greatest entry of its table up to which entries of neighboring frequencies count as none.
 
     Raises:
         BadInput: An argument is of another kind, or no light reaches a ring.
@@ -52,8 +57,9 @@ class SpectralProjection(LinearOperator):
     vessel: Vessel | None
 
     def __init__(
-        self, grid: PolarGrid, beam: Beam, vessel: Vessel | None = None, device: str | Device | None = None
-    ) -> None:
+        self, grid: PolarGrid, beam: Beam, vessel: Vessel | None = None, device: str | Device | None = None, *,
+        square: float | None = None, faint: float = 0.0,
+    ) -> None:  # fmt: skip
         for value, kind in ((grid, PolarGrid), (beam, Beam)):
             if not isinstance(value, kind):
                 raise BadInput(f"got {value!r} where a {kind.__name__} is expected; SpectralProjection(grid, beam, …)")
@@ -63,9 +69,10 @@ class SpectralProjection(LinearOperator):
         self.domain = PolarSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
+        self._held = local()
         pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
-        self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.slices, grid.pitch, self.device, **pixel)
-        table = ring_table(grid, beam, vessel or OpenAir())
+        self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.slices, grid.slice_pitch, self.device, **pixel)
+        table = ring_table(grid, beam, vessel or OpenAir(), square, faint)
         self._folded = (grid.angles, table.pairs * (2 if table.mirrored else 1), grid.slices)
         upload = self.device.table
         self._entries = {
@@ -101,27 +108,34 @@ class SpectralProjection(LinearOperator):
         ]
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        launch, empty = self.device.launch, self.device.empty
-        spectrum = self._from_rings.run(-1.0, x, empty(x.shape), empty(x.shape))
-        folded = empty(self._folded)
+        launch, work = self.device.launch, self._work
+        spectrum = self._from_rings.run(-1.0, x, lambda number: work(f"rings {number}", x.shape))
+        folded = work("folded 0", self._folded)
         launch(gather_rings, spectrum=spectrum, **self._entries, folded=folded)
-        folded = self._of_light.run(1.0, folded, empty(self._folded), folded)
-        rows = out if self._rows.same else empty((*self.range.shape[:2], self.grid.slices))
+        folded = self._of_light.run(1.0, folded, lambda number: work(f"folded {1 - number}", self._folded))
+        rows = out if self._rows.same else work("rows", (*self.range.shape[:2], self.grid.slices))
         launch(unfold_columns, folded=folded, mirrored=self._entries["mirrored"], sinogram=rows)
         if rows is not out:
             self._rows.from_slices(rows, out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        launch, empty, rows = self.device.launch, self.device.empty, y
+        launch, work, rows = self.device.launch, self._work, y
         if not self._rows.same:
-            rows = empty((*self.range.shape[:2], self.grid.slices))
+            rows = work("rows", (*self.range.shape[:2], self.grid.slices))
             self._rows.to_slices(y, rows)
-        folded = empty(self._folded)
+        folded = work("folded 0", self._folded)
         launch(fold_columns, sinogram=rows, mirrored=self._entries["mirrored"], folded=folded)
-        folded = self._of_light.run(-1.0, folded, empty(self._folded), folded)
-        spectrum = empty(out.shape)
+        folded = self._of_light.run(-1.0, folded, lambda number: work(f"folded {1 - number}", self._folded))
+        spectrum = work("rings 0", out.shape)
         launch(light_rings, folded=folded, **self._entries, spectrum=spectrum)
-        self._to_rings.run(1.0, spectrum, empty(out.shape), out, last=out)
+        self._to_rings.run(1.0, spectrum, lambda number: work(f"rings {1 - number}", out.shape), last=out)
+
+    def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
+        """A field to work in, kept for the next product: the pages of new memory cost more than a pass over them."""
+        held = vars(self._held)  # of each thread
+        if name not in held:
+            held[name] = self.device.empty(shape)
+        return held[name]
 
 
 Place = tuple[int, int, int, int]
@@ -133,7 +147,7 @@ class _Passes:
 
     def __init__(self, device: Device, belts: list[tuple[int, int, Place, Place]]) -> None:
         self._device = device
-        radices = _passes([n for n, *_ in belts])
+        radices = passes([n for n, *_ in belts], ONE_SUM if getattr(device, "is_gpu", True) else AT_ONCE)
         waves = [FULL_TURN * np.arange(n) / n for n, *_ in belts]
         self._waves = device.table(np.concatenate([np.stack([np.cos(w), np.sin(w)], axis=1) for w in waves]))
         self._tables = [device.table(self._pass(belts, radices, number), "int32") for number in range(len(radices[0]))]
@@ -149,23 +163,24 @@ class _Passes:
         return np.array(found)
 
     def run(
-        self, sign: float, source: DeviceArray, one: DeviceArray, two: DeviceArray, last: DeviceArray | None = None
+        self, sign: float, source: DeviceArray, work: Callable[[int], DeviceArray], last: DeviceArray | None = None
     ) -> DeviceArray:
-        """Transform; ``one`` and ``two`` are written in turn, ``last`` by the last pass. Where the result is."""
+        """Transform; passes write to work(0) and work(1), which may be the source, in turn, the last one to ``last``.
+
+        Where the result is.
+        """
         count = len(self._tables)
         for number, belts in enumerate(self._tables):
-            sink = last if last is not None and number == count - 1 else one if number % 2 == 0 else two
-            if sink is source:  # the pass before the last may have written there
-                sink = one if source is two else two
+            sink = last if last is not None and number == count - 1 else work(number % 2)
             self._device.launch(fourier, source=source, belts=belts, waves=self._waves, sign=sign, sink=sink)
             source = sink
         return source
 
 
-def _passes(lengths: list[int]) -> list[tuple[int, ...]]:
+def passes(lengths: list[int], longest: int) -> list[tuple[int, ...]]:
     """Radices of each transform, as many for all: as few passes as keep them short, else those of the least work."""
     choices = [found for count in range(1, MOST + 1) if all(found := [_radices(n, count) for n in lengths])]
-    short = [found for found in choices if max(map(max, found)) <= LONGEST]
+    short = [found for found in choices if max(map(max, found)) <= longest]
     return short[0] if short else min(choices, key=lambda found: sum(map(sum, found)))
 
 

@@ -9,6 +9,7 @@ from vamgpu.methods.part import on_device
 from vamgpu.methods.tolerances import Corner, CornerDose, CornerDoses, Tolerances, at
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import window
+from vamgpu.operators.ring_projection import direct
 from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.independent import IndependentExposure
 from vamgpu.printing.simulate import ShownLight
@@ -30,6 +31,7 @@ def prove_corners(A: Any, frames: ShownLight, target: Any, tolerances: Tolerance
         ToleranceError: A tolerance contradicts the operator.
         BadInput: Frames or target are of another geometry.
     """
+    A = direct(A)
     fraction, light = on_device(A, target), frames.irradiance(A.device)
     limits = getattr(target, "limits", None)
     reach = A.grid.inscribed_radius / A.grid.pitch * (1.0 + 1e-6)

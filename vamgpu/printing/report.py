@@ -176,7 +176,8 @@ def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
         method = getattr(plan, "method", None)
         rows += [("method", _described(method))] if method else []
         seconds = getattr(plan, "seconds", None)
-        rows += [("optimized in", f"{seconds:.3g} s")] if seconds else []
+        ran = getattr(plan, "ran", "")
+        rows += [("optimized in", f"{seconds:.3g} s{' by ' if ran else ''}{ran}")] if seconds else []
         window = getattr(plan, "window", None)
         known = window is not None and getattr(plan, "history", True)  # nobody knows that of light made elsewhere
         rows += [("window before packing", f"{window:+.4f}")] if known else []

@@ -16,6 +16,7 @@ from vamgpu.metrics.light import light_sent
 from vamgpu.metrics.parts import Parts
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.ring_projection import RingProjection, direct
 from vamgpu.operators.space import require
 from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.dark import check_dose
@@ -39,7 +40,7 @@ class ShownLight(Protocol):
 
 
 def simulate(
-    A: Projection,
+    A: Projection | RingProjection,
     frames: ShownLight,
     target: Any,
     *,
@@ -58,7 +59,7 @@ def simulate(
     and its voxels never count as all correct.
 
     Args:
-        A: what the frames were solved with.
+        A: what the frames were solved with; of one on rings, ``direct`` is asked.
         frames: e.g. `Frames`; only their bytes and gray curve are read.
         target: a `Target`, or fractions [x, y, z] as a NumPy or device array.
         irradiance: of a full-on pixel in air [mW/mm²], or text with its unit, "65 mW/cm2"; with ``critical_dose``
@@ -83,6 +84,14 @@ def simulate(
         OpticsWarning: some of the target lies beyond the judged cylinder, or irradiance or critical dose is a number so
             great that it was hardly meant in these units.
     """
+    on_voxels: Projection = direct(A)
+    return _simulated(on_voxels, frames, target, irradiance, critical_dose, absorption, threshold, progress)
+
+
+def _simulated(
+    A: Projection, frames: ShownLight, target: Any, irradiance: float | str | None, critical_dose: float | str | None,
+    absorption: float | None, threshold: float | None, progress: Callable[[float], None],
+) -> Proof:  # fmt: skip
     _both_or_neither(irradiance, critical_dose)
     if threshold is not None:
         threshold = positive("threshold", threshold)

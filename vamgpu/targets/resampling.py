@@ -30,13 +30,20 @@ def averaged(
     """
     values = np.asarray(fraction)
     for axis in (2, 0, 1):  # z first: it is cut to a slab more often than x and y
-        share = _shares(grid, other, axis, shift[axis])
-        used = np.flatnonzero(np.diff(share.tocsc().indptr))
-        reach = slice(used[0], used[-1] + 1) if len(used) else slice(0, 0)
-        cut = np.moveaxis(values, axis, 0)[reach]
-        flat = share[:, reach] @ np.ascontiguousarray(cut, np.float32).reshape(len(cut), prod(cut.shape[1:]))
-        values = np.moveaxis(flat.reshape(other.shape[axis], *cut.shape[1:]), 0, axis)
+        values = along(values, grid, other, axis, shift[axis])
     return np.ascontiguousarray(np.minimum(values, np.float32(1.0)))
+
+
+def along(
+    values: npt.NDArray[np.floating], grid: Grid, other: Grid, axis: int, shift: float = 0.0
+) -> npt.NDArray[np.float32]:
+    """The means along one axis of values on ``grid``, over the voxels of ``other`` moved by ``shift`` [mm]."""
+    share = _shares(grid, other, axis, shift)
+    used = np.flatnonzero(np.diff(share.tocsc().indptr))
+    reach = slice(used[0], used[-1] + 1) if len(used) else slice(0, 0)
+    cut = np.moveaxis(values, axis, 0)[reach]
+    flat = share[:, reach] @ np.ascontiguousarray(cut, np.float32).reshape(len(cut), prod(cut.shape[1:]))
+    return np.moveaxis(flat.reshape(other.shape[axis], *cut.shape[1:]), 0, axis)
 
 
 def _shares(grid: Grid, other: Grid, axis: int, shift: float) -> csr_array:

@@ -25,6 +25,7 @@ from vamgpu.jobs.foreign.found import Found
 from vamgpu.jobs.model import JobFile
 from vamgpu.methods.saved import target_of as known_target
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.ring_projection import direct
 from vamgpu.optics.vat import Vat
 from vamgpu.optics.vial import Vial
 from vamgpu.printing.export import check_folder
@@ -207,7 +208,7 @@ def export_drtvam(frames: Frames, path: str | Path) -> Path:
         StorageError: The folder exists, or cannot be written.
     """
     plan, place = frames.plan, Path(path)
-    A, target = getattr(plan, "operator", None), None if plan is None else known_target(plan)
+    A, target = direct(getattr(plan, "operator", None)), None if plan is None else known_target(plan)
     if plan is None or not isinstance(A, Projection):
         raise BadInput(f"got {frames!r} of {'no plan' if plan is None else repr(A)}; expected frames of a Projection: "
                        "export those of a job that `vam solve` wrote")  # fmt: skip

@@ -21,6 +21,7 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import EVERYWHERE
+from vamgpu.operators.ring_projection import RingProjection
 
 SPAN = 0.25
 """Share of the columns that the preconditioner reaches over."""
@@ -82,7 +83,7 @@ class _Difference:
         state = OptimizerState(projector, design, {"light": constant(0.0, operator.range.shape, design)}, "loss")
         if self.state.colors.whole:
             state.reach = EVERYWHERE
-        ramped = isinstance(operator, Projection)
+        ramped = isinstance(operator, Projection | RingProjection)
         return Channel(state, capped_ramp(projector, cap, SPAN) if ramped else identity(projector))
 
     def gain(self) -> float:

@@ -1,0 +1,99 @@
+"""Projection of a box that is computed on rings, against the one by rays through each voxel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vamgpu as vam
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.operators.ring_projection import against_rings
+
+VIAL = vam.Vial(radius=1.0, wall=0.08, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.5)
+GRID, TURN = vam.Grid((20, 22, 4), 0.05), vam.Turntable(24)
+GEOMETRIES: dict[str, Any] = {
+    "straight": (GRID, vam.Beam((22, 6), 0.05), TURN, None),
+    "refracted and absorbed": (GRID, vam.Beam((25, 5), 0.06), TURN, VIAL),
+    "light that nothing mirrors": (GRID, vam.Beam((25, 5), 0.06), TURN, vam.Misaligned(VIAL, offset=0.07)),
+}
+every_geometry = pytest.mark.parametrize("geometry", GEOMETRIES)
+
+
+@every_geometry
+def test_the_transpose_is_exact(device: Device, geometry: str) -> None:
+    assert vam.RingProjection(*GEOMETRIES[geometry], device=device).dot_test() <= 1e-7
+
+
+@every_geometry
+def test_devices_agree(device: Device, geometry: str) -> None:
+    here, reference = (vam.RingProjection(*GEOMETRIES[geometry], device=place) for place in (device, "numpy"))
+    light = np.random.default_rng(0).random(here.range.shape)
+    wanted = np.asarray(reference.T(light))
+    assert np.abs(np.asarray(here.T(light)) - wanted).max() <= 3e-6 * wanted.max()
+
+
+@pytest.mark.parametrize("vessel", [None, VIAL], ids=["straight", "in a vial"])
+def test_dose_and_projection_are_those_of_rays(vessel: Any) -> None:
+    grid, beam, turn = vam.Grid((40, 40, 2), 0.025), vam.Beam((44, 6), 0.025 if vessel is None else 0.033), 48
+    A = vam.Projection(grid, beam, vam.Turntable(turn), vessel, "numpy")
+    R = vam.RingProjection.of(A)
+    assert R.direct is A and R.grid == grid
+    near, rng = grid.cylinder()[:, :, None], np.random.default_rng(0)
+    light, volume = rng.random(A.range.shape), rng.random(grid.shape) * near
+    for got, wanted in (((R.T(light) * near), A.T(light) * near), (R(volume), A(volume))):
+        off = np.abs(np.asarray(got) - np.asarray(wanted)) / np.asarray(wanted).max()
+        assert off.max() <= 0.03 and np.sqrt((off**2).mean()) <= 0.004
+
+
+def test_what_is_cubic_across_the_rings_is_met_everywhere_and_at_the_axis() -> None:
+    R = vam.RingProjection(vam.Grid((12, 12, 2), 0.1), vam.Beam((12, 2), 0.1), vam.Turntable(24), device="numpy")
+    rho, phi = R.rings.places
+    across, along = R.grid.axes()[:2]
+    entries, first = (R._to_voxels[name].numpy() for name in ("entries", "first"))
+    taken = np.add.reduceat(
+        np.append(entries[:, 1] * (rho * np.cos(phi)).ravel()[entries[:, 0].astype(int)], 0.0), first
+    )
+    blocks = (first.size - 1) // 144
+    found = np.where(np.diff(first) > 0, taken[:-1], 0.0).reshape(12, blocks, 12).sum(axis=1)
+    near = R.grid.cylinder()
+    assert np.abs(found - across[:, None] + 0.0 * along)[near].max() <= 1e-3 * 0.1
+
+
+def test_narrower_rings_come_nearer() -> None:
+    grid, beam, turn = vam.Grid((40, 40, 2), 0.025), vam.Beam((44, 6), 0.025), vam.Turntable(48)
+    A = vam.Projection(grid, beam, turn, None, "numpy")
+    light = np.random.default_rng(0).random(A.range.shape)
+    wanted, near = np.asarray(A.T(light)), grid.cylinder()
+    off = []
+    for width in (1.0, 0.75, 0.5):
+        rings = vam.PolarGrid(8 * round(24 / width / 8 + 0.49), 2, width * grid.pitch, 48, grid.pitch)
+        dose = np.asarray(vam.RingProjection(grid, beam, turn, None, "numpy", rings=rings).T(light))
+        off.append(float(np.sqrt((((dose - wanted) / wanted.max())[near] ** 2).mean())))
+    assert off[0] > 1.3 * off[1] > 1.3**2 * off[2]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"motion": vam.Turntable.arc(24, np.pi)}, "even over a full turn"),
+        ({"motion": vam.Turntable(24, dwell=np.arange(24) + 1.0)}, "lit as long"),
+        ({"motion": vam.Turntable(1)}, "two or more"),
+        ({"grid": vam.Grid((20, 20, 3), 0.05)}, "even in number"),
+        ({"rings": vam.PolarGrid(16, 4, 0.05, 12)}, "the same angles"),
+        ({"grid": 3}, "Grid"),
+    ],
+)
+def test_what_rings_do_not_take_is_refused(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        vam.RingProjection(**{"grid": GRID, "beam": vam.Beam((22, 6), 0.05), "motion": TURN, **given})
+
+
+def test_why_an_operator_is_left_as_it_is() -> None:
+    beam = vam.Beam((20, 4), 0.05, spread=0.0)
+    A = vam.Projection(GRID, beam, TURN, device="numpy", footprint="joseph")
+    assert "footprint" in against_rings(A) and "Sum" in against_rings(A + A)
+    with pytest.raises(BadInput, match="footprint"):
+        vam.RingProjection.of(A)

@@ -1,0 +1,81 @@
+"""Jobs that are solved on rings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import vamgpu as vam
+from vamgpu.errors import JobError
+from vamgpu.jobs.read import read_job
+from vamgpu.jobs.run import prove, solve
+from vamgpu.operators.ring_projection import pays_on_rings
+
+JOB = """
+[target]
+shape = "boat"
+height = "3.7 mm"
+pitch = "500 um"
+
+[vial]
+radius = "4.2 mm"
+wall = "0.4 mm"
+resin_index = 1.49962
+wall_index = 1.473
+
+[beam]
+pitch = "700 um"
+
+[turntable]
+angles = 48
+
+[solve]
+operator = "rings"
+iterations = 2
+device = "numpy"
+"""
+
+
+def job(tmp_path: Path, text: str = JOB) -> Any:
+    path = tmp_path / "job.toml"
+    path.write_text(text)
+    return read_job(path)
+
+
+def test_a_job_is_solved_on_rings_and_proven_by_rays(tmp_path: Path) -> None:
+    solve(job(tmp_path), tmp_path / "boat.vam")
+    frames: Any = vam.load(tmp_path / "boat.vam", device="numpy")
+    assert isinstance(frames.plan.operator, vam.RingProjection)
+    proven = prove(tmp_path / "boat.vam", "numpy")
+    assert proven.plan.ran == "RingProjection on numpy"
+    assert isinstance(proven.proof.operator, vam.Projection) and proven.proof.independent
+    page = proven.report(tmp_path / "boat.html").read_text()
+    assert "RingProjection on numpy" in page
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("angles = 48", 'angles = 48\nrange = "180 deg"'), "even over a full turn"),
+        (("[solve]", "[wobble]\nradius = 0.1\n[solve]".replace("0.1", '"0.1 mm"')), "Wobbled"),
+        (("[solve]", '[resin.diffusion]\ndiffusivity = "1e-2 mm2/s"\nseconds = "10 s"\n[solve]'), "diffuses"),
+    ],
+)
+def test_what_rings_do_not_take_is_told_with_the_way_out(tmp_path: Path, change: tuple[str, str], said: str) -> None:
+    with pytest.raises(JobError, match=f'(?s)"rings".*{said}.*"voxels"'):
+        solve(job(tmp_path, JOB.replace(*change)), tmp_path / "boat.vam")
+
+
+def test_auto_takes_rings_only_where_they_pay(tmp_path: Path) -> None:
+    solve(job(tmp_path, JOB.replace('"rings"', '"auto"')), tmp_path / "boat.vam")
+    assert prove(tmp_path / "boat.vam", "numpy").plan.ran == "Projection on numpy"
+
+
+def test_where_rings_pay(opencl_device: Any) -> None:
+    grid, beam = vam.Grid((96, 96, 2), 0.1), vam.Beam((96, 2), 0.1)
+    here = vam.Projection(grid, beam, vam.Turntable(180), device=opencl_device)
+    assert pays_on_rings(here) == (not opencl_device.is_gpu)
+    prime = vam.Projection(grid, beam, vam.Turntable(367), device=opencl_device)
+    assert not pays_on_rings(prime)
