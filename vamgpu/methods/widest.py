@@ -11,8 +11,10 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
+from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.kernels.reduce import disc
 from vamgpu.kernels.saddle import light_step, limit_step, price_dose, reflect
+from vamgpu.kernels.update import multiply
 from vamgpu.methods.active import ActiveScenarios
 from vamgpu.methods.certificate import Bound, certified
 from vamgpu.methods.method import Criterion, Method, Steps
@@ -20,7 +22,7 @@ from vamgpu.methods.papers import ANCHORED, DIAGONAL, PRIMAL_DUAL, SAFE_STEPS
 from vamgpu.methods.recipe import Recipe
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import combine
-from vamgpu.operators.reductions import dot, folded, parts_for, total, window
+from vamgpu.operators.reductions import dot, folded, parts_for, total
 
 MEAN_ROW = 2.0
 """Dose of light 1 everywhere, mean over the voxels that count, in the unit that steps are measured in."""
@@ -66,7 +68,8 @@ class WidestWindow(Method):
             raise BadInput(f"passes is {self.passes!r}; expected a whole number ≥ 1")
 
     def steps(self, state: OptimizerState) -> Steps:
-        yield from Recipe().first(state, self.passes)
+        if state.piece is None:
+            yield from Recipe().first(state, self.passes)
         yield from _Saddle(state).steps()
 
     def certify(self, state: OptimizerState) -> Bound | None:
@@ -95,7 +98,10 @@ class _Saddle:
         """Lengths of steps and the dose to begin with, then one primal-dual step each."""
         state, memory = self.state, self.memory
         if "rows" not in memory:
-            yield 1.0 - state.best.window, self._begin()
+            found = self._begin()
+            if state.piece is not None:
+                state.best.offer(memory["light"], 1.0 - found, found, state.iteration + 1)
+            yield 1.0 - state.best.window, found
         found = state.best.window
         while True:
             gap = self._step()
@@ -141,20 +147,23 @@ class _Saddle:
         for name in ("rows", "columns", "held"):
             memory[name] = self._empty("light" if name == "columns" else name)
         rows, held = memory["rows"], memory["held"]
-        state.operator.T(upload(np.ones(light.shape, np.float32)), out=rows)  # what every method spends
+        even = self._free(upload(np.ones(light.shape, np.float32)))
+        state.operator.T(even, out=rows)  # what every method spends
+        if state.piece is not None:
+            state.device.launch(multiply, x=rows, y=upload(_near(state)), out=rows)
         state.expose(light, held)
         found, greatest = state.window(held)
         self.active.begin(held)
-        near = np.sign(_counted(state))
+        near = _near(state)
         unit = MEAN_ROW * float(np.count_nonzero(near)) / max(dot(rows, upload(near)), 1e-30)
         state.scale(unit, rows, rows)
         memory["unit"] = unit
         self._measure()
-        for field in (light, held):
+        for field in (light, held) if state.piece is None else ():
             state.scale(1.0 / greatest, field, field)
         for name in ("wall", "cap"):
             memory[name] = upload(np.zeros(held.shape, np.float32))
-        least, leak, _ = window(held, state.target, state.reach)
+        least, leak, _ = state.extremes(held)
         memory |= dict(zip(LEVELS, (least, max(leak, 0.0), 0.0, 0.0), strict=True))
         prices = 2.0 * (MEAN_ROW + 1.0) / (ACTIVE * max(memory["inside voxels"], 1.0))
         far = max(dot(light, light) * self._mean_column(), 1e-30)
@@ -169,7 +178,14 @@ class _Saddle:
         inside, outside = (float(np.count_nonzero(counted == limits)) for limits in (2.0, 1.0))
         memory |= {"inside voxels": inside, "outside voxels": outside}
         state.project(state.device.upload(counted), memory["columns"])
+        self._free(memory["columns"])
         state.scale(1.0 / memory["unit"], memory["columns"], memory["columns"])
+
+    def _free(self, light: DeviceArray) -> DeviceArray:
+        """Light of which nothing is left at poses that are decided."""
+        if self.state.piece is not None:
+            self.state.device.launch(weigh_poses, light=light, times=self.state.piece.free, weighted=light)
+        return light
 
     def _mean_column(self) -> float:
         columns = self.memory["columns"]
@@ -228,7 +244,10 @@ class _Saddle:
             pace = 0.5 * length / (weight * max(voxels, 1.0))
             way = sign * pace * (1.0 - memory[side]) * (voxels > 0)
             levels[level] = memory[level] + way
-            gap += way**2 / pace
+            if state.piece is not None and state.piece.levels is not None:
+                enough = dict(zip(LEVELS, state.piece.levels, strict=False))[level]
+                levels[level] = sign * min(sign * levels[level], sign * enough)
+            gap += (levels[level] - memory[level]) ** 2 / pace
         state.expose(self.descent, after["held"])
         parts = {name: parts_for(limit_step, self.pull) for name in ("inside", "outside", "moved", "crossed")}
         launch(
@@ -256,6 +275,13 @@ class _Saddle:
 
 def _counted(state: OptimizerState) -> np.ndarray:
     """How many limits a voxel's dose has: 2 in the part, 1 outside, 0 beyond the cylinder that counts."""
-    target = state.target.numpy()
-    near = disc(target.shape[0], target.shape[1], state.reach)[:, :, None]
-    return (near * (1.0 + (target >= 0.5))).astype(np.float32)
+    return _near(state) * (1.0 + (state.target.numpy() >= 0.5)).astype(np.float32)
+
+
+def _near(state: OptimizerState) -> np.ndarray:
+    """1 for voxels that count, else 0, float32."""
+    if state.piece is not None:
+        return (state.piece.target.numpy() >= 0.0).astype(np.float32)
+    shape = state.target.shape
+    near = disc(shape[0], shape[1], state.reach)[:, :, None]
+    return np.broadcast_to(near, shape).astype(np.float32)
