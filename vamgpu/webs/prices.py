@@ -11,18 +11,20 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam
 from vamgpu.kernels.dwell import weigh_poses
-from vamgpu.methods.ramp import ramp
 from vamgpu.methods.state import OptimizerState, Piece
 from vamgpu.methods.widest import WidestWindow
+from vamgpu.methods.window import ProcessWindow
 from vamgpu.operators.compose import combine
 from vamgpu.operators.web import WebProjection
 from vamgpu.web import Propagation, WebGrid
 from vamgpu.webs.layout import Layout
-from vamgpu.webs.solver import SegmentLosses
+from vamgpu.webs.solver import Given, SegmentLosses, Solver
 
-START = 0.85
-"""Mean dose of the part, a share of the greatest, that a segment begins with."""
-SEEN = 1e-3
+FIRST = 1 / 3
+"""Share of the iterations that two thresholds lead, before prices do."""
+BRIGHTEST = 1e12
+"""Light that no pixel is held below."""
+SEEN = 1e-6
 """Light of poses to be decided over that of all, from which on a voxel counts."""
 
 
@@ -66,10 +68,8 @@ class PricedSolver:
                 "window solves a segment over all frames that light it: expected overlap ≥ 1"
             )
         self.layout, self.device, self.method = layout, device, method
-        whole = WebGrid((layout.columns, *grid.shape[1:]), grid.pitch)
-        self.operator: WebProjection = WebProjection.from_light(
-            whole, light, float(layout.step), beam, device, poses=layout.poses, start=0.0
-        )
+        self.thresholds: Solver = Solver(layout, grid, beam, light, ProcessWindow(), device)
+        self.operator: WebProjection = self.thresholds.operator
         free = np.arange(layout.poses) >= layout.overlap
         self.free: DeviceArray = device.table(free.astype(np.float32))
         every, own = (self._lit(times) for times in (np.ones(layout.poses), free))
@@ -77,7 +77,6 @@ class PricedSolver:
         self.unlit: np.ndarray = np.clip(1.0 - every / np.where(endless > 0.0, endless, 1.0), 0.0, 1.0)
         self.unlit[: len(every) // 2] = 0.0  # by frames before those that a segment knows
         self.seen: np.ndarray = own > SEEN * endless
-        self.taps = ramp(self.operator)
         self._light: DeviceArray | None = None
 
     def _lit(self, times: np.ndarray) -> np.ndarray:
@@ -103,14 +102,16 @@ class PricedSolver:
             self._light = self.device.upload(np.zeros(self.operator.range.shape, np.float32))
             return self._light, SegmentLosses(0.0, 0.0), None
         state = OptimizerState(self.operator, self.device.upload(fractions), {})
-        rest = self._rest(before) + self.unlit * fractions
+        shown = self._rest(before)
+        rest = shown + self.unlit * fractions
         state.piece = Piece(
             self.device.upload(np.minimum(rest, 1.0).astype(np.float32)), self.device.upload(judged), self.free,
             before.levels,
         )  # fmt: skip
-        state.memory["light"] = self._first(state, judged >= 0.5)
-        losses, steps = [], self.method.steps(state)
-        for number in range(iterations):
+        warm = round(FIRST * iterations)
+        state.memory["light"], losses = self._first(fractions, shown, max(1, warm)), []
+        steps = self.method.steps(state)
+        for number in range(iterations - warm):
             state.iteration = number
             losses.append(next(steps)[0])
         light, _, _ = state.best.choose(state)
@@ -126,18 +127,13 @@ class PricedSolver:
         shown[: self.layout.overlap] = before.light
         return self.operator.T(self.device.upload(shown)).numpy()
 
-    def _first(self, state: OptimizerState, part: np.ndarray) -> DeviceArray:
-        """The target's filtered projection at poses to be decided, as bright as its part should be."""
-        assert state.piece is not None
-        light, dose, rest = state.sinogram(), state.volume(), state.piece.rest.numpy()
-        projected = state.sinogram()
-        state.project(state.target, projected)
-        state.filter(projected, self.taps, light, floor=0.0)
-        state.device.launch(weigh_poses, light=light, times=self.free, weighted=light)
-        state.operator.T(light, out=dose)
-        own = float(dose.numpy()[part].sum())
-        asked = max(START * part.sum() - float(rest[part].sum()), 0.05 * part.sum())
-        return combine(asked / max(own, 1e-30), light, 0.0, light, light)
+    def _first(self, fractions: np.ndarray, rest: np.ndarray, iterations: int) -> DeviceArray:
+        """Light by two thresholds over the dose that is there, in a field of its own."""
+        dark = self.device.upload(np.zeros(self.operator.range.shape, np.float32))
+        decided = np.where(self.seen, rest, np.nan)
+        given = Given(dark, np.zeros(self.layout.poses, bool), BRIGHTEST, self.layout.overlap, decided)
+        light, _ = self.thresholds.solve(fractions, iterations, given)
+        return combine(1.0, light, 0.0, light, dark)
 
     def buffer(self) -> DeviceArray:
         """Light [pose, r, z] of the segment solved last, dark at poses that are decided."""
