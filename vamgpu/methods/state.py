@@ -62,6 +62,7 @@ class OptimizerState:
         self.iteration = 0  # iterations done so far, of this run and those it resumes
         self.most_evaluations = inf
         self.piece: Piece | None = None
+        self.brightness = inf  # greatest light of a pixel over the dose midway between part and void
         self.budget = inf  # evaluations that the run will make in all, where it is not stopped before
         self.device: Device = operator.device
         self.reach: float = reach_of(operator.grid)
