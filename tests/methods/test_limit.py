@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OpticsWarning
 from vamgpu.geometry import Beam, Grid, Turntable
-from vamgpu.methods import optimize
+from vamgpu.methods import Tolerances, optimize, pareto
 from vamgpu.methods.limit import ExposureLimit
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
@@ -118,3 +118,18 @@ def test_bad_limits_say_what_was_expected() -> None:
         given: dict[str, Any] = {"iterations": 5, **options}
         with pytest.raises(BadInput, match=said):
             optimize(where, cross(), **given)
+
+
+def test_shorter_exposures_cost_window_and_are_told_by_their_times() -> None:
+    plan = optimize(operator("numpy"), cross(), "widest", 100)
+    points = pareto(plan, **GIVEN, evaluations=100)
+    times, windows = ([getattr(point, name) for point in points] for name in ("seconds", "window"))
+    assert len(points) >= 4 and points[0].window == plan.window
+    assert times == sorted(times, reverse=True) and windows[-1] < 0.7 * windows[0] and min(windows) > 0.0
+    assert times[0] == pytest.approx(seconds_of(plan), rel=0.02)
+    dose, near = np.asarray(plan.operator.T(plan.sinogram.numpy())), operator("numpy").grid.cylinder()[:, :, None]  # type: ignore[attr-defined]
+    part = cross() > 0.5
+    assert points[0].outside == pytest.approx(dose[~part & near].mean() / dose[part & near].mean(), rel=1e-6)
+    off = optimize(operator("numpy"), cross(), "widest", 5, tolerances=Tolerances(dose=0.01))
+    with pytest.raises(BadInput, match="the plan has tolerances"):
+        pareto(off, **GIVEN)

@@ -40,7 +40,10 @@ LIMITS = "dose", "weight", "body"
 
 @dataclass(frozen=True)
 class PlanRecord:
-    """A plan without its light: method as text, history as plain records, citations, seconds, strict window, bound."""
+    """A plan without its light: method as text, history as plain records, citations, seconds, strict window, bound.
+
+    pareto: windows of shorter exposures, where they were asked for.
+    """
 
     method: str
     history: tuple[Mapping[str, float], ...]
@@ -49,6 +52,7 @@ class PlanRecord:
     window: float
     bound: float | None = None
     corners: tuple[Mapping[str, Any], ...] = ()
+    pareto: tuple[Mapping[str, float], ...] = ()
 
     @classmethod
     def of(cls, plan: Any, window: float | None = None) -> PlanRecord:
