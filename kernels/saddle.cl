@@ -1,7 +1,7 @@
 #include "partial.h"
 
 #ifdef COMPILE_light_step
-FIELD_KERNEL light_step(ARRAY light, ARRAY columns, float step, __global float *restrict ahead,
+FIELD_KERNEL light_step(ARRAY light, ARRAY columns, float step, float most, __global float *restrict ahead,
                         __global float *restrict after, __global float *restrict moved, SIZES, int n_part) {
     const int part = part_index(n_i, n_j, n_z);
     if (part < 0 || part >= n_part) return;
@@ -11,7 +11,7 @@ FIELD_KERNEL light_step(ARRAY light, ARRAY columns, float step, __global float *
         const Vector from = LOAD(light + at), weight = LOAD(columns + at);
         const Lanes lit = weight > ZERO;
         const Vector length = step / select((Vector)(1.0f), weight, lit);
-        const Vector to = select(ZERO, fmax(ZERO, from - length * LOAD(ahead + at)), lit);
+        const Vector to = select(ZERO, fmin((Vector)(most), fmax(ZERO, from - length * LOAD(ahead + at))), lit);
         STORE(after + at, to);
         STORE(ahead + at, 2.0f * to - from);
         sum[v] += MASKED(REAL_LANES, weight * (to - from) * (to - from));

@@ -17,13 +17,16 @@ GPU = Tiling(major=1, minor=1)
 
 
 @kernel(over="light", cpu=CPU, gpu=PARTIAL)
-def light_step(light: Array, columns: Array, step: Real, ahead: ArrayInOut, after: ArrayOut, moved: Parts) -> None:
-    """after = max(0, light − step·descent / columns), dark where columns are 0; ahead, the descent, = 2·after − light.
+def light_step(
+    light: Array, columns: Array, step: Real, most: Real, ahead: ArrayInOut, after: ArrayOut, moved: Parts
+) -> None:
+    """after = light − step·descent / columns from 0 to most, dark where columns are 0; ahead, the descent, becomes
+    2·after − light.
 
     columns: what a pixel adds to all limits together.  Σ moved = Σ columns·(after − light)².
     """
     lit = columns > 0
-    after[...] = np.where(lit, np.maximum(0.0, light - step * ahead / np.where(lit, columns, 1.0)), 0.0)
+    after[...] = np.where(lit, np.clip(light - step * ahead / np.where(lit, columns, 1.0), 0.0, most), 0.0)
     ahead[...] = 2.0 * after - light
     moved[...] = 0.0
     moved[0] = np.sum(columns * (after - light) ** 2)

@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 @wp.kernel
 def light_step(
-    light: Vectors, columns: Vectors, step: float, ahead: Vectors, after: Vectors, moved: wp.array[float],
+    light: Vectors, columns: Vectors, step: float, most: float, ahead: Vectors, after: Vectors, moved: wp.array[float],
     n_i: int, n_j: int, n_z: int, n_part: int,
 ) -> None:  # fmt: skip
     slab, tile, j, lane = wp.tid()
@@ -25,7 +25,7 @@ def light_step(
         to = wp.vec4(0.0, 0.0, 0.0, 0.0)
         for k in range(4):
             if weight[k] > 0.0:
-                to[k] = wp.max(0.0, before[k] - step / weight[k] * falls[k])
+                to[k] = wp.min(most, wp.max(0.0, before[k] - step / weight[k] * falls[k]))
             if k < count:
                 result += weight[k] * (to[k] - before[k]) * (to[k] - before[k])
         after[slab, i, j, lane] = to

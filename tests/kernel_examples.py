@@ -574,7 +574,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "linear": lambda n: _elementwise(n, a=0.5, b=-1.5, floor=-0.4),
     "multiply": lambda n: _elementwise(n),
     "apply_penalty": lambda n: _partial(n, weight=0.1, power=3.0, hold=1),
-    "light_step": lambda n: _partial(n, step=0.7),
+    "light_step": lambda n: _partial(n, step=0.7, most=0.8),
     "limit_step": lambda n: _partial(n, step=0.7, least=0.6, leak=0.3, reach=0.4 * n),
     "price_dose": _elementwise,
     "reflect": lambda n: _elementwise(n, share=0.8),

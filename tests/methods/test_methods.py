@@ -193,7 +193,7 @@ def test_bad_input_is_named() -> None:
         lambda: ProcessWindow(outside=0.97),
         lambda: Recipe(background=1.0),
         lambda: BCLP(p=0.5),
-        lambda: BCLP(p=2.0, q=1.0, ridge=0.1),
+        lambda: BCLP(p=2.0, q=0.5),
         lambda: OSMO(gain=0.0),
         lambda: LBFGS(history=0),
         lambda: LBFGS(efficiency=float("nan")),

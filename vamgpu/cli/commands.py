@@ -60,6 +60,7 @@ def demo(
 def solve(
     job: Path, *, out: Path | None = None, start: Path | None = None, rig: Path | None = None,
     settings: Settings = None, overwrite: Overwrite = False,
+    pareto: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:  # fmt: skip
     """Find light for a TOML job file and write it to a job folder, or go on with one that was stopped by Ctrl-C.
 
@@ -68,6 +69,7 @@ def solve(
         out: the folder; the file's name with .vam by default
         start: folder of a plan whose light is the first guess, of as many angles and pixels, whatever else has changed
         rig: the TOML file of the rig that will print it, whose measured point spread counts where the job has none
+        pareto: find the widest windows of shorter and shorter exposures too, by the lamp and resin of [print]
     """
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.read import read_job
@@ -79,11 +81,18 @@ def solve(
     if is_web(job):
         if start is not None:
             raise BadInput(f"{str(job)!r} is a web, which goes on with its own folder; leave --start out")
+        if pareto:
+            raise BadInput(f"{str(job)!r} is a web, which moves as fast as its limits allow; leave --pareto out")
         return _solve_web(job, out, settings, overwrite)
     place = out if out is not None else job.with_suffix(".vam")
     wanted, screen = read_job(job, settings or ()), console()
     with shown(screen) as progress:
-        folder = run(wanted, place, overwrite=overwrite, start=start, progress=progress)
+        folder = run(wanted, place, overwrite=overwrite, start=start, pareto=pareto, progress=progress)
+    if pareto:
+        sheet = Table("exposure", "window", "dose outside over inside")
+        for point in folder.manifest.inputs["pareto"]:
+            sheet.add_row(f"{point['seconds']:.3g} s", f"{point['window']:+.4f}", f"{point['outside']:.3f}")
+        screen.print(sheet)
     screen.print(f"wrote [bold]{_path(folder.path)}[/]; prove it with: vam prove {_path(folder.path)}")
 
 

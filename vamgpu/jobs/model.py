@@ -243,15 +243,17 @@ class SolveSection(Section):
 
     method: by its name, with its own parameters; the table [method] sets them.  iterations: in all; the method's own by
     default.  tolerance: share of the first loss at which to stop.  evaluations: projector evaluations that may be
-    spent.  device: where to compute; the best one here by default.  operator: "voxels", by rays through each; "rings",
-    by Fourier transforms over even angles (`RingProjection`), which is faster on large volumes and within 0.003 of the
-    window of a run of 40 evaluations; "auto", rings where they take the job and were measured to pay.
+    spent.  exposure_limit: time that the light may last at most, by lamp and resin of [print]: the widest window of
+    such light.  device: where to compute; the best one here by default.  operator: "voxels", by rays through each;
+    "rings", by Fourier transforms over even angles (`RingProjection`), which is faster on large volumes and within 0.003
+    of the window of a run of 40 evaluations; "auto", rings where they take the job and were measured to pay.
     """
 
     method: str = "default"
     iterations: Count | None = None
     tolerance: NonNegative = 0.0
     evaluations: Positive | None = None
+    exposure_limit: ExposureTime | None = None
     renamed: ClassVar[dict[str, str]] = {"pairs": "evaluations"}
     device: str | None = None
     operator: Literal["voxels", "rings", "auto"] = "voxels"
@@ -331,6 +333,11 @@ class JobFile(Section):
             raise Misplaced('got "joseph" and [light], whose pixels are one ray anyway; remove it', "beam", "footprint")
         if self.method is not None and self.solve.method != "default":
             raise Misplaced("got a method here and [method]; remove one", "solve", "method")
+        if self.solve.exposure_limit is not None and self.print is None:
+            raise Misplaced("got a time without [print]; expected its irradiance and critical_dose", "solve",
+                            "exposure_limit")  # fmt: skip
+        if self.solve.exposure_limit is not None and self.colors is not None:
+            raise Misplaced("got a time and [colors]; expected one color with it", "solve", "exposure_limit")
         if self.method is not None and self.colors is not None:
             raise Misplaced("got [method] and [colors]; expected the rule of two colors in [colors.rule]", "method")
         if self.tolerances is not None and self.colors is not None:

@@ -33,6 +33,7 @@ from vamgpu.targets.target import Target
 if TYPE_CHECKING:
     from vamgpu.methods.plan import Plan, Step
     from vamgpu.methods.tolerances import Tolerances
+    from vamgpu.methods.tradeoff import ParetoPoint
     from vamgpu.printing.pack import Solved
     from vamgpu.printing.proof import Proof
 
@@ -72,7 +73,7 @@ def _quietly(stage: str, share: float) -> None:
 
 
 def solve(
-    job: Job, path: str | Path, *, overwrite: bool = False, start: str | Path | None = None,
+    job: Job, path: str | Path, *, overwrite: bool = False, start: str | Path | None = None, pareto: bool = False,
     progress: StageProgress = _quietly,
 ) -> Folder:  # fmt: skip
     """Find the light of a job, and write its folder, or go on with one that was interrupted.
@@ -85,6 +86,7 @@ def solve(
         overwrite: Replace a job folder that stands there.
         start: Folder of a plan whose light is the first guess, of as many angles and pixels. Where method and geometry
             are those of the job, and the run was interrupted, it goes on as if it never had been.
+        pareto: Find the windows of shorter exposures too, and keep them for the report.
         progress: Is told the stage and its share that is done.
 
     Returns:
@@ -123,6 +125,8 @@ def solve(
             if not os.path.lexists(place) or is_interrupted(place):
                 _keep(error, place, inputs)
             raise
+    if pareto:
+        inputs["pareto"] = [asdict(point) for point in _traded(job, lights[0], progress)]
     progress("frames", 0.0)
     packed = [pack(light, **packing) for light in lights]
     progress("folder", 0.0)
@@ -175,10 +179,11 @@ def _one(
     if file.resin.precompensate:  # the method itself lets the dose of the plain light diffuse
         method = replace(method, diffusion=A.inner.diffusion)
     solved = light if file.resin.precompensate else A
+    lamp = {} if file.solve.exposure_limit is None else {"exposure_limit": file.solve.exposure_limit, **_lamp(job)}
     plan = optimize(
         solved, target, method=method, iterations=limit, tolerance=file.solve.tolerance,
         evaluations=file.solve.evaluations, tolerances=file.tolerances, progress=_share(progress, limit),
-        **_onward(begun, solved, target, method, file.tolerances),
+        **_onward(begun, solved, target, method, file.tolerances, lamp), **lamp,
     )  # fmt: skip
     return replace(plan, operator=A)
 
@@ -197,16 +202,37 @@ def _on_rings(light: Any, A: Any, asked: bool) -> Any:
     return A
 
 
+def _traded(job: Job, plan: Any, progress: StageProgress) -> tuple[ParetoPoint, ...]:
+    """Windows of a job's light and of shorter exposures."""
+    from vamgpu.methods.tradeoff import pareto
+
+    if job.file.colors is not None:
+        raise JobError("windows of shorter exposures are found for one color; leave --pareto or [colors] out")
+    return pareto(plan, **_lamp(job), progress=lambda share: progress("pareto", share))
+
+
+def _lamp(job: Job) -> dict[str, Any]:
+    """Irradiance, critical dose and absorption of a job. Raises `JobError`."""
+    if job.file.print is None:
+        raise JobError("times need a lamp and a resin; add [print] with irradiance and critical_dose")
+    return job.file.print.model_dump()
+
+
 def _onward(
-    place: str | Path | None, operator: Any, target: Target, method: Any, tolerances: Tolerances | None
+    place: str | Path | None, operator: Any, target: Target, method: Any, tolerances: Tolerances | None,
+    lamp: dict[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
     """How `optimize` goes on from a plan: where it stopped if all is the same, else with its light as the start."""
+    from vamgpu.methods.limit import ExposureLimit
     from vamgpu.methods.saved import load_plan
 
     if place is None:
         return {}
     begun = load_plan(place, operator.device)
+    limit = ExposureLimit.of(**lamp) if lamp else None
+    bright = None if limit is None else limit.brightness(operator)
     same = begun.state and begun.method == method and begun.tolerances == tolerances
+    same = same and begun.state.get("brightness") == bright
     if same and _known(begun.operator, begun.target) == _known(operator, target):
         return {"resume": replace(begun, operator=operator)}
     return {"start": begun.sinogram}
@@ -275,6 +301,7 @@ def prove(
         strength = float(colors["strength"]) if colors else 0.0
         signature(simulate).bind(None, None, None, **exposure)
         record = PlanRecord.read(inputs.get("plan") or IMPORTED)
+        record = replace(record, pareto=tuple(dict(point) for point in inputs.get("pareto") or ()))
     except (KeyError, TypeError, ValueError) as error:
         raise StorageError(
             f"{str(path)!r} lacks or garbles {error} in its manifest; write it with `vam solve`"

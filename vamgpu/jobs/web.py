@@ -19,7 +19,7 @@ from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
 from vamgpu.schema.quantities import Count, Length, NonNegative, Positive, Speed
 from vamgpu.schema.read import noun
-from vamgpu.schema.section import Named, Section
+from vamgpu.schema.section import Misplaced, Named, Section
 from vamgpu.storage.numpy_files import map_npy
 from vamgpu.storage.reading import is_file, parse_toml
 from vamgpu.webs.display import Display
@@ -81,10 +81,12 @@ class WebBeam(Section):
 class WebSolve(Section):
     """How light is found.
 
+    method: by its name, with its own parameters, "best" for the widest window; by default that of [method].
     iterations: of each segment.  core, overlap: of a segment, in windows of light.  device: where to compute; the best
     one here by default.
     """
 
+    method: str | None = None
     iterations: Count = 100
     core: Positive = 2.0
     overlap: NonNegative = 1.0
@@ -115,6 +117,12 @@ class WebFile(Section):
     method: Annotated[BCLP, noun("method", kind="bclp")] | None = None
     solve: WebSolve = WebSolve()
     frames: WebFrames = WebFrames()
+
+    @model_validator(mode="after")
+    def _fits(self) -> WebFile:
+        if self.method is not None and self.solve.method is not None:
+            raise Misplaced("got a method here and [method]; remove one", "solve", "method")
+        return self
 
 
 class WebJob(CheckedJob[WebFile]):
@@ -168,7 +176,7 @@ def stream_of(job: WebJob) -> Stream:
         roller,
         beam,
         lens=None if file.lens is None else file.lens(index=file.film.bath_index),
-        method=BCLP.paper_002() if file.method is None else file.method,
+        method=file.solve.method or file.method or BCLP.paper_002(),
         length=file.web.length,
         iterations=file.solve.iterations,
         core=file.solve.core,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from vamgpu.losses.band import Band
-from vamgpu.losses.loss import Loss
+from vamgpu.losses.loss import Loss, Mean
 from vamgpu.losses.response import GeneralizedLogistic, Interpolated, Linear, Logistic, Response
 from vamgpu.losses.sampled import VoxelLoss, cross_entropy
 
@@ -14,6 +14,7 @@ __all__ = [
     "Linear",
     "Logistic",
     "Loss",
+    "Mean",
     "Response",
     "VoxelLoss",
     "cross_entropy",

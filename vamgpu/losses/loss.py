@@ -13,6 +13,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
+from vamgpu.kernels.reduce import disc
 from vamgpu.kernels.signature import Kernel
 from vamgpu.kernels.update import multiply
 from vamgpu.losses.response import REACH
@@ -215,6 +216,36 @@ class Power(Loss):
 
     def curvature(self) -> float:
         return self.factor * self.loss.curvature()
+
+    def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
+        return replace(self, loss=self.loss.on(field))
+
+    def weighted(self, weight: DeviceArray) -> Loss:
+        return replace(self, loss=self.loss.weighted(weight))
+
+
+@dataclass(frozen=True)
+class Mean(Loss):
+    """A loss over the number of voxels that count, so that it does not depend on how many there are.
+
+    Args:
+        loss: A sum over voxels.
+    """
+
+    loss: Loss
+
+    @property
+    def coupling(self) -> str:
+        return self.loss.coupling or "a mean is over all voxels of a web"
+
+    def value_and_gradient(
+        self, dose: DeviceArray, target: DeviceArray, out: DeviceArray, reach: float = EVERYWHERE
+    ) -> float:
+        nx, ny, nz = dose.shape
+        share = 1.0 / max(1.0, float(np.count_nonzero(disc(nx, ny, reach))) * nz)
+        value = self.loss.value_and_gradient(dose, target, out, reach)
+        combine(share, out, 0.0, out, out)
+        return share * value
 
     def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
         return replace(self, loss=self.loss.on(field))

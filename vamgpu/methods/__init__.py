@@ -18,6 +18,7 @@ from vamgpu.methods.rebin import rebin
 from vamgpu.methods.recipe import Recipe
 from vamgpu.methods.run import METHODS, optimize
 from vamgpu.methods.tolerances import Tolerances
+from vamgpu.methods.tradeoff import ParetoPoint, pareto
 from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
 
@@ -36,6 +37,7 @@ __all__ = [
     "Linear",
     "Logistic",
     "PenaltyMinimization",
+    "ParetoPoint",
     "Plan",
     "ProcessWindow",
     "Recipe",
@@ -44,5 +46,6 @@ __all__ = [
     "WidestWindow",
     "bound",
     "optimize",
+    "pareto",
     "rebin",
 ]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, ClassVar
 
 from vamgpu.deprecated import Renamed, renamed_arguments
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import Band
-from vamgpu.losses.loss import Loss
+from vamgpu.losses.loss import Loss, Mean
 from vamgpu.losses.response import Logistic, Response
 from vamgpu.methods.descent import ByDescent
 from vamgpu.methods.papers import BAND, ROLL_TO_ROLL
@@ -25,7 +25,8 @@ class BCLP(ByDescent):
         minimize (Σ w·max(0, |M(d) − f| − ε)^p)^(q/p),    g ← max(0, g − η·∂/∂g)
 
     and in the roll-to-roll paper with λ·Σ M(d)² added, the L2 regularization (S1), and momentum. Printed there without
-    max(0, …), which would penalize voxels inside their band, and without the sum of the last term.
+    max(0, …), which would penalize voxels inside their band, and without the sum of the last term. With λ, and q other
+    than p, both sums are means over the voxels: of sums, λ would outweigh the norm the more, the finer the voxels.
 
     What differs here: the step η is not fixed. The first changes the light by ``share``, the next are longer by
     ``growth``; a step that raises the loss is taken back, and the next is half as long and without momentum. With a
@@ -36,7 +37,7 @@ class BCLP(ByDescent):
         q: Exponent of the sum, ≥ 1; None makes q = p, so that distant parts of a print do not couple.
         slack: ε outside and inside the part, dimensionless, as the response is.
         penalty: Weight w of a voxel outside and inside the part.
-        ridge: λ, the weight of the regularization; needs q = p.
+        ridge: λ, the weight of the regularization.
         response: M(d), of a dose.
         share: Relative change of the light in the first step, > 0.
         growth: Of the step from one to the next, ≥ 1.
@@ -62,10 +63,8 @@ class BCLP(ByDescent):
     price: ClassVar[Renamed] = Renamed("penalty")
 
     def __post_init__(self) -> None:
-        if self.q is not None and (not 1 <= self.q < inf or (self.ridge > 0 and self.q != self.p)):
-            raise BadInput(
-                f"q is {self.q} with p = {self.p} and ridge = {self.ridge}; expected q ≥ 1, and q = p with a ridge"
-            )
+        if self.q is not None and not 1 <= self.q < inf:
+            raise BadInput(f"q is {self.q}; expected q ≥ 1, or None for that of p = {self.p}")
         super().__post_init__()
 
     @classmethod
@@ -77,16 +76,34 @@ class BCLP(ByDescent):
         """
         return cls(p=3.0, ridge=0.04, momentum=0.5)
 
+    @classmethod
+    def roll_to_roll(cls) -> BCLP:
+        """The reference run of the roll-to-roll paper, with what its text leaves open: q = 1, weight 3 in the part,
+        learning rate 0.01, the logistic's middle at half the part's dose.
+
+        A learning rate has the unit of its light, which is not told: here the first step changes the light by a
+        hundredth of itself and later ones are as long as its rate makes them, but for those that would raise the loss.
+        q = 1 couples a whole web: `optimize` takes it on a `WebProjection`; `Stream` takes `paper_002`, which couples
+        nothing.
+        """
+        return replace(cls.paper_002(), q=1.0, penalty=(1.0, 3.0), share=0.01, growth=1.0)
+
     def band(self) -> Band:
-        """The loss of a voxel."""
-        return Band(
-            (0.0, 1.0), self.slack, self.penalty, self.p, self.ridge, response=self.response, weight=self.weight
-        )  # fmt: skip
+        """The loss of a voxel, where q is p."""
+        return self._band(self.ridge)
+
+    def _band(self, ridge: float) -> Band:
+        return Band((0.0, 1.0), self.slack, self.penalty, self.p, ridge, response=self.response, weight=self.weight)
 
     @property
     def loss(self) -> Loss:
         """The whole loss."""
-        return self.band() if self.q in (None, self.p) else self.band() ** (self.q / self.p)
+        if self.q in (None, self.p):
+            return self.band()
+        if not self.ridge:
+            return self.band() ** (self.q / self.p)
+        nothing = Band((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), ridge=self.ridge, response=self.response, weight=self.weight)
+        return Mean(self._band(0.0)) ** (self.q / self.p) + Mean(nothing)
 
     @property
     def coupling(self) -> str:

@@ -55,6 +55,11 @@ class Best:
         self.memory.update({"best loss": loss, "best window": window, "best iteration": iteration})
         return True
 
+    def forget(self) -> None:
+        """Drop the light kept, which a run that goes on must not return."""
+        for name in ("best", "best loss", "best window", "best iteration"):
+            self.memory.pop(name, None)
+
     @property
     def loss(self) -> float:
         """Of the light kept; infinite without one."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import ClassVar
 
 from vamgpu.errors import OutOfMemory
@@ -34,7 +35,7 @@ class BestWindow(Method):
 
     def steps(self, state: OptimizerState) -> Steps:
         memory = state.memory
-        if not memory.get("priced") and state.budget - state.evaluations >= MANY and _fits(state):
+        if not memory.get("priced") and _many(state) and _fits(state):
             memory["priced"] = 1.0
             if "best" in memory:
                 state.scale(1.0, state.buffer("best"), state.buffer("light"))
@@ -53,6 +54,11 @@ class BestWindow(Method):
             The bound; None where thresholds led, or few prices.
         """
         return WidestWindow().certify(state)
+
+
+def _many(state: OptimizerState) -> bool:
+    """Whether prices lead: for a run that may spend enough, and for one whose light may not be too bright."""
+    return state.budget - state.evaluations >= MANY or state.brightness < inf
 
 
 def _fits(state: OptimizerState) -> bool:

@@ -12,9 +12,11 @@ from importlib.util import find_spec
 from math import ceil, inf
 from typing import Any
 
+import numpy as np
+
 from vamgpu.backend.array import DeviceArray
 from vamgpu.deprecated import renamed_arguments
-from vamgpu.errors import BadInput, Cancelled, Diverged, DivergenceWarning, ToleranceWarning
+from vamgpu.errors import BadInput, Cancelled, Diverged, DivergenceWarning, OpticsWarning, ToleranceWarning
 from vamgpu.geometry import counts, positive
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.bclp import BCLP
@@ -23,6 +25,7 @@ from vamgpu.methods.default import BestWindow
 from vamgpu.methods.descent import Descent
 from vamgpu.methods.fbp import FilteredBackProjection
 from vamgpu.methods.lbfgs import LBFGS
+from vamgpu.methods.limit import ExposureLimit
 from vamgpu.methods.method import Method
 from vamgpu.methods.osmo import OSMO
 from vamgpu.methods.part import fractions_of, limited
@@ -36,6 +39,7 @@ from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, doses_
 from vamgpu.methods.trajectory import LossTrajectory
 from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
+from vamgpu.operators.reductions import extent
 from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.spectral import SpectralProjection
@@ -73,6 +77,10 @@ def optimize(
     evaluations: float | None = None,
     start: Any = None,
     tolerances: Tolerances | None = None,
+    exposure_limit: float | str | None = None,
+    irradiance: float | str | None = None,
+    critical_dose: float | str | None = None,
+    absorption: float | str | None = None,
 ) -> Plan:
     """Find light [angle, r, z] ≥ 0 whose dose prints a target, on the operator's device.
 
@@ -98,6 +106,11 @@ def optimize(
             methods that begin with the target.
         tolerances: How far machine and resin may be off: one light for all corners, with one threshold. Loss, window
             and bound are then those of all corners together; see `Tolerances` and `Plan.corners`.
+        exposure_limit: Time [s] that the light may last at most, until the dose midway between part and void is
+            ``critical_dose``: the widest window of such light. For "default" and "widest" alone.
+        irradiance: Of a full-on pixel in air [mW/mm²], where there is a limit. Like the others also text with its unit.
+        critical_dose: From which resin is solid [mJ/mm³], where there is a limit.
+        absorption: Of the resin [1/mm], where there is a limit and the operator absorbs no light.
 
     Returns:
         The plan with the best light that the run evaluated.
@@ -105,6 +118,7 @@ def optimize(
     Raises:
         BadInput: For a target, a method or a number that cannot be used (also as `ShapeMismatch`, `EmptyMesh`,
             `TargetTooLarge`).
+        BadInput: Full-on pixels everywhere would take longer than ``exposure_limit``; says what binds.
         ToleranceError: A tolerance contradicts the print, or leaves a part of it without light; says which.
         OutOfMemory: Where the device is too small.
         Cancelled: When ``cancel`` says so or on Ctrl-C; carries the plan reached so far.
@@ -130,6 +144,11 @@ def optimize(
         field_ = scenarios.stacked([field_] * len(scenarios))
         limits = None if limits is None else limits.stacked(len(scenarios))
     state = OptimizerState(asked, field_, memory, how.criterion, limits)
+    brightest = ExposureLimit.of(exposure_limit, irradiance, critical_dose, absorption)
+    if brightest is not None:
+        _limit_light(state, how, operator, brightest, resume)
+    elif "brightness" in memory:
+        raise BadInput("the plan to resume has an exposure limit; resume it with that, or start with its light")
     state.most_evaluations = inf if evaluations is None else positive("evaluations", evaluations)
     state.budget = min(limit * how.cost, state.most_evaluations)
     if start is not None:
@@ -137,7 +156,39 @@ def optimize(
     run = _Run(posed, how, state, target, resume, tolerances=tolerances)
     with _reporting(progress, limit) as report:
         run.go(limit, tolerance, report, cancel or (lambda: False))
-    return run.plan()
+    plan = run.plan()
+    if brightest is not None and not (plan.window > 0.0 and "rows" in plan.state):
+        _tell_limit(plan, brightest)
+    return plan
+
+
+def _limit_light(
+    state: OptimizerState, method: Method, operator: Projector, limit: ExposureLimit, resume: Plan | None
+) -> None:  # fmt: skip
+    """Let a run find no light that lasts longer than it may. Raises `BadInput`."""
+    if not isinstance(method, (BestWindow, WidestWindow)):
+        raise BadInput(f"got exposure_limit with {method!r}; expected \"default\" or \"widest\", which seek the widest "
+                       "window of light that is no brighter")  # fmt: skip
+    brightness = limit.brightness(operator)
+    if resume is not None and state.memory.get("brightness") != brightness:
+        raise BadInput(
+            "the plan to resume has another exposure limit; resume it with its own, or give its light as start"
+        )
+    state.memory["brightness"] = state.brightness = brightness
+    even, dose = state.device.upload(np.ones(state.operator.range.shape, np.float32)), state.volume()
+    state.operator.T(even, out=dose)
+    limit.check(operator, extent(dose, state.target, 0.5, inf, state.reach)[0])
+
+
+def _tell_limit(plan: Plan, limit: ExposureLimit) -> None:
+    """Warn of a limit that leaves no window."""
+    warnings.warn(
+        f"no light that prints was found within the exposure limit of {limit.seconds:.4g} s: the widest window is "
+        f"{max(plan.window, -1.0):+.3f}; take more time, a brighter lamp or more iterations; without the limit the run "
+        "tells what the part itself allows",
+        OpticsWarning,
+        stacklevel=3,
+    )
 
 
 @dataclass

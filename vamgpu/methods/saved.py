@@ -42,7 +42,10 @@ LIMITS = "dose", "weight", "body"
 @dataclass(frozen=True)
 class PlanRecord:
     """A plan without its light: method as text, history as plain records, citations, seconds, strict window, bound,
-    corners, and the operator and device that ran."""
+    corners, and the operator and device that ran.
+
+    pareto: windows of shorter exposures, where they were asked for.
+    """
 
     method: str
     history: tuple[Mapping[str, float], ...]
@@ -52,6 +55,7 @@ class PlanRecord:
     bound: float | None = None
     corners: tuple[Mapping[str, Any], ...] = ()
     ran: str = ""
+    pareto: tuple[Mapping[str, float], ...] = ()
 
     @classmethod
     def of(cls, plan: Any, window: float | None = None) -> PlanRecord:

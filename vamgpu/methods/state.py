@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from math import inf, isfinite
 from typing import Any
@@ -29,6 +30,23 @@ from vamgpu.operators.space import require
 from vamgpu.targets.limits import Limits
 
 
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """What light is sought under that is a piece of a longer print.
+
+    Attributes:
+        rest: Dose that other light brings, a field [x, y, z].
+        target: The target where voxels count, −1 elsewhere, a field [x, y, z].
+        free: 1 for poses whose light is sought, 0 for those that are decided, a table (poses,).
+        levels: Least dose of the part and greatest dose outside that are wide enough apart; None for as wide as can be.
+    """
+
+    rest: DeviceArray
+    target: DeviceArray
+    free: DeviceArray
+    levels: tuple[float, float] | None = None
+
+
 class OptimizerState:
     """One run: everything a method may use. ``memory`` outlives the run and is enough to resume it."""
 
@@ -44,6 +62,8 @@ class OptimizerState:
         self.best: Best = Best(memory, criterion)
         self.iteration = 0  # iterations done so far, of this run and those it resumes
         self.most_evaluations = inf
+        self.piece: Piece | None = None
+        self.brightness = inf  # greatest light of a pixel over the dose midway between part and void
         self.budget = inf  # evaluations that the run will make in all, where it is not stopped before
         self.device: Device = operator.device
         self.reach: float = reach_of(operator.grid)
@@ -96,8 +116,10 @@ class OptimizerState:
         self._count(lambda: self.operator(volume, out=out))
 
     def expose(self, light: DeviceArray, out: DeviceArray) -> None:
-        """out = Aᵀ light, the dose; half an evaluation."""
+        """out = Aᵀ light, the dose; half an evaluation. With that of other light in a piece of a print."""
         self._count(lambda: self.operator.T(light, out=out))
+        if self.piece is not None:
+            self.combine(1.0, out, 1.0, self.piece.rest, out)
 
     def _count(self, half: Callable[[], Any]) -> None:
         """Do half an evaluation; of several scenarios it is what their operator really made."""
@@ -126,12 +148,24 @@ class OptimizerState:
         """Strict process window of a dose, and the greatest dose.
 
         Where the part leaves no void nothing can leak, and the window is the least dose over the greatest. A dose that
-        is dark everywhere, or not finite, prints nothing: its window is −1, the least there is.
+        is dark everywhere, or not finite, prints nothing: its window is −1, the least there is. That of a piece is no
+        wider than its levels.
         """
-        least, leak, greatest = window(dose, self.target, self.reach)
+        least, leak, greatest = self.extremes(dose)
         if not (isfinite(least) and leak < inf and 0.0 < greatest < inf):
             return -1.0, max(greatest, 1e-30) if isfinite(greatest) else 1.0
         return (least - max(leak, 0.0)) / greatest, greatest
+
+    def extremes(self, dose: DeviceArray) -> tuple[float, float, float]:
+        """Least dose inside the part, greatest dose outside, and the greatest, of voxels that count."""
+        piece = self.piece
+        if piece is None:
+            return window(dose, self.target, self.reach)
+        least, high = extent(dose, piece.target, 0.5, inf)
+        _, leak = extent(dose, piece.target, -0.5, 0.5)
+        if piece.levels is not None:
+            least, leak = min(least, piece.levels[0]), max(leak, piece.levels[1])
+        return min(least, 1.0), leak, max(high, leak, 1.0 if piece.levels is not None else 0.0)
 
     @cached_property
     def _target_square(self) -> float:

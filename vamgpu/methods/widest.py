@@ -11,16 +11,19 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
+from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.kernels.reduce import disc
 from vamgpu.kernels.saddle import light_step, limit_step, price_dose, reflect
+from vamgpu.kernels.update import multiply
 from vamgpu.methods.active import ActiveScenarios
 from vamgpu.methods.certificate import Bound, certified
+from vamgpu.methods.limit import MARGIN
 from vamgpu.methods.method import Criterion, Method, Steps
 from vamgpu.methods.papers import ANCHORED, DIAGONAL, PRIMAL_DUAL, SAFE_STEPS
 from vamgpu.methods.recipe import Recipe
 from vamgpu.methods.state import OptimizerState
-from vamgpu.operators.compose import combine
-from vamgpu.operators.reductions import dot, folded, parts_for, total, window
+from vamgpu.operators.compose import capped, combine
+from vamgpu.operators.reductions import dot, extent, folded, parts_for, total
 
 MEAN_ROW = 2.0
 """Dose of light 1 everywhere, mean over the voxels that count, in the unit that steps are measured in."""
@@ -34,6 +37,13 @@ SIDES = (("least", "inside", 1.0), ("leak", "outside", -1.0))
 """Each dose with the prices that hold it, and whether it is to rise or to fall."""
 SOON, LATE, LONGEST = 0.1, 0.4, 250
 """A round ends at this share of its first gap; at that share once the gap grows; after so many steps."""
+
+UNLIMITED = 3e38
+NEAR, FIRST_WAY, SHORTER = 0.9, 0.04, 40
+"""Share of the brightness that may be, from which on it is minded; then the share by which the dose at the threshold
+is moved after a round, and the longest round."""
+DIMMED = 8
+"""Times that the first light is cut to what it may be."""
 TOLD = 60
 """Steps from which on prices tell how wide a window can be."""
 
@@ -66,7 +76,8 @@ class WidestWindow(Method):
             raise BadInput(f"passes is {self.passes!r}; expected a whole number ≥ 1")
 
     def steps(self, state: OptimizerState) -> Steps:
-        yield from Recipe().first(state, self.passes)
+        if state.piece is None:
+            yield from Recipe().first(state, self.passes)
         yield from _Saddle(state).steps()
 
     def certify(self, state: OptimizerState) -> Bound | None:
@@ -95,26 +106,60 @@ class _Saddle:
         """Lengths of steps and the dose to begin with, then one primal-dual step each."""
         state, memory = self.state, self.memory
         if "rows" not in memory:
-            yield 1.0 - state.best.window, self._begin()
+            found = self._begin()
+            if state.piece is not None or state.brightness < inf:
+                found = self._offer(memory)
+            yield 1.0 - state.best.window, found
         found = state.best.window
         while True:
             gap = self._step()
             other = self.active.due and self.active.look(self.after)
             if not self.active.any_rest or self.active.due:
-                found, _ = state.window(self.after["held"])
-                state.best.offer(self.after["light"], 1.0 - found, found, state.iteration + 1)
+                found = self._offer(self.after)
             turn, first = state.number("turn"), state.number("first") or gap
             near = gap <= SOON * first or (gap <= LATE * first and gap > state.number("last", inf))
             memory |= {"turn": turn + 1.0, "first": first, "last": gap}
             if other:
                 self._measure()
                 self._anchor(self.after, self.levels)
-            elif turn and (near or turn > LONGEST):
+            elif turn and (near or turn > (SHORTER if "middle" in memory else LONGEST)):
                 self._balance()
+                if "middle" in memory:
+                    self._move_middle()
                 self._anchor(self.after, self.levels)
             else:
                 self._reflect((turn + 1.0) / (turn + 2.0))
             yield 1.0 - state.best.window, found
+
+    def _offer(self, fields: Mapping[str, Any]) -> float:
+        """Offer light by its dose; returns its window, and keeps what is too bright behind all that is not."""
+        state, light = self.state, fields["light"]
+        found, _ = state.window(fields["held"])
+        kept = found
+        if state.brightness < inf:
+            least, leak, _ = state.extremes(fields["held"])
+            over = extent(light)[1] / max(state.brightness * 0.5 * (least + max(leak, 0.0)), 1e-30)
+            kept = found if over <= 1.0 else -1.0 - min(over, 1e9)
+            if over > NEAR and "middle" not in self.memory:
+                self.memory["middle"] = 0.5 * (least + max(leak, 0.0))
+            self.memory["round best"] = max(state.number("round best", -inf), kept)
+        state.best.offer(light, 1.0 - kept, kept, state.iteration + 1)
+        return found
+
+    def _most(self) -> float:
+        """Greatest light of a pixel, by the dose at the threshold that levels keep to."""
+        return min(MARGIN * self.state.brightness * self.state.number("middle", inf), UNLIMITED)
+
+    def _move_middle(self) -> None:
+        """Look for the dose at the threshold that leaves the widest window: more of it allows brighter light."""
+        memory, number = self.memory, self.state.number
+        found, before, way = number("round best", -inf), number("round before", -inf), number("way", FIRST_WAY)
+        if found < -1.0:
+            way = -FIRST_WAY
+        elif found < before:
+            way *= -0.5
+        memory |= {"middle": min(number("middle") * (1.0 + way), 1.0), "way": way, "round before": found}
+        memory.pop("round best", None)
 
     def bound(self) -> Bound:
         """That of the prices where a step leads; the memory stays as it is."""
@@ -141,26 +186,46 @@ class _Saddle:
         for name in ("rows", "columns", "held"):
             memory[name] = self._empty("light" if name == "columns" else name)
         rows, held = memory["rows"], memory["held"]
-        state.operator.T(upload(np.ones(light.shape, np.float32)), out=rows)  # what every method spends
+        even = self._free(upload(np.ones(light.shape, np.float32)))
+        state.operator.T(even, out=rows)  # what every method spends
+        if state.piece is not None:
+            state.device.launch(multiply, x=rows, y=upload(_near(state)), out=rows)
         state.expose(light, held)
         found, greatest = state.window(held)
         self.active.begin(held)
-        near = np.sign(_counted(state))
+        near = _near(state)
         unit = MEAN_ROW * float(np.count_nonzero(near)) / max(dot(rows, upload(near)), 1e-30)
         state.scale(unit, rows, rows)
         memory["unit"] = unit
         self._measure()
-        for field in (light, held):
+        for field in (light, held) if state.piece is None else ():
             state.scale(1.0 / greatest, field, field)
         for name in ("wall", "cap"):
             memory[name] = upload(np.zeros(held.shape, np.float32))
-        least, leak, _ = window(held, state.target, state.reach)
+        if state.brightness < inf:
+            state.best.forget()
+            self._dim(light, held)
+        least, leak, _ = state.extremes(held)
         memory |= dict(zip(LEVELS, (least, max(leak, 0.0), 0.0, 0.0), strict=True))
         prices = 2.0 * (MEAN_ROW + 1.0) / (ACTIVE * max(memory["inside voxels"], 1.0))
         far = max(dot(light, light) * self._mean_column(), 1e-30)
         memory |= {"length": 1.0, "weight": sqrt(prices / far), "made": 0.0}
         self._anchor(memory, memory)
         return found
+
+    def _dim(self, light: DeviceArray, held: DeviceArray) -> None:
+        """Cut the brightest pixels off until the light lasts no longer than it may; a few times, as the dose falls."""
+        for _ in range(DIMMED):
+            least, leak, greatest = self.state.extremes(held)
+            most = MARGIN * self.state.brightness * 0.5 * (least + max(leak, 0.0))
+            if extent(light)[1] <= most:
+                return
+            self.memory["middle"] = 0.5 * (least + max(leak, 0.0))
+            capped(light, most)
+            self.state.expose(light, held)
+            greatest = self.state.extremes(held)[2]
+            for field in (light, held):
+                self.state.scale(1.0 / max(greatest, 1e-30), field, field)
 
     def _measure(self) -> None:
         """How many limits there are, and what a pixel adds to them all, scenarios that rest left out."""
@@ -169,7 +234,14 @@ class _Saddle:
         inside, outside = (float(np.count_nonzero(counted == limits)) for limits in (2.0, 1.0))
         memory |= {"inside voxels": inside, "outside voxels": outside}
         state.project(state.device.upload(counted), memory["columns"])
+        self._free(memory["columns"])
         state.scale(1.0 / memory["unit"], memory["columns"], memory["columns"])
+
+    def _free(self, light: DeviceArray) -> DeviceArray:
+        """Light of which nothing is left at poses that are decided."""
+        if self.state.piece is not None:
+            self.state.device.launch(weigh_poses, light=light, times=self.state.piece.free, weighted=light)
+        return light
 
     def _mean_column(self) -> float:
         columns = self.memory["columns"]
@@ -219,16 +291,23 @@ class _Saddle:
         state.project(self.pull, self.descent)
         moved = parts_for(light_step, self.descent)
         launch(
-            light_step, light=memory["light"], columns=memory["columns"], step=length / weight,
+            light_step, light=memory["light"], columns=memory["columns"], step=length / weight, most=self._most(),
             ahead=self.descent, after=after["light"], moved=moved,
         )  # fmt: skip
-        gap = weight / length * folded(moved)
+        gap, paces = weight / length * folded(moved), {}
         for level, side, sign in SIDES:
             voxels = memory[f"{side} voxels"]
             pace = 0.5 * length / (weight * max(voxels, 1.0))
             way = sign * pace * (1.0 - memory[side]) * (voxels > 0)
             levels[level] = memory[level] + way
-            gap += way**2 / pace
+            if state.piece is not None and state.piece.levels is not None:
+                enough = dict(zip(LEVELS, state.piece.levels, strict=False))[level]
+                levels[level] = sign * min(sign * levels[level], sign * enough)
+            paces[level] = pace
+        if "middle" in memory:
+            short = max(0.0, 2.0 * memory["middle"] - levels["least"] - levels["leak"]) / sum(paces.values())
+            levels |= {level: levels[level] + short * pace for level, pace in paces.items()}
+        gap += sum((levels[level] - memory[level]) ** 2 / pace for level, pace in paces.items())
         state.expose(self.descent, after["held"])
         parts = {name: parts_for(limit_step, self.pull) for name in ("inside", "outside", "moved", "crossed")}
         launch(
@@ -256,6 +335,13 @@ class _Saddle:
 
 def _counted(state: OptimizerState) -> np.ndarray:
     """How many limits a voxel's dose has: 2 in the part, 1 outside, 0 beyond the cylinder that counts."""
-    target = state.target.numpy()
-    near = disc(target.shape[0], target.shape[1], state.reach)[:, :, None]
-    return (near * (1.0 + (target >= 0.5))).astype(np.float32)
+    return _near(state) * (1.0 + (state.target.numpy() >= 0.5)).astype(np.float32)
+
+
+def _near(state: OptimizerState) -> np.ndarray:
+    """1 for voxels that count, else 0, float32."""
+    if state.piece is not None:
+        return (state.piece.target.numpy() >= 0.0).astype(np.float32)
+    shape = state.target.shape
+    near = disc(shape[0], shape[1], state.reach)[:, :, None]
+    return np.broadcast_to(near, shape).astype(np.float32)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, inf
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,9 +20,10 @@ from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.optics.roller_rays import Layers, Traced, trace
 from vamgpu.optics.wrap_map import WrapMap
 from vamgpu.schema import check
-from vamgpu.schema.quantities import Count, Gain, HalfAngle, Length, Share, Step, Thickness
+from vamgpu.schema.quantities import Count, Gain, HalfAngle, Index, Length, Share, Step, Thickness
 from vamgpu.web import Propagation, WebGrid, WebRays
 
+Volume = Literal["flat", "bent"]
 LARGEST_GAIN = 2.0
 """Gain at which the compensation of Fresnel's loss is clipped by default; without a limit it diverges."""
 SAME = 1e-6
@@ -53,6 +55,10 @@ class Roller:
         index: Of the resin where it changes from place to place: rays are then marched through the film. Coverage, gain
             and aperture keep to the film's own.
         polarization: Of the light: "none", "s" (its field along the roller's axis) or "p" (across it).
+        core: Index of a clear roller, which light passes through, and the bath behind it, to come back into the film;
+            None for one that light ends at, or is reflected by.
+        volume: What energy is counted per: the "flat" film, so that none of it is lost in laying the film flat, or the
+            "bent" one, as where the light is; they differ by the radius over that of the neutral line.
 
     Raises:
         BadInput: A value is out of its range.
@@ -71,6 +77,8 @@ class Roller:
     fan: Count = 9
     index: FilmIndex | None = None
     polarization: Polarization = "none"
+    core: Index | None = None
+    volume: Volume = "flat"
 
     def __post_init__(self) -> None:
         if not isinstance(self.film, Film):
@@ -79,6 +87,13 @@ class Roller:
             raise BadInput(f"Roller index is {self.index!r}; expected a FilmIndex, or None for the film's own")
         check(self)
         polarized("Roller polarization", self.polarization)
+        if self.volume not in get_args(Volume):
+            raise BadInput(f"Roller volume is {self.volume!r}; expected 'flat' or 'bent'")
+        if self.core is not None and self.reflectivity:
+            raise BadInput(
+                f"the roller is clear, of index {self.core:g}, and reflects {self.reflectivity:g}; expected one of "
+                "core and reflectivity"
+            )
         if self.legs is None and self.film.penetration == inf:
             raise RayError(
                 "the film absorbs nothing, so that a ray along a leg never leaves the window; "
@@ -223,9 +238,9 @@ class Roller:
         """Light of one pose in the flat film.
 
         Every column is ``rays`` × ``fan`` rays of equal power; each leaves in every voxel it crosses exactly what is
-        absorbed between the two walls. The entries are energies, so that the Jacobian r/(r_i + τ/2) is in them: what
-        a voxel of the flat film absorbs is what its bent self absorbs, and the sum over a column is the mean over its
-        rays of T·(1 − exp(−α·L)), times its gain where the roller compensates.
+        absorbed between the two walls. Per flat volume the entries are energies, so that the Jacobian r/(r_i + τ/2) is
+        in them: what a voxel of the flat film absorbs is what its bent self absorbs, and the sum over a column is the
+        mean over its rays of T·(1 − exp(−α·L)), times its gain where the roller compensates.
 
         Args:
             grid: Voxels of the film.
@@ -248,7 +263,8 @@ class Roller:
                                  (grid.edges[1], grid.edges[0]))  # fmt: skip
         gain = np.ones(columns.size) if self.compensation is None else self.gain(columns)
         r, rho, l = (index.astype(np.int32) for index in entries)  # noqa: E741 - the web's axis
-        return Propagation(shape, r, rho, l, weight * (gain / per_column)[r], map.middle)
+        weight = weight * (gain / per_column)[r] * self._dense(map, grid, rho, l)
+        return Propagation(shape, r, rho, l, weight, map.middle)
 
     def rays_of(self, grid: WebGrid, beam: Beam) -> WebRays:
         """The light of `propagation` ray by ray, as it meets things that the film carries.
@@ -274,7 +290,14 @@ class Roller:
         )
         r, gain = ray // per_column, np.ones(columns.size) if self.compensation is None else self.gain(columns)
         shape = (columns.size, n_rho, n_l)
-        return WebRays(shape, ray, r, rho, l, length, weight * (gain / per_column)[r], absorption, map.middle)
+        weight = weight * (gain / per_column)[r] * self._dense(map, grid, rho, l)
+        return WebRays(shape, ray, r, rho, l, length, weight, absorption, map.middle)
+
+    def _dense(self, map: WrapMap, grid: WebGrid, rho: np.ndarray, l: np.ndarray) -> Floats | float:  # noqa: E741
+        """What energy of voxels is multiplied by to be that per volume asked for."""
+        if self.volume == "flat":
+            return 1.0
+        return 1.0 / map.jacobian((l + 0.5) * grid.edges[0], (rho + 0.5) * grid.edges[1])
 
     def _bundle(self, pitch: float) -> tuple[Floats, Floats]:
         """Offsets [mm] and angles [rad] of the rays of one column."""
@@ -316,4 +339,5 @@ class Roller:
             self.reflectivity,
             self.index,
             self.polarization,
+            self.core,
         )

@@ -20,6 +20,9 @@ from vamgpu.optics.roller_index import FilmIndex
 MOST_FACES = 2000
 """Faces a ray may meet before it is said never to leave."""
 
+MOST_CHORDS = 1000
+"""Chords of a clear roller that a ray may run, along its back, before it is taken to be lost in it."""
+
 
 class End(IntEnum):
     """Where a ray ended."""
@@ -34,7 +37,8 @@ class End(IntEnum):
 class Layers:
     """What a ray can meet. inner, outer: radii of the film [mm].  shell: outer radius of the substrate, or outer.
     leg: length of the legs [mm].  resin, bath, sheet: refractive indices.  reflectivity: of the roller.  field: index
-    of the resin where it changes from place to place, instead of ``resin``.  polarization: of the light.
+    of the resin where it changes from place to place, instead of ``resin``.  polarization: of the light.  core: index
+    of a clear roller, None for one that light ends at.
     """
 
     inner: float
@@ -47,6 +51,7 @@ class Layers:
     reflectivity: float
     field: FilmIndex | None = None
     polarization: str = "none"
+    core: float | None = None
 
     def resin_at(self, x: Floats, y: Floats) -> Floats:
         """Index of the resin at wrapped places."""
@@ -147,7 +152,7 @@ def _advance(layers: Layers, rays: dict[str, Any], pieces: list[dict[str, Any]])
         face = np.where(rays["film"] & (way > far * (1.0 + 1e-9) + 1e-12), _NONE, face)
         far = np.where(face == _NONE, far, way)
     pieces.append(_piece(rays, far, layers.polarization))
-    rays["x"], rays["y"] = rays["x"] + far * rays["dx"], rays["y"] + far * rays["dy"]
+    _move(rays, far)
     rays["path"] = rays["path"] + np.where(rays["film"], far, 0.0)
     if field is not None:
         field.kick(rays, 0.5 * far, strength)
@@ -217,11 +222,51 @@ def _meet(layers: Layers, rays: dict[str, Any], face: np.ndarray) -> np.ndarray:
     crossed = _refract(rays, here, there, within | bath)
     rays["film"] = film ^ (crossed & within)
     fate[crossed & bath] = End.BATH
-    _reflect(rays, roller | ((within | bath) & ~crossed))
+    _reflect(rays, (roller & (layers.core is None)) | ((within | bath) & ~crossed))
+    if layers.core is not None:
+        fate[_through(layers, rays, roller)] = End.ROLLER
+        return fate
     if layers.reflectivity == 0:
         fate[roller] = End.ROLLER
     rays["shares"] = np.where(roller[:, None], rays["shares"] * (layers.reflectivity or 1.0), rays["shares"])
     return fate
+
+
+def _through(layers: Layers, rays: dict[str, Any], roller: np.ndarray) -> np.ndarray:
+    """Take rays through a clear roller to where they come back into the film; returns those that never do.
+
+    Out of its back they cross the bath between the legs.
+    """
+    chosen = np.flatnonzero(roller)
+    inside = {name: value[chosen].copy() for name, value in rays.items()}
+    core, bath = (np.full(chosen.size, index) for index in (layers.core, layers.bath))
+    live = _refract(inside, layers.resin_at(inside["x"], inside["y"]), core, np.ones(chosen.size, bool))
+    _reflect(inside, ~live)
+    lost = np.zeros(chosen.size, bool)
+    for _ in range(MOST_CHORDS):
+        if not live.any():
+            break
+        _move(inside, np.where(live, -2.0 * (inside["x"] * inside["dx"] + inside["y"] * inside["dy"]), 0.0))
+        resin = layers.resin_at(inside["x"], inside["y"])
+        back = live & (inside["y"] > 0)
+        out = _refract(inside, core, np.where(back, bath, resin), live)
+        _reflect(inside, live & ~out)
+        live, back = live & ~out, back & out
+        side = np.sign(inside["dx"])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = (side * layers.inner - inside["x"]) / inside["dx"]
+            height = inside["y"] + far * inside["dy"]
+        meets = back & (side != 0) & (height > 0) & (height < layers.leg)
+        _move(inside, np.where(meets, far, 0.0))
+        inside["side"] = np.where(meets, side, inside["side"]).astype(np.int8)
+        lost |= back & ~(meets & _refract(inside, bath, layers.resin_at(inside["x"], inside["y"]), meets))
+    for name, value in inside.items():
+        rays[name][chosen] = value
+    return np.isin(np.arange(roller.size), chosen[lost | live])
+
+
+def _move(rays: dict[str, Any], far: Floats) -> None:
+    rays["x"], rays["y"] = rays["x"] + far * rays["dx"], rays["y"] + far * rays["dy"]
 
 
 _KEPT = ("ray", "x", "y", "dx", "dy", "side")

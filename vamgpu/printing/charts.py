@@ -110,6 +110,21 @@ def convergence_chart(history: Sequence[Any]) -> str | None:
     return svg(draw, HALF, 4.0, nrows=len(shown), sharex=True)
 
 
+def pareto_chart(points: Sequence[Any]) -> str:
+    """Window and mean dose outside over inside, against the exposure time [s]."""
+    table = columns(points)
+
+    def draw(*axes: Any) -> None:
+        for axis, name, label, color in (
+            (axes[0], "window", "strict window", PART), (axes[1], "outside", "dose outside / inside", REST),
+        ):  # fmt: skip
+            axis.plot(table["seconds"], table[name], color=color, lw=1.6, marker="o", ms=4)
+            axis.set(ylabel=label)
+        axes[-1].set_xlabel("exposure [s]")
+
+    return svg(draw, HALF, 4.0, nrows=2, sharex=True)
+
+
 def columns(history: Sequence[Any]) -> dict[str, np.ndarray]:
     """Numeric fields of a history's records, by name; what a record lacks is NaN."""
     rows = [_fields(record) for record in history]

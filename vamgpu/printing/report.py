@@ -59,6 +59,7 @@ def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) 
             *_slice_by_slice(proof, plan),
             *_light(proof),
             *_corners(proof, plan),
+            *_pareto(plan),
             Card("Numbers", Numbers(proof.lines()), wide=True),
             Card("Set-up", Table(_setup(proof, plan))),
             Card("Made with", Table(_versions(proof))),
@@ -95,6 +96,14 @@ def _corners(proof: Proof, plan: Any) -> Iterator[Card]:
         for corner in told.corners
     ]
     yield Card("At its tolerances", Table(rows), note=f"{note}: {told.statement()}. Doses are shares of the greatest.")
+
+
+def _pareto(plan: Any) -> Iterator[Card]:
+    """What shorter exposures cost."""
+    points = getattr(plan, "pareto", ())
+    if len(points) > 1:
+        note = "The widest windows of light that lasts no longer, before packing; the longest is this job's."
+        yield Card("Window against time", Chart(charts.pareto_chart(points)), note=note)
 
 
 def _light(proof: Proof) -> Iterator[Card]:

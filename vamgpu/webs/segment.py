@@ -17,7 +17,8 @@ class Segment:
     number: counted from 0.  first: number of its first frame on the web.  images: uint8 [pose, row, column].
     target: uint8 [l, rho, z], fractions times 255, of the columns that are judged with this segment.  scale: light of a
     full-on pixel.  loss: of the first and last iteration, overlaps included.  saturated: pixels that needed more than
-    full-on.  seconds: it took.  last: whether the web ends here.
+    full-on.  seconds: it took.  last: whether the web ends here.  levels: least dose of the part and greatest outside,
+    over the greatest, that all segments keep apart; None where no window was maximized.
     """
 
     number: int
@@ -30,6 +31,7 @@ class Segment:
     seconds: float
     last: bool
     gray: GrayCurve
+    levels: tuple[float, float] | None = None
 
     @property
     def frames(self) -> Frames:

@@ -237,7 +237,7 @@ def local_loss(method: Method) -> Loss:
     if not isinstance(loss, Loss):
         raise BadInput(
             f"{method!r} lowers no loss: its light is scaled by the dose of the whole web, of which a segment knows "
-            "nothing; expected a method whose loss is a sum over voxels, such as BCLP.paper_002(), or such a loss"
+            'nothing; expected "best", or a loss that is a sum over voxels, its own or that of BCLP.paper_002()'
         )
     coupling = getattr(method, "coupling", "") or loss.coupling
     if coupling:

@@ -19,16 +19,21 @@ from vamgpu.errors import BadInput, StorageError, TileError
 from vamgpu.geometry import Beam, positive
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.bclp import BCLP
+from vamgpu.methods.default import MANY, BestWindow
 from vamgpu.methods.method import Method
 from vamgpu.methods.run import chosen
+from vamgpu.methods.widest import WidestWindow
+from vamgpu.methods.window import ProcessWindow
 from vamgpu.optics.lens import TunableLens
 from vamgpu.printing.focus import FocusMasks
+from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import Solved, pack
 from vamgpu.storage.manifest import plain
 from vamgpu.web import Propagation, WebGrid, Wrap
 from vamgpu.webs.describe import described, described_focus, described_target
 from vamgpu.webs.layout import Layout
+from vamgpu.webs.prices import Decided, PricedSolver
 from vamgpu.webs.section import focus_masks, one_column
 from vamgpu.webs.segment import Segment
 from vamgpu.webs.solver import Given, SegmentLosses, Solver
@@ -40,6 +45,19 @@ QUANTILE = 0.9999
 
 Progress = Callable[[int, int | None], None]
 """Called after each segment with the segments done and their total (None where it is unknown)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """What the segments of a web before one leave to it.
+
+    Attributes:
+        frames: The last ones, at most those of an overlap, uint8 [pose, row, column].
+        levels: Least dose of the part and greatest outside that the first segment came to.
+    """
+
+    frames: np.ndarray
+    levels: tuple[float, float] | None = None
 
 
 @dataclass(eq=False)
@@ -54,7 +72,8 @@ class Stream:
         lens: A `TunableLens`, whose planes follow a roller's film, or the `FocusMasks` themselves. ``masks`` keeps
             them, and the folder says which plane shows which column.
         method: Any whose loss is a sum over voxels (`BCLP` with q = p, CAL, penalty minimization, two thresholds), its
-            name, or such a loss. The length of steps is the `Solver`'s own.
+            name, or such a loss. The length of steps is the `Solver`'s own. Or "widest" for the widest window, of which
+            a segment takes more memory and time; "best" takes it from 64 iterations on, and two thresholds before.
         section: Voxels along rho and z; by default those of a film of ``wrap``, a slice a row, and as many layers as
             come nearest the pitch and fill the film.
         pitch: Voxel edges along l, rho, z [mm]; by default one pose along l and the beam's pitch.
@@ -113,7 +132,9 @@ class Stream:
         step = self.wrap.advance / self.grid.edges[0]
         self.layout: Layout = Layout.of(self.light.shape[2], step, self.core, self.overlap)
         self.device = open_device(self.device)
-        self.solver: Solver = Solver(self.layout, self.grid, self.beam, self.light, self.method, self.device)
+        priced, how = _priced(self.method, self.iterations)
+        solver = PricedSolver if priced else Solver
+        self.solver: Solver | PricedSolver = solver(self.layout, self.grid, self.beam, self.light, how, self.device)
 
     def __iter__(self) -> Iterator[Segment]:
         """Segments in order, from the first."""
@@ -126,7 +147,7 @@ class Stream:
 
     def segments(
         self, first: int = 0, scale: float | None = None, before: np.ndarray | None = None,
-        given: Callable[[int], Given] | None = None,
+        given: Callable[[int], Given] | None = None, past: Past | None = None,
     ) -> Iterator[Segment]:  # fmt: skip
         """Solve segment after segment; what was yielded before an error stays valid.
 
@@ -135,6 +156,7 @@ class Stream:
             scale: That of the segments before, relative to the light's unit; by default the stream's.
             before: Target of the segment before the first, uint8 [l, rho, z], which the tiles must give again.
             given: What each segment goes on from, by its number; None begins each with the filtered target.
+            past: What a method that maximizes the window goes on from: the segments before ``first``.
 
         Returns:
             The segments in order.
@@ -143,7 +165,9 @@ class Stream:
             TileError: The tiles break off, do not fit, or differ from ``before``.
         """
         columns, scale = Columns(self.tiles, self.grid, self.length), scale or self.scale
-        number = first
+        number, past = first, past or Past(np.zeros((0, *self.beam.pixels[::-1]), np.uint8))
+        if given is not None and isinstance(self.solver, PricedSolver):
+            raise BadInput(f"a web by {self.method!r} cannot be replanned; expected a loss that is a sum over voxels")
         if before is not None:
             self._check_same(columns, first, before)
         while True:
@@ -153,15 +177,14 @@ class Stream:
             start, stop = self.layout.owned(number, columns.end)
             if stop <= start:
                 return
-            light, outcome = self.solver.solve(
-                fractions, self.iterations or 1, None if given is None else given(number)
-            )
+            light, outcome, past = self._solve(fractions, number, columns.end, scale, past, given)
             here = slice(self.layout.overlap, self.layout.overlap + stop - start)
             scale = scale or self._first_scale(light, here)
             images = self._pack(light, scale)[here].copy()
+            past = Past(np.concatenate([past.frames, images])[-self.layout.overlap :], past.levels)
             low, high = (edge - origin for edge in self.layout.printed(number, columns.end))
             last = columns.end is not None and stop == self.layout.frames(columns.end)
-            yield self._segment(number, start, images, fractions[low:high], scale, outcome, began, last)
+            yield self._segment(number, start, images, fractions[low:high], scale, outcome, began, last, past.levels)
             if last:
                 return
             number += 1
@@ -179,14 +202,33 @@ class Stream:
 
     def _segment(
         self, number: int, start: int, images: np.ndarray, fractions: np.ndarray, scale: float, outcome: SegmentLosses,
-        began: float, last: bool,
+        began: float, last: bool, levels: tuple[float, float] | None,
     ) -> Segment:  # fmt: skip
         assert self.gray is not None
         saturated = int(np.count_nonzero(images == 255))
         target = _bytes(fractions)
         loss = (outcome.first, outcome.last)
         seconds = time.perf_counter() - began
-        return Segment(number, start, images, target, scale, loss, saturated, seconds, last, self.gray)
+        return Segment(number, start, images, target, scale, loss, saturated, seconds, last, self.gray, levels)
+
+    def _solve(
+        self, fractions: np.ndarray, number: int, end: int | None, scale: float | None, past: Past,
+        given: Callable[[int], Given] | None,
+    ) -> tuple[DeviceArray, SegmentLosses, Past]:  # fmt: skip
+        """Light of a segment, its losses, and with them what is known to the segments after it."""
+        count, solver, layout = self.iterations or 1, self.solver, self.layout
+        if isinstance(solver, Solver):
+            return *solver.solve(fractions, count, None if given is None else given(number)), past
+        light = np.zeros((layout.overlap, *solver.operator.range.shape[1:]), np.float32)
+        if len(past.frames) and scale:
+            shown = Frames.from_bytes(
+                past.frames, solver.device, bits=8, gray=self.gray, scale=scale, columns=self.beam.pixels[0]
+            )
+            light[-len(past.frames) :] = shown.irradiance().numpy()
+        origin = layout.origin(number)
+        span = max(0, -origin), len(fractions) if end is None else max(0, min(len(fractions), end - origin))
+        found, losses, levels = solver.solve(fractions, count, Decided(light, span, past.levels))
+        return found, losses, Past(past.frames, past.levels or levels)
 
     def _first_scale(self, light: DeviceArray, here: slice) -> float:
         """Light that all but a few lit pixels of the first segment's own frames stay below."""
@@ -228,13 +270,18 @@ class Stream:
         folder = self._begun(Path(path), resume, overwrite)
         if folder.complete:
             return folder
-        known, before = None, None
+        known, before, past = None, None, None
         if folder.segments:
             known = folder.details["frames"]["scale"]
             before = folder.read("target", *folder.segments[-1].columns)
-        for segment in self.segments(len(folder.segments), known, before):
+            levels = folder.details["frames"].get("levels")
+            frames = folder.read("frames", max(0, folder.frames - self.layout.overlap), folder.frames)
+            past = Past(frames, None if levels is None else (float(levels[0]), float(levels[1])))
+        for segment in self.segments(len(folder.segments), known, before, past=past):
             if not folder.segments:
                 folder.details["frames"]["scale"] = segment.scale
+                if segment.levels is not None:
+                    folder.details["frames"]["levels"] = list(segment.levels)
             folder = folder.append(segment.images, segment.target, segment.loss, segment.saturated, segment.last)
             if progress is not None:
                 progress(len(folder.segments), self.total)
@@ -246,7 +293,8 @@ class Stream:
         details = self.details()
         if resume and (place / RECORD).is_file():
             folder = WebFolder.open(place).swept()
-            known = {"speed": self.speed, **folder.details, "frames": {**folder.details["frames"], "scale": self.scale}}
+            frames = {key: value for key, value in folder.details["frames"].items() if key != "levels"}
+            known = {"speed": self.speed, **folder.details, "frames": {**frames, "scale": self.scale}}
             if known != plain(details, "details"):
                 different = [key for key in details if known.get(key) != plain(details[key], key)]
                 raise StorageError(
@@ -283,6 +331,13 @@ class Stream:
             "speed": self.speed,
             "target": described_target(self.tiles),
         }  # fmt: skip
+
+
+def _priced(method: Any, iterations: int) -> tuple[bool, Any]:
+    """Whether a method maximizes the window itself, and the method that solves segments."""
+    if isinstance(method, BestWindow):
+        method = WidestWindow() if iterations >= MANY else ProcessWindow()
+    return isinstance(method, WidestWindow), method
 
 
 def _bytes(fractions: np.ndarray) -> np.ndarray:

@@ -1,0 +1,129 @@
+"""How bright light may be for a print to be done in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import Any
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+from vamgpu.operators.dose_unit import dose_unit
+from vamgpu.operators.reductions import extent
+from vamgpu.quantity import parse
+
+MARGIN = 0.99
+"""Share of the brightness allowed that steps keep to, as the threshold moves until the run ends."""
+UNITS = {"exposure_limit": ("a time", "s"), "irradiance": ("an irradiance", "mW/mm²"),
+         "critical_dose": ("a dose", "mJ/mm³"), "absorption": ("an absorption", "1/mm")}  # fmt: skip
+"""What each is in text, and the unit of a number."""
+
+
+@dataclass(frozen=True)
+class ExposureLimit:
+    """A time in which a print must be done, by a lamp and a resin.
+
+    An exposure lasts until the dose halfway between the least in the part and the greatest outside is the critical one,
+    by a projector whose brightest pixel is full-on. So it limits the brightest pixel over that dose.
+
+    Args:
+        seconds: Of the light at most [s].
+        irradiance: Of a full-on pixel in air [mW/mm²].
+        critical_dose: From which resin is solid [mJ/mm³].
+        absorption: Of the resin [1/mm], where the operator absorbs no light.
+
+    Raises:
+        BadInput: A value is not above 0.
+    """
+
+    seconds: float
+    irradiance: float
+    critical_dose: float
+    absorption: float | None = None
+
+    @classmethod
+    def of(
+        cls, exposure_limit: Any, irradiance: Any, critical_dose: Any, absorption: Any = None
+    ) -> ExposureLimit | None:
+        """From numbers in s, mW, mJ and mm, or text with units; None without a limit. Raises `BadInput`."""
+        if exposure_limit is None:
+            if irradiance is not None or critical_dose is not None:
+                raise BadInput(
+                    "got an irradiance or a critical dose without exposure_limit; leave them out, or say how long the "
+                    "light may last"
+                )
+            return None
+        if irradiance is None or critical_dose is None:
+            lacking = "irradiance" if irradiance is None else "critical_dose"
+            raise BadInput(
+                f"got an exposure_limit without {lacking}; a time needs the lamp and the resin: give both irradiance "
+                "and critical_dose"
+            )
+        return cls(
+            _number("exposure_limit", exposure_limit), _number("irradiance", irradiance),
+            _number("critical_dose", critical_dose), None if absorption is None else _number("absorption", absorption),
+        )  # fmt: skip
+
+    def brightness(self, operator: Any) -> float:
+        """Greatest light of a pixel over the dose at the threshold, in the operator's units [1/mm].
+
+        Args:
+            operator: A projection.
+
+        Returns:
+            The ratio.
+
+        Raises:
+            BadInput: The operator has no turns and pixels to tell times by, or nothing says what the resin absorbs.
+        """
+        return self.seconds / self._time(operator)
+
+    def seconds_of(self, operator: Any, light: DeviceArray, threshold: float) -> float:
+        """How long an exposure lasts [s].
+
+        Args:
+            operator: A projection.
+            light: [angle, r, z] on its device.
+            threshold: Dose of that light at which resin is to be solid.
+
+        Returns:
+            The time, infinite where the threshold is dark.
+        """
+        return self._time(operator) * extent(light)[1] / threshold if threshold > 0.0 else inf
+
+    def check(self, operator: Any, even: float) -> None:
+        """Refuse a time in which not even full-on pixels everywhere would do.
+
+        Args:
+            operator: A projection.
+            even: Least dose of the part by light 1 everywhere.
+        """
+        least = self._time(operator) / even if even > 0.0 else inf
+        if least > self.seconds:
+            raise BadInput(
+                f"the exposure limit of {self.seconds:.4g} s binds: with all pixels full-on at {self.irradiance:g} "
+                f"mW/mm² the darkest voxel of the part takes {least:.4g} s to {self.critical_dose:g} mJ/mm³; expected "
+                "more time, a brighter lamp, or a resin of a lower critical dose"
+            )
+
+    def _time(self, operator: Any) -> float:
+        """Time [s] of light whose brightest pixel is the dose at the threshold, 1 [1/mm]."""
+        if not all(hasattr(operator, name) for name in ("beam", "grid", "motion")) or not hasattr(
+            operator.motion, "angles"
+        ):
+            raise BadInput(
+                f"got exposure_limit with {operator!r}; expected a projection, whose turns and pixels tell times"
+            )
+        share = 1.0 / operator.motion.angles
+        return self.critical_dose / dose_unit(operator, share, unit=self.irradiance, absorption=self.absorption)
+
+
+def _number(name: str, value: Any) -> float:
+    kind, unit = UNITS[name]
+    if isinstance(value, str):
+        try:
+            value = parse(value, kind)
+        except ValueError as error:
+            raise BadInput(f"{name}: got {value!r}; {error}") from error
+    return positive(f"{name} [{unit}]", value)

@@ -1,0 +1,92 @@
+"""What a shorter exposure costs: the widest windows of light that may last less and less."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, OpticsWarning
+from vamgpu.methods.limit import ExposureLimit
+from vamgpu.methods.plan import Plan
+from vamgpu.methods.run import optimize
+
+SHARES = (0.75, 0.55, 0.4, 0.3, 0.2, 0.14, 0.1)
+"""Of the time that the plan takes which the others are measured by."""
+
+
+@dataclass(frozen=True)
+class ParetoPoint:
+    """One light by what it gives and takes, before packing.
+
+    Attributes:
+        seconds: The exposure lasts, until the dose midway between part and void is the critical one.
+        window: Strict process window, a share of the greatest dose.
+        outside: Mean dose outside the part over the mean in it.
+    """
+
+    seconds: float
+    window: float
+    outside: float
+
+
+def pareto(
+    plan: Plan, *, irradiance: float | str, critical_dose: float | str, absorption: float | str | None = None,
+    evaluations: float | None = None, progress: Callable[[float], None] = lambda share: None,
+) -> tuple[ParetoPoint, ...]:  # fmt: skip
+    """Windows against times: that of a plan, and the widest ones of light that may last 75 % as long, and less.
+
+    Each begins with the light before it. It ends where no light prints any more.
+
+    Args:
+        plan: By the default or "widest", without tolerances; its operator and target are those of all.
+        irradiance: Of a full-on pixel in air [mW/mm²], or text with its unit.
+        critical_dose: From which resin is solid [mJ/mm³], or text with its unit.
+        absorption: Of the resin [1/mm], where the operator absorbs no light.
+        evaluations: Projector evaluations of each light; by default those that the plan took, 100 at least.
+        progress: Is told the share of the lights that are done.
+
+    Returns:
+        The points, the longest time first.
+
+    Raises:
+        BadInput: The plan has tolerances, bodies with limits of their own, or no target, or a number is out of range.
+    """
+    lamp = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
+    limit = ExposureLimit.of(1.0, **lamp)
+    assert limit is not None
+    if plan.tolerances is not None or plan.target is None or getattr(plan.target, "limits", None) is not None:
+        raise BadInput("the plan has tolerances, bodies with limits of their own, or no target; expected one part and "
+                       "one machine")  # fmt: skip
+    points, light = [_point(plan, limit)], plan
+    for done, share in enumerate(SHARES):
+        progress(done / len(SHARES))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", OpticsWarning)
+                light = optimize(
+                    plan.operator, plan.target, "widest", evaluations=evaluations or max(plan.evaluations, 100.0),
+                    start=light, progress=False, exposure_limit=share * points[0].seconds, **lamp,
+                )  # fmt: skip
+        except BadInput:  # full-on pixels everywhere take longer
+            break
+        if not light.window > 0.0:
+            break
+        points.append(_point(light, limit))
+    progress(1.0)
+    return tuple(points)
+
+
+def _point(plan: Plan, limit: ExposureLimit) -> ParetoPoint:
+    """What a plan's light gives and takes."""
+    operator: Any = plan.operator
+    near = np.broadcast_to(operator.grid.cylinder()[:, :, None], operator.grid.shape)
+    target = plan.target.numpy() if hasattr(plan.target, "numpy") else np.asarray(plan.target)
+    dose = operator.T(plan.sinogram).numpy()
+    part, void = dose[near & (target >= 0.5)], dose[near & (target < 0.5)]
+    least, leak = float(part.min()), max(0.0, float(void.max(initial=0.0)))
+    outside = float(void.mean() / part.mean()) if void.size else 0.0
+    return ParetoPoint(limit.seconds_of(operator, plan.sinogram, 0.5 * (least + leak)), plan.window, outside)
