@@ -30,9 +30,9 @@ from vamgpu.storage.folder import Folder, digest
 from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:
-    from vamgpu.methods.tradeoff import ParetoPoint
     from vamgpu.methods.plan import Plan, Step
     from vamgpu.methods.tolerances import Tolerances
+    from vamgpu.methods.tradeoff import ParetoPoint
     from vamgpu.printing.pack import Solved
     from vamgpu.printing.proof import Proof
 
