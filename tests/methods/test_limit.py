@@ -43,7 +43,7 @@ def optimum(brightness: float) -> float:
     inside, near = cross().ravel() > 0.5, exact.grid.cylinder().ravel()
     scale = A.max()
     part, void = sparse.csr_matrix(A[inside & near] / scale), sparse.csr_matrix(A[~inside & near] / scale)
-    n, k, rest = A.shape[1], part.shape[0], void.shape[0]
+    n, k, rest = A.shape[1], int((inside & near).sum()), int((~inside & near).sum())
     one, none = (lambda m: np.ones((m, 1))), (lambda m: sparse.csr_matrix((m, 1)))
     half = float(0.5 * brightness * scale)
     limits = sparse.vstack([

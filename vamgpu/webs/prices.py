@@ -57,6 +57,7 @@ class PricedSolver:
 
     layout: Layout
     device: Device
+    method: WidestWindow
     step: float = 0.0
 
     def __init__(
