@@ -31,6 +31,8 @@ MULTIPLE = 4
 """Grids that are chosen here have multiples of this many voxels along every axis."""
 HALF = 0.5
 """Share of a voxel from which on it belongs to a body."""
+SHARES = 64.0
+"""Opaque inserts are known to so many parts of a voxel: rounding leaves none that make levels differ."""
 RAYS = 3
 """Rays of a pixel past inserts: fewer leave stripes where pixels and voxels are of one size."""
 
@@ -293,7 +295,8 @@ class Scene:
                 index += share * (body.index - resin_index)
         bends = any(body.index is not None for body in self.inserts)
         absorbs = absorption > 0.0 or any(body.absorption for body in self.inserts)
-        fields = [index if bends else None, extinction if absorbs else None, solid >= HALF if solid.any() else None]
+        solid = np.rint(np.minimum(solid, 1.0) * SHARES) / SHARES
+        fields = [index if bends else None, extinction if absorbs else None, solid if solid.any() else None]
         level = all(values is None or (values == values[:, :, :1]).all() for values in fields)
         index_, extinction_, opaque = (values[:, :, 0] if level and values is not None else values for values in fields)
         return CoRotatingMedium(index_, extinction_, opaque, bath=resin_index if bends else None)
