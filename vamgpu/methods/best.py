@@ -55,6 +55,10 @@ class Best:
         self.memory.update({"best loss": loss, "best window": window, "best iteration": iteration})
         return True
 
+    def renew(self) -> None:
+        """Let the next light be the best, whatever it is: the loss means something else from here on."""
+        self.memory.pop("best loss", None)
+
     @property
     def loss(self) -> float:
         """Of the light kept; infinite without one."""

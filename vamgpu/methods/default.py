@@ -22,6 +22,8 @@ VOLUMES, SINOGRAMS = 12, 6
 class BestWindow(Method):
     """`ProcessWindow` where a run may spend fewer than 64 evaluations, else `WidestWindow`; nothing to choose.
 
+    Bodies with weights, and gray ones, which prices hold from below alone, are `ProcessWindow`'s at any number.
+
     A plan that is resumed with so many more goes on by prices, from its best light. Where the device lacks the memory
     for prices it stays with thresholds.
     """
@@ -34,7 +36,12 @@ class BestWindow(Method):
 
     def steps(self, state: OptimizerState) -> Steps:
         memory = state.memory
-        if not memory.get("priced") and state.budget - state.evaluations >= MANY and _fits(state):
+        if (
+            not memory.get("priced")
+            and not _by_thresholds(state)
+            and state.budget - state.evaluations >= MANY
+            and _fits(state)
+        ):
             memory["priced"] = 1.0
             if "best" in memory:
                 state.scale(1.0, state.buffer("best"), state.buffer("light"))
@@ -53,6 +60,11 @@ class BestWindow(Method):
             The bound; None where thresholds led, or few prices.
         """
         return WidestWindow().certify(state)
+
+
+def _by_thresholds(state: OptimizerState) -> bool:
+    """Whether bodies ask for what prices do not know."""
+    return state.limits is not None and (state.limits.weighted or bool(state.limits.gray.any()))
 
 
 def _fits(state: OptimizerState) -> bool:

@@ -36,6 +36,7 @@ from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, doses_
 from vamgpu.methods.trajectory import LossTrajectory
 from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
+from vamgpu.targets.limits import Limits
 
 METHODS: dict[str, type[Any]] = {
     "default": BestWindow,
@@ -115,6 +116,10 @@ def optimize(
     tolerance = positive("tolerance", tolerance, zero=True)
     field_ = fractions_of(operator, target)
     limits = getattr(target, "limits", None)
+    criterion = how.criterion
+    if limits is not None and (limits.weighted or limits.gray.any()):
+        _check_bodies(how, limits)
+        criterion = "loss"  # a window knows neither weights nor the upper end of a gray dose
     asked = operator if limits is None else limited(operator, limits)
     memory = _memory(operator, how, resume, tolerances)
     scenarios = None
@@ -123,7 +128,7 @@ def optimize(
         check_lit(scenarios, tolerances, field_)
         field_ = scenarios.stacked([field_] * len(scenarios))
         limits = None if limits is None else limits.stacked(len(scenarios))
-    state = OptimizerState(asked, field_, memory, how.criterion, limits)
+    state = OptimizerState(asked, field_, memory, criterion, limits)
     state.most_evaluations = inf if evaluations is None else positive("evaluations", evaluations)
     state.budget = min(limit * how.cost, state.most_evaluations)
     if start is not None:
@@ -247,6 +252,23 @@ def chosen(method: str | Method | Loss) -> Method:
             f"got {method!r} as method; expected a name ({', '.join(METHODS)}), a loss, or an instance such as OSMO()"
         )
     return method
+
+
+def _check_bodies(method: Method, limits: Limits) -> None:
+    """Refuse weights of bodies, and gray ones, for a method whose light does not depend on them."""
+    for trait, given, what in (
+        ("takes_weights", limits.weighted, "bodies of the target have weights, at which {} does not look; expected 1"),
+        (
+            "takes_gray",
+            limits.gray.any(),
+            "bodies of the target are gray, which {} holds from below alone; expected none",
+        ),
+    ):
+        if given and not getattr(method, trait, True):
+            able = ", ".join(name for name, kind in METHODS.items() if getattr(kind, trait, True))
+            raise BadInput(
+                f"{what.format(type(method).__name__)}, or one of these methods: {able}, or a loss of your own"
+            )
 
 
 def _limit(method: Method, iterations: int | None, evaluations: float | None) -> int:
