@@ -82,7 +82,7 @@ class ProcessWindow(Method):
             state.memory["judged"] = 1.0
         pace = Pace(self.step / state.number("gain"), soon=1.0)
         channel = Channel(state, capped_ramp(state.operator, self.cap, SPAN))
-        loss = self.loss if state.limits is None else self.loss.weighted(state.field(_levelled(state.limits)))
+        loss = self.loss if state.limits is None else self.loss.weighted(state.device.upload(_levelled(state.limits)))
         yield from minimize(DoseObjective(state, loss, pace), (channel,), pace)
 
 
