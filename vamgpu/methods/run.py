@@ -111,6 +111,11 @@ def optimize(
             it rose. A loss that exceeds a thousand times its first value ends the run.
         ToleranceWarning: When the light found does not print at every corner, with the corners that hold it.
     """
+    if resume is not None and not isinstance(resume, Plan):
+        raise BadInput(f"got a {type(resume).__name__} as resume; expected a Plan: that of an earlier run, or "
+                       "vam.load(path) of one that was saved")  # fmt: skip
+    if cancel is not None and not callable(cancel):
+        raise BadInput(f"cancel is {cancel!r}; expected a function that says whether to stop, or None")
     how = chosen(resume.method if resume is not None and method == "default" else method)
     limit = _limit(how, iterations, evaluations)
     tolerance = positive("tolerance", tolerance, zero=True)

@@ -238,7 +238,11 @@ class Body:
             there = [(at - move) / place.factor for at, move in zip(points, place.move, strict=True)]
             x, y, z = (sum(turn[k, axis] * there[k] for k in range(3) if turn[k, axis]) for axis in range(3))
             x, y, z = np.broadcast_arrays(x, y, z)
-            value = np.asarray(self.source(x, y, z))
+            try:
+                value = np.asarray(self.source(x, y, z), np.float64)
+            except (TypeError, ValueError) as error:
+                raise BadInput(f"the function of body {self.name!r}: {error}; expected φ(x, y, z) of three arrays [mm] "
+                               "that gives an array of their shape") from error  # fmt: skip
             return np.broadcast_to(value, x.shape) if value.shape == () else value
 
         return shape

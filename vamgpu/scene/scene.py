@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil, inf
 
@@ -64,6 +64,8 @@ class Scene:
     _known: dict[Grid | WebGrid, _Shares] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.bodies, (Body, Iterable)):
+            raise BadInput(f"got a {type(self.bodies).__name__} as bodies; expected a list of Body(source, role)")
         bodies = (self.bodies,) if isinstance(self.bodies, Body) else tuple(self.bodies)
         wrong = next((body for body in bodies if not isinstance(body, Body)), None)
         if wrong is not None:
