@@ -56,7 +56,7 @@ MISTAKES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "function of two": (lambda s: scene(lambda x, y: x), "function of body 'odd'.*expected φ"),
     "function of text": (lambda s: scene(lambda x, y, z: "solid"), "function of body 'odd'.*expected φ"),
     "loss that is a number": (
-        lambda s: solved(s, VoxelLoss(np.square, 3)),
+        lambda s: solved(s, VoxelLoss(np.square, part=3)),
         "part of a VoxelLoss is 3; expected a funct",
     ),  # type: ignore[arg-type]
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil, inf
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -253,7 +254,8 @@ class Scene:
                 "poses, and would bend anew at each; expected an opaque insert, or absorption= alone where its index "
                 "is near the resin's"
             )
-        found, resin = self._shares(grid, open_device(device)), float(getattr(wrap, "film", wrap).absorption)
+        film: Any = getattr(wrap, "film", wrap)
+        found, resin = self._shares(grid, open_device(device)), float(film.absorption)
         solid, extinction = np.zeros(grid.shape), np.full(grid.shape, resin)
         for body, share in zip(self.bodies, found.shares, strict=True):
             if body.opaque:
