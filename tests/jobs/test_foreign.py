@@ -134,7 +134,7 @@ def test_a_configuration_without_patterns_becomes_a_job_to_be_solved(tmp_path: P
         ({"sensor": 3}, "sensor, which is no table"),
         ({"vial": VIAL | {"r_ext": 0.1}}, "r_ext, which is 0.1; expected a number above"),
         ({"vial": VIAL | {"ior": None}}, "ior, which is None; expected a number from 1"),
-        ({"vial": VIAL | {"medium": {"ior": 1.4, "extinction": -1}}}, "extinction, which is -1; expected a number from"),
+        ({"vial": VIAL | {"medium": {"ior": 1.4, "extinction": -1}}}, "extinction, which is -1; expected a number"),
         ({"vial": VIAL | {"medium": {"ior": 1.4, "extinction": 1, "albedo": 2}}}, "expected a share from 0 to 1"),
         ({"projector": {"type": "collimated", "pixel_size": "0.1"}}, "pixel_size, which is '0.1'; expected a number"),
     ],

@@ -342,6 +342,13 @@ BAD: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
     "nothing printed": (lambda: vam.Scene([KEPT]), BadInput, "none of 1 bodies is to be printed"),
     "no bodies": (lambda: vam.Scene([rod(1.0)]), BadInput, "got a function among the bodies"),  # type: ignore[list-item]
     "origin": (lambda: vam.Scene([PART], origin=(0, 0, np.nan)), BadInput, "three finite lengths"),
+    "keep out of more than prints": (lambda: vam.Body(rod(1.0), "keep out", dose=70), BadInput, "70 % of it is 0.7"),
+    "gray in percent": (lambda: vam.Body(rod(1.0), "gray", dose=60), BadInput, "10 at most"),
+    "inches": (
+        lambda: vam.Scene([vam.Body(cylinder(0.08, 0.16))]).target(pitch=0.5, device="numpy"),
+        EmptyMesh,
+        r"drawn at x -0\.08..0\.08.* in inches it needs the factor 25\.4, in metres 1000",
+    ),
     "outside": (lambda: target_of(PART, vam.Body(rod(0.3, 9.0), "keep out", dose=0.5)), EmptyMesh, "fills no voxel"),
     "thin": (lambda: target_of(PART, vam.Body(rod(0.06, 1.9))), EmptyMesh, "fills no voxel by half"),
     "carved away": (

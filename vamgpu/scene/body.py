@@ -32,6 +32,8 @@ PRINTED = ("print", "gray")
 FREE = ("insert", "don't care")
 """Roles of which nothing is asked."""
 _DOSED = ("gray", "keep out")
+MOST_DOSE = 10.0
+"""Of a gray body: more was hardly meant as a share."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,10 @@ class Body:
         if self.role in _DOSED and self.dose is None:
             raise BadInput(f"{who} is {self.role!r} without a dose; give dose=, a share of the dose that prints")
         if self.dose is not None:
-            positive(f"dose of {who}", self.dose)
+            most = 1.0 if self.role == "keep out" else MOST_DOSE
+            if positive(f"dose of {who}", self.dose) > most:
+                raise BadInput(f"dose of {who} is {self.dose:g}; expected a share of the dose that prints, {most:g} at "
+                               "most: 70 % of it is 0.7")  # fmt: skip
         alone = {"dose": _DOSED, "index": ("insert",), "absorption": ("insert",)}
         for key, roles in alone.items():
             value = getattr(self, key)

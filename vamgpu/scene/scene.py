@@ -25,6 +25,7 @@ from vamgpu.optics.occluder import Occluded
 from vamgpu.scene.body import FREE, PRINTED, Body, Place
 from vamgpu.scene.web import WebPart, shares_on_web
 from vamgpu.targets.limits import Limits
+from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import MARGIN, Target
 from vamgpu.web import WebGrid, Wrap
 
@@ -32,6 +33,8 @@ MULTIPLE = 4
 """Grids that are chosen here have multiples of this many voxels along every axis."""
 HALF = 0.5
 """Share of a voxel from which on it belongs to a body."""
+SMALL = 0.5
+"""Size [mm] of a body below which its file was hardly in mm."""
 SHARES = 64.0
 """Opaque inserts are known to so many parts of a voxel: rounding leaves none that make levels differ."""
 RAYS = 3
@@ -343,6 +346,17 @@ class Scene:
         return TracedProjection(target.grid, beam, motion, medium, bundle, device)
 
 
+def _drawn(body: Body) -> str:
+    """Where a mesh was drawn, in words, and of what unit a very small one may be."""
+    if not isinstance(body.source, Solid):
+        return ""
+    low, high = body.source.bounds
+    size = float(np.max(high - low))
+    said = ", ".join(f"{axis} {a:.3g}..{b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    small = "; drawn in inches it needs the factor 25.4, in metres 1000" if size < SMALL else ""
+    return f", which was drawn at {said} mm{small},"
+
+
 def refracted(grid: Grid, beam: Beam, vessel: Vessel | None, rays: int = RAYS) -> RayBundle:
     """Rays of a beam in the resin of a vessel, side by side in each pixel.
 
@@ -426,8 +440,9 @@ class _Shares:
     def _check(self, bodies: Sequence[Body], filled: list[npt.NDArray[np.float32]]) -> None:
         for k, body in enumerate(bodies):
             if not filled[k].any():
-                raise EmptyMesh(f"body {body.name!r} fills no voxel of {filled[k].shape}; expected some: look at where "
-                                "it was drawn, at the scale, or take a finer pitch or a wider shape")  # fmt: skip
+                raise EmptyMesh(f"body {body.name!r}{_drawn(body)} fills no voxel of {filled[k].shape}; expected some: "
+                                "look at where it was drawn, at the scale, or take a finer pitch or a wider "
+                                "shape")  # fmt: skip
             if body.role not in PRINTED or (self.owner == k).any():
                 continue
             if not (filled[k] >= HALF).any():
