@@ -6,6 +6,8 @@
 #define BLOCKS 4
 #define MARGIN 2
 #define SOLID 0.397f
+#define WHOLE 64.0f
+#define DARK 28.0f
 
 // The medium: n_p x n_q x n_s samples, the first MARGIN of them outside the voxels.
 typedef struct {
@@ -26,8 +28,12 @@ static inline float4 at_node(const Medium m, int i, int j, int k) {
 
 // Gradient and extinction between the samples; adds the share of insert to opacity.
 static inline float4 mixed(float4 node, float weight, float *opacity) {
-    *opacity += node.w < 0.0f ? weight : 0.0f;
-    return weight * (float4)(node.xyz, fmax(node.w, 0.0f));
+    if (node.w < 0.0f) {
+        const float insert = floor(-node.w), rest = -node.w - insert;
+        *opacity += weight * (insert / WHOLE);
+        node.w = rest / (1.0f - rest);
+    }
+    return weight * node;
 }
 
 static inline float4 look_up(const Medium m, float3 position, float *opacity) {

@@ -19,7 +19,9 @@ import numpy as np
 from vamgpu.kernels.signature import Table
 
 Medium = Annotated[np.ndarray, Table("float32", ("p", "q", "s", "4"))]
-"""½∇(n/n_bath)² [1/voxel] and extinction [1/voxel], −1 where opaque; two samples of bath beyond each face, or s = 1."""
+"""½∇(n/n_bath)² [1/voxel] and extinction e [1/voxel]; two samples of bath beyond each face, or s = 1.
+
+Where an insert stands, −(k + e/(1 + e)) in place of e: k, 1 to `WHOLE`, is how much of it."""
 Starts = Annotated[np.ndarray, Table("float32", ("ray", "8"))]
 """Across, along [voxels from the axis], height [index of the slice]; direction across, along, up; weight; unused."""
 Directions = Annotated[np.ndarray, Table("float32", ("angle", "2"))]  # cosθ, sinθ
@@ -29,6 +31,8 @@ BENDS, ABSORBS, BLOCKS = 1, 2, 4
 
 MARGIN = 2  # samples of bath around the voxels
 SOLID = 0.397  # interpolated share of insert that stops light: walls that touch by their edges leak from 0.44 on
+WHOLE = 64.0  # what a sample says that is all insert
+DARK = 28.0  # from this on a voxel gets no light
 
 
 def march(
@@ -112,7 +116,10 @@ def look_up(medium: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.nd
         weight = np.prod(np.abs(1 - np.array(corner) - beyond), axis=1)
         index = below + corner
         node = medium[tuple(index.T)] if axes == 3 else medium[index[:, 0], index[:, 1], 0]
-        opacity += weight * (node[:, 3] < 0)
+        stands = node[:, 3] < 0
+        insert = np.where(stands, np.floor(-node[:, 3]), 0.0)
+        rest = np.where(stands, -node[:, 3] - insert, 0.0)
+        opacity += weight * insert / WHOLE
         values[:, :3] += weight[:, None] * node[:, :3]
-        values[:, 3] += weight * np.maximum(node[:, 3], 0.0)
+        values[:, 3] += weight * np.where(stands, rest / (1.0 - rest), node[:, 3])
     return values, opacity

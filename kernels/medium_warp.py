@@ -14,6 +14,8 @@ BLOCKS = 4
 MARGIN = 2
 EDGE = 2.0
 SOLID = 0.397
+WHOLE = 64.0
+DARK = 28.0
 
 Samples = wp.array4d[float]
 
@@ -69,7 +71,10 @@ def look_up(medium: Samples, position: wp.vec3):
                 node = at_node(medium, i + di, j + dj, k + dk)
                 g += weight * wp.vec3(node[0], node[1], node[2])
                 if node[3] < 0.0:
-                    opacity += weight
+                    insert = wp.floor(-node[3])
+                    rest = -node[3] - insert
+                    opacity += weight * (insert / WHOLE)
+                    extinction += weight * (rest / (1.0 - rest))
                 else:
                     extinction += weight * node[3]
     return g, extinction, opacity

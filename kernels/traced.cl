@@ -5,7 +5,7 @@
 
 // Whether light may be left in a voxel: none is in an insert.
 static inline bool takes(const Medium m, int x, int y, int z, int kind) {
-    return !(kind & BLOCKS) || at_node(m, x + MARGIN, y + MARGIN, m.n_s > 1 ? z + MARGIN : 0).w >= 0.0f;
+    return !(kind & BLOCKS) || at_node(m, x + MARGIN, y + MARGIN, m.n_s > 1 ? z + MARGIN : 0).w > -DARK;
 }
 
 static inline size_t pixel_offset(int angle, int pixel, int n_angle, int n_r, int n_row, int lanes) {

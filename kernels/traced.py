@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.medium import BLOCKS, MARGIN, Directions, Medium, Starts, march
+from vamgpu.kernels.medium import BLOCKS, DARK, MARGIN, Directions, Medium, Starts, march
 from vamgpu.kernels.signature import Field, Integer, Real, Table, Tiling, Volume, VolumeInOut, VolumeOut, kernel
 
 Steps = Annotated[np.ndarray, Table("int32", ("angle", "pixel"))]
@@ -81,5 +81,5 @@ def nodes(
         cell = np.clip(cell, 0, np.array(shape) - 1)
         if kind & BLOCKS:
             up = cell[:, 2] + MARGIN if medium.shape[2] > 1 else 0
-            share *= medium[cell[:, 0] + MARGIN, cell[:, 1] + MARGIN, up, 3] >= 0
+            share *= medium[cell[:, 0] + MARGIN, cell[:, 1] + MARGIN, up, 3] > -DARK
         yield cell, share

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.medium_warp import BLOCKS, MARGIN, Samples, advance, at_node, enter
+from vamgpu.kernels.medium_warp import BLOCKS, DARK, MARGIN, Samples, advance, at_node, enter
 from vamgpu.kernels.wide_warp import Flat, Vectors
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
@@ -46,7 +46,7 @@ def share_of(medium: Samples, x: int, y: int, z: int, n_x: int, n_y: int, n_z: i
         k = int(0)
         if medium.shape[2] > 1:
             k = z + MARGIN
-        if at_node(medium, x + MARGIN, y + MARGIN, k)[3] < 0.0:
+        if at_node(medium, x + MARGIN, y + MARGIN, k)[3] <= -DARK:
             return 0.0
     return (
         (1.0 - wp.abs(middle[0] - float(x)))

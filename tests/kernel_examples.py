@@ -386,7 +386,9 @@ def _carried(n: int, depth: int) -> np.ndarray:
     inner = medium[2:-2, 2:-2, 2:-2] if depth > 1 else medium[2:-2, 2:-2]
     for axis, along in enumerate((x - 0.3, y + 0.2, 0.3 * z)):
         inner[..., axis] = -1.6 / n * along * blob
-    inner[..., 3] = np.where((x + 0.4) ** 2 + (y - 0.37) ** 2 < 0.04, -1.0, 3.0 / n * (1.0 + blob))
+    beside = (x + 0.4) ** 2 + (y - 0.37) ** 2
+    stands = np.clip(np.rint(64.0 * (1.5 - 25.0 * beside)), 0.0, 64.0)
+    inner[..., 3] = np.where(stands > 0.0, -(stands + 0.0625), 3.0 / n * (1.0 + blob))
     return medium
 
 

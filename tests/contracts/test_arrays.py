@@ -8,6 +8,7 @@ import numpy as np
 import pyopencl.array as cla
 import pytest
 import warp as wp
+from needs import missing
 
 from vamgpu.backend.device import Device
 from vamgpu.backend.opencl import OpenclDevice
@@ -111,3 +112,49 @@ def test_doubles_are_cast_on_processors_and_refused_on_gpus(fast_device: Device)
             fast_device.field(theirs)
     else:
         assert np.array_equal(fast_device.field(theirs).numpy(), values.astype(np.float32))
+
+
+def jax_array(device: Device, values: np.ndarray) -> Any:
+    """The values as an array of JAX in host memory, of the device's type."""
+    try:
+        import jax
+    except ImportError:
+        missing("install JAX: pip install vamgpu[jax]")
+    jax.config.update("jax_enable_x64", True)
+    return jax.device_put(values.astype(device.real), jax.devices("cpu")[0])
+
+
+def address(array: Any) -> int:
+    return np.from_dlpack(array).__array_interface__["data"][0]
+
+
+def test_arrays_of_jax_go_in_and_out_without_a_copy(device: Device) -> None:
+    jax = pytest.importorskip("jax")
+
+    values = values_of((3, 4, 16 if isinstance(device, OpenclDevice) and not device.is_gpu else 32))
+    theirs = jax_array(device, values)
+    if device.is_gpu:
+        assert np.array_equal(device.field(theirs).numpy(), values)
+        return
+    with device.no_transfers():
+        field = device.field(theirs)
+        back = jax.dlpack.from_dlpack(field)
+    assert address(field) == theirs.unsafe_buffer_pointer() == back.unsafe_buffer_pointer()
+    own = device.upload(values)
+    assert jax.dlpack.from_dlpack(own).unsafe_buffer_pointer() == address(own)
+    del theirs, back
+    assert np.array_equal(field.numpy(), values)  # which keeps the memory
+
+
+def test_arrays_of_jax_in_another_layout_or_type_are_copied(device: Device) -> None:
+    jax = pytest.importorskip("jax")
+
+    for shape in ((2, 3, 7), (2, 3, 70)):
+        theirs = jax_array(device, values_of(shape))
+        for given in (theirs, theirs.transpose(1, 0, 2), theirs.astype(np.float32), theirs > 0.5):
+            field = device.field(given)
+            assert np.allclose(field.numpy(), np.asarray(given)) and np.allclose(
+                jax.dlpack.from_dlpack(field), np.asarray(given)
+            )
+    with pytest.raises((BadInput, DeviceError), match="bfloat16|adopts"):
+        device.field(theirs.astype("bfloat16"))

@@ -42,6 +42,7 @@ CASES = {
     "extinction": (CoRotatingMedium(extinction=bumpy(FLAT)), BEAM, None),
     "uniform extinction": (CoRotatingMedium(extinction=0.8), BEAM, None),
     "opaque": (CoRotatingMedium(opaque=insert(FLAT)), BEAM, None),
+    "shares of an insert": (CoRotatingMedium(None, bumpy(FLAT), np.random.default_rng(2).random(FLAT)), BEAM, None),
     "all three": (CoRotatingMedium(bumpy(FLAT), bumpy(FLAT, 1), insert(FLAT), BATH), BEAM, None),
     "other rows and columns": (CoRotatingMedium(bumpy(FLAT), bath=BATH), vam.Beam((9, 3), 0.07), None),
     "fan": (CoRotatingMedium(bumpy(FLAT), 0.5, bath=BATH), BEAM, RayBundle.fan(BEAM, 1.0)),
@@ -301,7 +302,7 @@ def test_fields_that_do_not_fit_are_named() -> None:
     with pytest.raises(BadInput, match=r"extinction \[1/mm\] falls to -0\.1"):
         CoRotatingMedium(extinction=-0.1)
     with pytest.raises(BadInput, match="booleans"):
-        CoRotatingMedium(opaque=np.zeros(FLAT))
+        CoRotatingMedium(opaque=np.full(FLAT, 1.5))
     with pytest.raises(ShapeMismatch, match="0 axes"):
         CoRotatingMedium(index=1.5)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="most_steps"):

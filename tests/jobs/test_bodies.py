@@ -100,6 +100,7 @@ WRONG = {
     "nothing printed": ('[[body]]\nshape = "boat"\nrole = "insert"\n', "got no [[body]] that is printed"),
     "key": ('[[body]]\nshape = "boat"\nroll = "print"\n', "did you mean 'role'"),
     "colors": ('[[body]]\nshape = "boat"\n[colors]\nabsorption = "0.1 /mm"\n', "[[body]] with [colors]"),
+    "one pair of brackets": ('[body]\nshape = "boat"\n', "write [[body]] in place of [body]"),
     "none": ("", 'expected exactly one of mesh = "part.stl"'),
 }
 

@@ -132,6 +132,11 @@ def test_a_configuration_without_patterns_becomes_a_job_to_be_solved(tmp_path: P
         ({"projector": {"type": "lens", "pixel_size": 0.1}}, "expected a collimated or telecentric"),
         ({"target": {}}, "lacks or garbles 'filename'"),
         ({"sensor": 3}, "sensor, which is no table"),
+        ({"vial": VIAL | {"r_ext": 0.1}}, "r_ext, which is 0.1; expected a number above"),
+        ({"vial": VIAL | {"ior": None}}, "ior, which is None; expected a number from 1"),
+        ({"vial": VIAL | {"medium": {"ior": 1.4, "extinction": -1}}}, "extinction, which is -1; expected a number"),
+        ({"vial": VIAL | {"medium": {"ior": 1.4, "extinction": 1, "albedo": 2}}}, "expected a share from 0 to 1"),
+        ({"projector": {"type": "collimated", "pixel_size": "0.1"}}, "pixel_size, which is '0.1'; expected a number"),
     ],
 )  # fmt: skip
 def test_a_set_up_without_a_model_is_refused(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
@@ -139,6 +144,32 @@ def test_a_set_up_without_a_model_is_refused(changes: dict[str, Any], said: str,
     with pytest.raises(BadInput, match=said):
         import_patterns(configuration(tmp_path, **changes), tmp_path / "a.vam", device="numpy")
     assert not (tmp_path / "a.vam").exists()
+
+
+@pytest.mark.parametrize(("key", "value"), [("n_patterns", -3), ("n_patterns", 0), ("resx", 30.5), ("resy", "8")])
+def test_wrong_numbers_of_a_task_are_named(key: str, value: Any, tmp_path: Path) -> None:
+    path = configuration(tmp_path)
+    said = json.loads(path.read_text())
+    said["projector"] = {"n_patterns": 24, "resx": 24, "resy": 8} | said["projector"] | {key: value}
+    path.write_text(json.dumps(said))
+    with pytest.raises(BadInput, match=f"{key}, which is {value!r}; expected a"):
+        import_task(path, tmp_path / "job.toml")
+
+
+def test_what_is_no_configuration_at_all_is_told(tmp_path: Path) -> None:
+    (tmp_path / "list.json").write_text("[1, 2]")
+    with pytest.raises(BadInput, match=r"its outermost braces: it is a list, no table; expected a configuration"):
+        import_task(tmp_path / "list.json", tmp_path / "job.toml")
+
+
+def test_negative_light_is_not_called_dark(tmp_path: Path) -> None:
+    light = np.random.default_rng(0).random((6, 5, 4)).astype(np.float32)
+    np.save(tmp_path / "a.npy", -light)
+    with pytest.raises(BadInput, match=r"reaches from -0\.\d+ to -0\.\d+; expected light, which is 0 or above"):
+        read_vamtoolbox(tmp_path / "a.npy")
+    np.save(tmp_path / "b.npy", light - 0.5)
+    found = read_vamtoolbox(tmp_path / "b.npy")
+    assert found.light.min() == 0.0 and any("below 0 is taken for dark" in note for note in found.notes)
 
 
 def test_patterns_that_are_not_there_are_told(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ class DeviceArray:
         shape: Logical shape, padding not counted.
         dtype: NumPy type of the elements.
         lanes: Slices z that lie together in memory.
+        owner: Whose memory it shows, which must not go before it; None if its own.
     """
 
     device: Device
@@ -28,6 +29,7 @@ class DeviceArray:
     shape: tuple[int, ...]
     dtype: np.dtype
     lanes: int
+    owner: Any = None
 
     @property
     def nbytes(self) -> int:

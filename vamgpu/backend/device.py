@@ -224,7 +224,7 @@ class Device(ABC):
             values: [major, minor, z]: of this device, NumPy's, or of any library that `adopt` knows.
 
         Returns:
-            The field, which may share memory with the array.
+            The field, which may share memory with the array, be it read-only: it is to be read.
 
         Raises:
             BadInput: The array has not three axes, is not finite, or lies on the device in another type.
@@ -236,11 +236,12 @@ class Device(ABC):
         if isinstance(values, np.ndarray) or not (hasattr(values, "__dlpack__") or hasattr(values, "base_data")):
             return self.upload(values)
         try:
-            table = self.adopt(values)
+            on_host = tuple(getattr(values, "__dlpack_device__", lambda: (0, 0))()) == HOST
+            table = self.adopt(to_read(from_dlpack(self, values)) if on_host and not self.is_gpu else values)
         except DeviceError:
             if tuple(getattr(values, "__dlpack_device__", lambda: (0, 0))()) != HOST:
                 raise
-            return self.upload(np.from_dlpack(values))
+            return self.upload(np.asarray(values))  # also of types that DLPack or NumPy has not
         return self._in_lanes(table)
 
     def _in_lanes(self, array: DeviceArray) -> DeviceArray:
@@ -255,7 +256,7 @@ class Device(ABC):
             return array
         handle = self._relaid(array, lanes) if array.shape[2] == lanes else None
         if handle is not None:
-            return DeviceArray(self, handle, array.shape, array.dtype, lanes)
+            return DeviceArray(self, handle, array.shape, array.dtype, lanes, array)
         out = self.empty(array.shape)
         self.launch(to_lanes, plain=array, field=out)
         return out
@@ -276,7 +277,7 @@ class Device(ABC):
         if not array.lanes:
             return array
         handle = self._relaid(array, 0) if array.shape[2] == array.lanes else None
-        return None if handle is None else DeviceArray(self, handle, array.shape, array.dtype, 0)
+        return None if handle is None else DeviceArray(self, handle, array.shape, array.dtype, 0, array)
 
     @final
     def put(self, values: Any, out: DeviceArray) -> None:
@@ -398,14 +399,38 @@ class Device(ABC):
 
 def from_host(device: Device, foreign: Any) -> np.ndarray:
     """A C contiguous NumPy array from host memory; a copy where that is strided or read-only. Raises `DeviceError`."""
+    array = foreign if isinstance(foreign, np.ndarray) else from_dlpack(device, foreign)
+    return np.require(array, requirements=["C", "W"])
+
+
+def from_dlpack(device: Device, foreign: Any) -> np.ndarray:
+    """The NumPy array of what lies in host memory and speaks DLPack. Raises `DeviceError`."""
     try:
-        array = foreign if isinstance(foreign, np.ndarray) else np.from_dlpack(foreign)
+        return np.from_dlpack(foreign)
     except (AttributeError, TypeError, RuntimeError, ValueError, BufferError) as error:
         raise DeviceError(
             f"{device.name} adopts arrays in host memory that speak DLPack; got {type(foreign).__name__} ({error}): "
             "upload a NumPy copy instead"
         ) from error
-    return np.require(array, requirements=["C", "W"])
+
+
+def to_read(array: np.ndarray) -> np.ndarray:
+    """The same memory for devices to read, also where it is read-only: JAX's arrays never change, but may be shared."""
+    if array.flags.writeable or not array.flags.c_contiguous or not array.size:
+        return array
+    return np.asarray(_Memory(array))
+
+
+class _Memory:
+    """Memory of a read-only array, without the ban; keeps it alive."""
+
+    def __init__(self, array: np.ndarray) -> None:
+        self.array = array
+
+    @property
+    def __array_interface__(self) -> dict[str, Any]:
+        given = self.array.__array_interface__
+        return given | {"data": (given["data"][0], False)}
 
 
 def _check_range(source: np.ndarray, kind: np.dtype) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,9 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device, from_host
 from vamgpu.errors import OutOfMemory
 from vamgpu.kernels.signature import Kernel
+
+ALIGNED = 64
+"""Bytes whose multiples arrays begin at: JAX copies others."""
 
 
 class NumpyDevice(Device):
@@ -28,9 +32,11 @@ class NumpyDevice(Device):
 
     def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> np.ndarray:
         try:
-            return np.empty(shape, dtype)
+            memory = np.empty(prod(shape) * dtype.itemsize + ALIGNED, np.uint8)
         except MemoryError as error:
             raise OutOfMemory(f"no memory for {shape} of {dtype}; use a coarser grid") from error
+        begin = -memory.ctypes.data % ALIGNED
+        return memory[begin : begin + memory.size - ALIGNED].view(dtype).reshape(shape)
 
     def _write(self, handle: np.ndarray, stored: np.ndarray) -> None:
         handle[...] = stored

@@ -20,6 +20,8 @@ from vamgpu.backend.device import Device, from_host
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Table, Tiling
 
+VECTOR = 64
+"""Bytes of the widest vectors that kernels load."""
 MOST_TOGETHER = 64
 """Items of a table kernel that PoCL runs together: it keeps the arrays of them all on one stack, and left to choose
 takes groups of thousands, which overflow it."""
@@ -242,6 +244,11 @@ class OpenclDevice(Device):
         return mapped
 
     def _relaid(self, array: DeviceArray, lanes: int) -> Any:
-        """Vectors must lie where a driver puts buffers; memory of others need not."""
-        own = isinstance(array.handle, cl.Buffer) and not array.handle.flags & cl.mem_flags.USE_HOST_PTR
-        return array.handle if own else None
+        """Vectors must lie at multiples of their size, as where a driver puts buffers; memory of others need not."""
+        handle, theirs = array.handle, None
+        if isinstance(handle, cl.SVM):
+            theirs = handle.mem
+        elif handle.flags & cl.mem_flags.USE_HOST_PTR:
+            theirs = handle.hostbuf
+        lies = theirs is None or (isinstance(theirs, np.ndarray) and theirs.ctypes.data % VECTOR == 0)
+        return handle if lies else None

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
+from vamgpu.backend.device import Device, to_read
 from vamgpu.errors import BadInput
 from vamgpu.methods.joint.models import KineticModel, LinearModel, Pair
 from vamgpu.operators.compose import combine
@@ -132,4 +132,4 @@ def sent(device: Device, values: np.ndarray) -> DeviceArray:
     Slopes may be so small that `Device.upload` takes them for a mistake in units; here they are not checked.
     """
     real = np.asarray(values, device.real)
-    return device.upload(real) if device.is_gpu else device.field(device.adopt(real))
+    return device.upload(real) if device.is_gpu else device.field(device.adopt(to_read(real)))

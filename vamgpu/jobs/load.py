@@ -9,6 +9,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.jobs.web import is_web, is_web_folder, read_web
+from vamgpu.storage.atomic import as_path
 from vamgpu.storage.folder import Folder
 
 if TYPE_CHECKING:
@@ -34,8 +35,9 @@ def load(path: str | Path, device: str | Device | None = None) -> Plan | Frames 
     Raises:
         StorageError: There is nothing, or something else, or it is damaged.
         JobError: A key of a job file is wrong.
+        BadInput: It is no path.
     """
-    place = Path(path)
+    place = as_path(path)
     if place.suffix.lower() == ".toml":
         from vamgpu.jobs.read import read_job
 

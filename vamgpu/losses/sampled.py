@@ -47,6 +47,9 @@ class VoxelLoss(KernelLoss):
     """Of the samples, by which losses are the same, also those of another run of a script."""
 
     def __post_init__(self) -> None:
+        for name in ("void", "part"):
+            if not callable(getattr(self, name)):
+                raise BadInput(f"{name} of a VoxelLoss is {getattr(self, name)!r}; expected a function of doses")
         for name, curve in zip(("void", "part"), self.curves, strict=True):
             if curve.values.shape != (SAMPLES,) or not np.isfinite(curve.values).all():
                 raise BadInput(

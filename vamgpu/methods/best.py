@@ -60,6 +60,10 @@ class Best:
         for name in ("best", "best loss", "best window", "best iteration"):
             self.memory.pop(name, None)
 
+    def renew(self) -> None:
+        """Let the next light be the best, whatever it is: the loss means something else from here on."""
+        self.memory.pop("best loss", None)
+
     @property
     def loss(self) -> float:
         """Of the light kept; infinite without one."""

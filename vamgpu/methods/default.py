@@ -23,6 +23,8 @@ VOLUMES, SINOGRAMS = 12, 6
 class BestWindow(Method):
     """`ProcessWindow` where a run may spend fewer than 64 evaluations, else `WidestWindow`; nothing to choose.
 
+    Bodies with weights, and gray ones, which prices hold from below alone, are `ProcessWindow`'s at any number.
+
     A plan that is resumed with so many more goes on by prices, from its best light. Where the device lacks the memory
     for prices it stays with thresholds.
     """
@@ -35,7 +37,7 @@ class BestWindow(Method):
 
     def steps(self, state: OptimizerState) -> Steps:
         memory = state.memory
-        if not memory.get("priced") and _many(state) and _fits(state):
+        if not memory.get("priced") and not _by_thresholds(state) and _many(state) and _fits(state):
             memory["priced"] = 1.0
             if "best" in memory:
                 state.scale(1.0, state.buffer("best"), state.buffer("light"))
@@ -59,6 +61,11 @@ class BestWindow(Method):
 def _many(state: OptimizerState) -> bool:
     """Whether prices lead: for a run that may spend enough, and for one whose light may not be too bright."""
     return state.budget - state.evaluations >= MANY or state.brightness < inf
+
+
+def _by_thresholds(state: OptimizerState) -> bool:
+    """Whether bodies ask for what prices do not know."""
+    return state.limits is not None and (state.limits.weighted or bool(state.limits.gray.any()))
 
 
 def _fits(state: OptimizerState) -> bool:

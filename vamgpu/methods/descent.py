@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import ClassVar
 
+import numpy as np
+
 from vamgpu.errors import BadInput
+from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import lower
 from vamgpu.methods.method import Criterion, Method, Steps
 from vamgpu.methods.minimize import Pace
 from vamgpu.methods.state import OptimizerState
+
+ABOVE = 0.05
+"""Share of its own dose that a gray body may get beyond it before it costs."""
+STEEP = 10.0
+"""Cost of that, beside losses whose steepest slopes by dose are about 1."""
 
 
 @dataclass(frozen=True)
@@ -78,4 +86,14 @@ class ByDescent(ABC):
         return Descent(self.loss, self.share, self.growth, self.momentum)
 
     def steps(self, state: OptimizerState) -> Steps:
-        yield from self._descent().steps(state)
+        held = _held(state)
+        descent = self._descent()
+        yield from (descent if held is None else replace(descent, loss=descent.loss + held)).steps(state)
+
+
+def _held(state: OptimizerState) -> Loss | None:
+    """What holds gray bodies from above, which losses of parts do not; None without any."""
+    if state.limits is None or not state.limits.gray.any():
+        return None
+    most = 0.5 + ABOVE
+    return Band((0.5, 0.5), (most, most), (STEEP, STEEP), weight=state.limits.gray.astype(np.float32))

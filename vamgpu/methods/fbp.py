@@ -26,6 +26,7 @@ class FilteredBackProjection(Method):
     iterations: ClassVar[int] = 1
     cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "window"
+    takes_weights: ClassVar[bool] = False
 
     def steps(self, state: OptimizerState) -> Steps:
         check_complete(state.operator.motion)
@@ -41,7 +42,7 @@ def filtered_light(state: OptimizerState, dose: DeviceArray) -> float:
     Scaled so that the part's mean dose is one; one projector evaluation. Returns what it was before.
     """
     projected, light = state.sinogram(), state.sinogram()
-    state.project(state.goal, projected)
+    state.send(state.target, projected)
     state.filter(projected, ramp(state.operator), light, floor=0.0)
     state.expose(light, dose)
     gain = state.part_mean(dose)

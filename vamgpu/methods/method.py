@@ -24,9 +24,12 @@ class Method(Protocol):
         iterations: How many it runs where the caller does not say.
         cost: Projector evaluations that an iteration takes at least.
         criterion: What its best light is chosen by: the strict window for methods that aim at thresholds, the loss for
-            methods whose loss is the purpose.
+            methods whose loss is the purpose. With weights or gray bodies it is the loss for all.
         takes_start: Whether it begins with the ``light`` in the memory where there is some; without the attribute it
             does not, and `optimize` refuses a ``start``.
+        takes_weights: Whether weights of bodies change its light, as they do wherever ``state.loss`` is lowered;
+            without the attribute they do, and where it is False `optimize` refuses them.
+        takes_gray: Whether it holds gray bodies from above too; likewise.
     """
 
     papers: ClassVar[tuple[str, ...]]

@@ -45,6 +45,7 @@ class OSMO(Method):
     iterations: ClassVar[int] = 20
     cost: ClassVar[float] = 2.0
     criterion: ClassVar[Criterion] = "window"
+    takes_weights: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         Band.thresholds(self.outside, self.inside)
@@ -76,7 +77,7 @@ class OSMO(Method):
         self, state: OptimizerState, model: DeviceArray, projected: DeviceArray, taps: Taps, dose: DeviceArray
     ) -> float:
         """Light for a model, and its dose; returns the window."""
-        state.project(model, projected)
+        state.send(model, projected)
         state.filter(projected, taps, state.buffer("light"), floor=0.0)
         state.expose(state.buffer("light"), dose)
         window, state.memory["peak"] = state.window(dose)

@@ -43,6 +43,7 @@ class Recipe(Method):
     iterations: ClassVar[int] = 2
     cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "window"
+    takes_weights: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.background < 1.0 or not self.most > 1.0:
@@ -57,7 +58,7 @@ class Recipe(Method):
         light, model = state.buffer("light"), state.buffer("model")
         band = Band((self.background, 1.0), (0.0, 0.0))
         while True:
-            state.project(model, projected)
+            state.send(model, projected)
             state.filter(projected, filtered, light, floor=0.0)
             state.expose(light, dose)
             if spread is not None:

@@ -43,6 +43,7 @@ from vamgpu.operators.reductions import extent
 from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.spectral import SpectralProjection
+from vamgpu.targets.limits import Limits
 from vamgpu.targets.target import Target
 
 METHODS: dict[str, type[Any]] = {
@@ -129,12 +130,21 @@ def optimize(
             it rose. A loss that exceeds a thousand times its first value ends the run.
         ToleranceWarning: When the light found does not print at every corner, with the corners that hold it.
     """
+    if resume is not None and not isinstance(resume, Plan):
+        raise BadInput(f"got a {type(resume).__name__} as resume; expected a Plan: that of an earlier run, or "
+                       "vam.load(path) of one that was saved")  # fmt: skip
+    if cancel is not None and not callable(cancel):
+        raise BadInput(f"cancel is {cancel!r}; expected a function that says whether to stop, or None")
     how = chosen(resume.method if resume is not None and method == "default" else method)
     limit = _limit(how, iterations, evaluations)
     tolerance = positive("tolerance", tolerance, zero=True)
     posed: Any = _posed_on_voxels(operator, target)
     field_ = fractions_of(posed, target)
     limits = getattr(target, "limits", None)
+    criterion = how.criterion
+    if limits is not None and (limits.weighted or limits.gray.any()):
+        _check_bodies(how, limits)
+        criterion = "loss"  # a window knows neither weights nor the upper end of a gray dose
     asked = posed if limits is None else limited(posed, limits)
     memory = _memory(posed, how, resume, tolerances)
     scenarios = None
@@ -143,7 +153,7 @@ def optimize(
         check_lit(scenarios, tolerances, field_)
         field_ = scenarios.stacked([field_] * len(scenarios))
         limits = None if limits is None else limits.stacked(len(scenarios))
-    state = OptimizerState(asked, field_, memory, how.criterion, limits)
+    state = OptimizerState(asked, field_, memory, criterion, limits)
     brightest = ExposureLimit.of(exposure_limit, irradiance, critical_dose, absorption)
     if brightest is not None:
         _limit_light(state, how, operator, brightest, resume)
@@ -314,6 +324,23 @@ def chosen(method: str | Method | Loss) -> Method:
             f"got {method!r} as method; expected a name ({', '.join(METHODS)}), a loss, or an instance such as OSMO()"
         )
     return method
+
+
+def _check_bodies(method: Method, limits: Limits) -> None:
+    """Refuse weights of bodies, and gray ones, for a method whose light does not depend on them."""
+    for trait, given, what in (
+        ("takes_weights", limits.weighted, "bodies of the target have weights, at which {} does not look; expected 1"),
+        (
+            "takes_gray",
+            limits.gray.any(),
+            "bodies of the target are gray, which {} holds from below alone; expected none",
+        ),
+    ):
+        if given and not getattr(method, trait, True):
+            able = ", ".join(name for name, kind in METHODS.items() if getattr(kind, trait, True))
+            raise BadInput(
+                f"{what.format(type(method).__name__)}, or one of these methods: {able}, or a loss of your own"
+            )
 
 
 def _limit(method: Method, iterations: int | None, evaluations: float | None) -> int:

@@ -73,13 +73,11 @@ class OptimizerState:
         self.weight: DeviceArray | None = self.field(limits.weight) if limits is not None and weighted else None
 
     @cached_property
-    def goal(self) -> DeviceArray:
-        """What to project so that each voxel of the part is sent the dose it asks for."""
+    def _sent(self) -> tuple[DeviceArray, DeviceArray] | None:
+        """Squares of the limits, by one of which the operator divides, and room for what they multiply."""
         if self.limits is None:
-            return self.target
-        goal = self.device.upload((self.limits.dose**2).astype(np.float32))  # the operator divides by one of the two
-        self.device.launch(multiply, x=goal, y=self.target, out=goal)
-        return goal
+            return None
+        return self.device.upload((self.limits.dose**2).astype(np.float32)), self.volume()
 
     def volume(self) -> DeviceArray:
         """An uninitialized volume."""
@@ -114,6 +112,14 @@ class OptimizerState:
     def project(self, volume: DeviceArray, out: DeviceArray) -> None:
         """out = A volume; half an evaluation."""
         self._count(lambda: self.operator(volume, out=out))
+
+    def send(self, model: DeviceArray, out: DeviceArray) -> None:
+        """`project` a model whose voxels are sent so much of their own limits; half an evaluation."""
+        if self._sent is not None:
+            squares, scaled = self._sent
+            self.device.launch(multiply, x=squares, y=model, out=scaled)
+            model = scaled
+        self.project(model, out)
 
     def expose(self, light: DeviceArray, out: DeviceArray) -> None:
         """out = Aᵀ light, the dose; half an evaluation. With that of other light in a piece of a print."""

@@ -70,6 +70,8 @@ class WidestWindow(Method):
     cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "window"
     takes_start: ClassVar[bool] = True
+    takes_weights: ClassVar[bool] = False
+    takes_gray: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if isinstance(self.passes, bool) or not isinstance(self.passes, int) or self.passes < 1:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import MOST, Band
 from vamgpu.losses.loss import Loss
@@ -16,7 +18,10 @@ from vamgpu.methods.papers import AUTOMATIC_EXPOSURE, NESTEROV, RAMP, RESTART, T
 from vamgpu.methods.ramp import capped_ramp
 from vamgpu.methods.recipe import Recipe
 from vamgpu.methods.state import OptimizerState
+from vamgpu.targets.limits import Limits
 
+BOTH = 2.0
+"""Times shorter that steps are where gray bodies hold doses from both sides: with longer ones hard tasks diverge."""
 SPAN = 0.25
 """Share of the columns that the preconditioner reaches over."""
 
@@ -72,6 +77,16 @@ class ProcessWindow(Method):
             light = state.buffer("light")
             state.memory["gain"] = filtered_light(state, state.volume())
             state.memory["light"] = light
+        if state.best.criterion == "loss" and not state.number("judged"):
+            state.best.renew()
+            state.memory["judged"] = 1.0
         pace = Pace(self.step / state.number("gain"), soon=1.0)
         channel = Channel(state, capped_ramp(state.operator, self.cap, SPAN))
-        yield from minimize(DoseObjective(state, self.loss, pace), (channel,), pace)
+        loss = self.loss if state.limits is None else self.loss.weighted(state.device.upload(_levelled(state.limits)))
+        yield from minimize(DoseObjective(state, loss, pace), (channel,), pace)
+
+
+def _levelled(limits: Limits) -> np.ndarray:
+    """Weights that make no voxel steeper than those of a part alone, for which the step is right, [x, y, z]."""
+    heaviest = float(limits.weight[limits.judged].max())
+    return (limits.dose**2 / (heaviest * (BOTH if limits.gray.any() else 1.0))).astype(np.float32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from math import prod
+from math import isfinite, prod
 from numbers import Real
 from typing import Any, ClassVar, final
 
@@ -146,14 +146,22 @@ class LinearOperator(ABC):
     def __mul__(self, factor: float) -> LinearOperator:
         from vamgpu.operators.compose import Sum
 
-        return Sum((self,), (float(factor),)) if isinstance(factor, Real) else NotImplemented
+        if not isinstance(factor, Real):
+            return NotImplemented
+        if not isfinite(factor):
+            raise BadInput(f"got the factor {factor} of an operator; expected a finite number")
+        return Sum((self,), (float(factor),))
 
     __rmul__ = __mul__
     __array_ufunc__ = None
     """NumPy's numbers let the operator multiply."""
 
     def __truediv__(self, factor: float) -> LinearOperator:
-        return self * (1.0 / factor) if isinstance(factor, Real) else NotImplemented
+        if not isinstance(factor, Real):
+            return NotImplemented
+        if factor == 0:
+            raise BadInput("an operator is divided by 0; expected another number")
+        return self * (1.0 / float(factor))
 
     def __neg__(self) -> LinearOperator:
         return self * -1.0

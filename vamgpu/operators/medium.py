@@ -10,7 +10,13 @@ import numpy as np
 from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Grid, positive
-from vamgpu.kernels.medium import ABSORBS, BENDS, BLOCKS, MARGIN
+from vamgpu.kernels.medium import ABSORBS, BENDS, BLOCKS, DARK, MARGIN, WHOLE
+
+FILLED = 2.0 * DARK
+"""How many of `WHOLE` a voxel that is all insert counts where shares are given: its surface then lies where they pass
+0.45, and walls one voxel thick still stop all light."""
+FINE = 2.0**17
+"""Steps of extinction in inserts, which float32 holds beside the share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +27,8 @@ class CoRotatingMedium:
         index: Refractive index, [x, y] or [x, y, z]; None where it does not change.
         extinction: Absorbed share per length [1/mm], natural logarithm, [x, y] or [x, y, z], or one number for all
             voxels; None where nothing is absorbed.
-        opaque: True where an insert stops the light, [x, y] or [x, y, z]; light ends where the interpolated share of
-            insert passes 0.4.
+        opaque: Share of every voxel in which an insert stops the light, 0..1, or booleans, [x, y] or [x, y, z]; light
+            ends where the interpolated share passes 0.45, of booleans 0.4. Voxels from one half on get no dose.
         bath: Refractive index beyond the grid; None takes the median of the index on the grid's faces, or 1.
 
     Raises:
@@ -41,8 +47,13 @@ class CoRotatingMedium:
         _refuse_below("index", index, 1.0)
         _refuse_below("extinction [1/mm]", extinction, 0.0)
         opaque = None if self.opaque is None else np.asarray(self.opaque)
-        if opaque is not None and opaque.dtype != bool:
-            raise BadInput(f"opaque holds {opaque.dtype}; expected booleans: true where the insert is")
+        if opaque is not None and not (
+            opaque.dtype == bool or (opaque.dtype.kind == "f" and ((opaque >= 0.0) & (opaque <= 1.0)).all())
+        ):
+            raise BadInput(
+                f"opaque holds {opaque.dtype}, or values beyond 0..1; expected the share of every voxel that the "
+                "insert fills, or booleans"
+            )
         for name, value in (("index", index), ("opaque", opaque), ("extinction", extinction)):
             if value is not None and value.ndim not in ((0, 2, 3) if name == "extinction" else (2, 3)):
                 raise ShapeMismatch(f"medium {name} has {value.ndim} axes; expected [x, y] or [x, y, z]")
@@ -71,6 +82,17 @@ class CoRotatingMedium:
         """Which of the three there are, as kernels take it."""
         bends = BENDS * (self.index is not None)
         return bends | ABSORBS * (self.extinction is not None) | BLOCKS * (self.opaque is not None)
+
+    @property
+    def dark(self) -> np.ndarray | None:
+        """Voxels that get no dose, booleans [x, y] or [x, y, z]."""
+        return None if self.opaque is None else self._stands >= DARK
+
+    @property
+    def _stands(self) -> np.ndarray:
+        """How much of each voxel is insert, whole numbers to `WHOLE`."""
+        opaque = np.asarray(self.opaque)
+        return opaque * WHOLE if opaque.dtype == bool else np.rint(opaque * FILLED)
 
     def check(self, grid: Grid) -> None:
         """Check that every field lives on the voxels of a grid.
@@ -124,7 +146,9 @@ class CoRotatingMedium:
             values = np.broadcast_to(self.extinction, shape) if np.ndim(self.extinction) == 0 else self.extinction
             table[_inner(shape)][..., 3] = grid.pitch * _spread(np.asarray(values), shape)
         if self.opaque is not None:
-            table[_inner(shape)][..., 3][_spread(self.opaque, shape)] = -1.0
+            part, stands = table[_inner(shape)][..., 3], _spread(self._stands, shape)
+            rest = np.floor(part / (1.0 + part) * FINE) / FINE
+            part[...] = np.where(stands > 0.0, -(stands + rest), part)
         return table
 
     medium: ClassVar[Renamed] = Renamed("samples")

@@ -213,7 +213,8 @@ def _traced(owner: TracedProjection) -> SparseEntries:
 
 
 def _solid(owner: TracedProjection) -> np.ndarray | None:
-    return None if owner.medium.opaque is None else owner.medium.opaque.ravel()
+    dark = owner.medium.dark
+    return None if dark is None else dark.ravel()
 
 
 class _March:

@@ -15,7 +15,7 @@ from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import counts, positive
 from vamgpu.printing.folder import describe
 from vamgpu.quantity import positive as number
-from vamgpu.storage.atomic import replacing
+from vamgpu.storage.atomic import as_path, replacing
 from vamgpu.storage.manifest import plain
 
 if TYPE_CHECKING:
@@ -131,7 +131,9 @@ def export(
         BadInput: The ending is unknown, a number out of its range, or the frames do not fit the canvas.
         StorageError: Something is in the way, its folder is missing, or it cannot be written.
     """
-    place = Path(path)
+    place = as_path(path)
+    if not hasattr(frames, "images"):
+        raise BadInput(f"got a {type(frames).__name__} to export; expected frames: those of vam.pack(plan)")
     writer = FORMATS.get(place.suffix.lower())
     if writer is None:
         raise BadInput(f"cannot export {place.name!r}: expected .tif, .tiff, .npz, .mp4, or no ending for a PNG folder")

@@ -32,6 +32,8 @@ PRINTED = ("print", "gray")
 FREE = ("insert", "don't care")
 """Roles of which nothing is asked."""
 _DOSED = ("gray", "keep out")
+MOST_DOSE = 10.0
+"""Of a gray body: more was hardly meant as a share."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,10 @@ class Body:
         if self.role in _DOSED and self.dose is None:
             raise BadInput(f"{who} is {self.role!r} without a dose; give dose=, a share of the dose that prints")
         if self.dose is not None:
-            positive(f"dose of {who}", self.dose)
+            most = 1.0 if self.role == "keep out" else MOST_DOSE
+            if positive(f"dose of {who}", self.dose) > most:
+                raise BadInput(f"dose of {who} is {self.dose:g}; expected a share of the dose that prints, {most:g} at "
+                               "most: 70 % of it is 0.7")  # fmt: skip
         alone = {"dose": _DOSED, "index": ("insert",), "absorption": ("insert",)}
         for key, roles in alone.items():
             value = getattr(self, key)
@@ -238,7 +243,11 @@ class Body:
             there = [(at - move) / place.factor for at, move in zip(points, place.move, strict=True)]
             x, y, z = (sum(turn[k, axis] * there[k] for k in range(3) if turn[k, axis]) for axis in range(3))
             x, y, z = np.broadcast_arrays(x, y, z)
-            value = np.asarray(self.source(x, y, z))
+            try:
+                value = np.asarray(self.source(x, y, z), np.float64)
+            except (TypeError, ValueError) as error:
+                raise BadInput(f"the function of body {self.name!r}: {error}; expected φ(x, y, z) of three arrays [mm] "
+                               "that gives an array of their shape") from error  # fmt: skip
             return np.broadcast_to(value, x.shape) if value.shape == () else value
 
         return shape

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil, inf
 from typing import Any
@@ -25,6 +25,7 @@ from vamgpu.optics.occluder import Occluded
 from vamgpu.scene.body import FREE, PRINTED, Body, Place
 from vamgpu.scene.web import WebPart, shares_on_web
 from vamgpu.targets.limits import Limits
+from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import MARGIN, Target
 from vamgpu.web import WebGrid, Wrap
 
@@ -32,6 +33,10 @@ MULTIPLE = 4
 """Grids that are chosen here have multiples of this many voxels along every axis."""
 HALF = 0.5
 """Share of a voxel from which on it belongs to a body."""
+SMALL = 0.5
+"""Size [mm] of a body below which its file was hardly in mm."""
+SHARES = 64.0
+"""Opaque inserts are known to so many parts of a voxel: rounding leaves none that make levels differ."""
 RAYS = 3
 """Rays of a pixel past inserts: fewer leave stripes where pixels and voxels are of one size."""
 
@@ -63,6 +68,8 @@ class Scene:
     _known: dict[Grid | WebGrid, _Shares] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.bodies, (Body, Iterable)):
+            raise BadInput(f"got a {type(self.bodies).__name__} as bodies; expected a list of Body(source, role)")
         bodies = (self.bodies,) if isinstance(self.bodies, Body) else tuple(self.bodies)
         wrong = next((body for body in bodies if not isinstance(body, Body)), None)
         if wrong is not None:
@@ -295,7 +302,8 @@ class Scene:
                 index += share * (body.index - resin_index)
         bends = any(body.index is not None for body in self.inserts)
         absorbs = absorption > 0.0 or any(body.absorption for body in self.inserts)
-        fields = [index if bends else None, extinction if absorbs else None, solid >= HALF if solid.any() else None]
+        solid = np.rint(np.minimum(solid, 1.0) * SHARES) / SHARES
+        fields = [index if bends else None, extinction if absorbs else None, solid if solid.any() else None]
         level = all(values is None or (values == values[:, :, :1]).all() for values in fields)
         index_, extinction_, opaque = (values[:, :, 0] if level and values is not None else values for values in fields)
         return CoRotatingMedium(index_, extinction_, opaque, bath=resin_index if bends else None)
@@ -336,6 +344,17 @@ class Scene:
         medium = self.medium(target.grid, resin_index=index, absorption=absorption, device=device)
         bundle = refracted(target.grid, beam, vessel, counts("rays", (rays,), 1)[0])
         return TracedProjection(target.grid, beam, motion, medium, bundle, device)
+
+
+def _drawn(body: Body) -> str:
+    """Where a mesh was drawn, in words, and of what unit a very small one may be."""
+    if not isinstance(body.source, Solid):
+        return ""
+    low, high = body.source.bounds
+    size = float(np.max(high - low))
+    said = ", ".join(f"{axis} {a:.3g}..{b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    small = "; drawn in inches it needs the factor 25.4, in metres 1000" if size < SMALL else ""
+    return f", which was drawn at {said} mm{small},"
 
 
 def refracted(grid: Grid, beam: Beam, vessel: Vessel | None, rays: int = RAYS) -> RayBundle:
@@ -421,8 +440,9 @@ class _Shares:
     def _check(self, bodies: Sequence[Body], filled: list[npt.NDArray[np.float32]]) -> None:
         for k, body in enumerate(bodies):
             if not filled[k].any():
-                raise EmptyMesh(f"body {body.name!r} fills no voxel of {filled[k].shape}; expected some: look at where "
-                                "it was drawn, at the scale, or take a finer pitch or a wider shape")  # fmt: skip
+                raise EmptyMesh(f"body {body.name!r}{_drawn(body)} fills no voxel of {filled[k].shape}; expected some: "
+                                "look at where it was drawn, at the scale, or take a finer pitch or a wider "
+                                "shape")  # fmt: skip
             if body.role not in PRINTED or (self.owner == k).any():
                 continue
             if not (filled[k] >= HALF).any():

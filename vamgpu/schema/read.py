@@ -309,6 +309,8 @@ def complaint(entry: Any, remedy: str = "add it") -> str:
     got = "" if isinstance(entry["input"], (dict, BaseModel)) else f" got {_short(entry['input'])};"
     said = entry["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     said = EXPECTED.get(entry["type"], said)
+    if entry["type"] in ("tuple_type", "list_type") and isinstance(entry["input"], dict):
+        said = f"tables, one or several: write [[{entry['loc'][-1]}]] in place of [{entry['loc'][-1]}]"
     return f":{got} {said if entry['type'] == 'value_error' else f'expected {said}; correct the value'}"
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from vamgpu.errors import StorageError
+from vamgpu.errors import BadInput, StorageError
 
 try:
     import fcntl
@@ -26,6 +26,23 @@ REMEDIES = {
 }
 
 PAGES = (".html", ".htm")
+
+
+def as_path(path: str | Path) -> Path:
+    """A path.
+
+    Args:
+        path: Given by a caller.
+
+    Returns:
+        The path.
+
+    Raises:
+        BadInput: It is none.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise BadInput(f"got a {type(path).__name__} where a path is expected; give text or a Path")
+    return Path(path)
 
 
 def explained(action: str, path: Path, error: OSError | ValueError) -> StorageError:

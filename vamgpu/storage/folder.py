@@ -14,7 +14,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage.arrays import read, read_one, write
-from vamgpu.storage.atomic import explained, replacing
+from vamgpu.storage.atomic import as_path, explained, replacing
 from vamgpu.storage.manifest import ArrayRecord, Manifest
 from vamgpu.storage.ngff import Image, describe
 from vamgpu.storage.reading import is_file, read_text
@@ -171,7 +171,7 @@ def write_folder(
         StorageError: The path is taken, or cannot be written.
         BadInput: A manifest cannot hold the inputs or details.
     """
-    place = Path(path)
+    place = as_path(path)
     if overwrite and os.path.lexists(place) and not is_file(place / MANIFEST):
         raise StorageError(f"{str(path)!r} exists and is no job folder; choose another path")
     Manifest(dict(inputs), dict(details), device, {}).to_json()  # refuse bad inputs before the long work

@@ -90,6 +90,12 @@ class Limits:
         """Whether a weight of any judged voxel is not 1."""
         return bool((self.weight[self.judged] != 1.0).any())
 
+    @cached_property
+    def gray(self) -> npt.NDArray[np.bool_]:
+        """Which voxels are to get their limit and no more, [x, y, z]."""
+        roles = np.array([body.role == "gray" for body in self.bodies] + [False])
+        return roles[self.body]
+
     def stacked(self, times: int) -> Limits:
         """The same limits in several volumes, one above the other.
 

@@ -89,8 +89,8 @@ def read_task(path: Path) -> tuple[dict[str, Any], Solid, tuple[str, ...]]:
     with _explaining(path):
         said = parse_json(read_text(path))
         setup, projector = _set_up(path, said), said["projector"]
-        pixels = int(projector["resx"]), int(projector["resy"])
-        tables = setup.tables(int(projector["n_patterns"]), pixels)
+        pixels = _count(projector, "resx"), _count(projector, "resy")
+        tables = setup.tables(_count(projector, "n_patterns"), pixels)
         own = [name for name in ("loss", "optimizer", "n_steps") if name in said]
     tables["target"]["origin"] = [0.0, 0.0, 0.0]
     notes = (f"its {', '.join(own)} left out: `vam solve` has methods of its own",) if own else ()
@@ -109,9 +109,8 @@ def _explaining(path: Path) -> Iterator[None]:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, BadInput):
             raise
-        raise BadInput(
-            f"{str(path)!r} lacks or garbles {error}; expected a configuration of Dr.TVAM in JSON"
-        ) from error
+        expected = "" if "expected" in str(error) else "; expected a configuration of Dr.TVAM in JSON"
+        raise BadInput(f"{str(path)!r} lacks or garbles {error}{expected}: correct it") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,12 +137,13 @@ class _SetUp:
 def _set_up(path: Path, said: Any) -> _SetUp:
     projector, sensor, target = (_table(said, name) for name in ("projector", "sensor", "target"))
     vessel, vial_notes = _vessel(_table(said, "vial"))
-    pitch = float(projector["pixel_size"])
+    pitch = _number(projector, "pixel_size")
     notes = [*_projector(projector), *vial_notes]
     if "diffusion" in said:
         notes.append("its diffusion is left out; add [resin.diffusion] to the job")
-    voxel = min(float(sensor.get(f"scale{axis}", 1.0)) / float(_table(sensor, "film").get(f"res{axis}", 256))
-                for axis in "xyz")  # fmt: skip
+    film = _table(sensor, "film")
+    voxel = min(_number(sensor, f"scale{axis}", 1.0) / _count(film, f"res{axis}", 256) for axis in "xyz")
+    _number(target, "size", 1.0)
     part = _Part(path.parent / str(target["filename"]), target)
     clockwise = bool(projector.get("clockwise", False))
     return _SetUp(pitch, voxel, vessel, clockwise, part, tuple(notes))
@@ -261,10 +261,29 @@ def _configuration(A: Projection, target: Target | None) -> dict[str, Any]:
 
 
 def _table(said: Any, name: str) -> dict[str, Any]:
+    if not isinstance(said, dict):
+        raise TypeError(f"its outermost braces: it is a {type(said).__name__}, no table")
     table = said[name]
     if not isinstance(table, dict):
         raise TypeError(f"{name}, which is no table")
     return table
+
+
+def _number(said: Mapping[str, Any], name: str, default: float | None = None, *, least: float = 0.0,
+            zero: bool = False) -> float:  # fmt: skip
+    """A number above (with ``zero``: or equal to) ``least``."""
+    value = said[name] if default is None else said.get(name, default)
+    real = isinstance(value, int | float) and not isinstance(value, bool)
+    if not real or not (value > least or (zero and value == least)):
+        raise ValueError(f"{name}, which is {value!r}; expected a number {'from' if zero else 'above'} {least:g}")
+    return float(value)
+
+
+def _count(said: Mapping[str, Any], name: str, default: int | None = None) -> int:
+    value = _number(said, name, default)
+    if value != int(value):
+        raise ValueError(f"{name}, which is {value!r}; expected a whole number")
+    return int(value)
 
 
 def _mm(value: float) -> str:
@@ -287,23 +306,27 @@ def _projector(said: Mapping[str, Any]) -> list[str]:
 def _vessel(said: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """The table of a vessel, and what is left out of it. Raises `BadInput` for what this library has no model of."""
     medium, kind, notes = _table(said, "medium"), said.get("type"), []
-    albedo, extinction = float(medium.get("albedo", 0.0)), float(medium["extinction"])
+    albedo, extinction = _number(medium, "albedo", 0.0, zero=True), _number(medium, "extinction", zero=True)
+    if albedo > 1.0:
+        raise ValueError(f"albedo, which is {albedo:g}; expected a share from 0 to 1")
     if albedo > 0.0:
         notes.append(f"its resin scatters (albedo {albedo:g}), which is left out: {1 - albedo:.3g} of its extinction "
                      "is taken for absorption")  # fmt: skip
     if said.get("occlusions"):
         raise BadInput("its vial has occlusions, which are not imported; expected none: state them as inserts of a job "
                        "of your own")  # fmt: skip
-    around, resin = float(said.get("ior_surrounding", 1.0)), float(medium["ior"])
+    around = _number(said, "ior_surrounding", 1.0, least=1.0, zero=True)
+    resin = _number(medium, "ior", least=1.0, zero=True)
     absorption = f"{extinction * (1.0 - albedo)!r} 1/mm"
     if kind == "index_matched":
-        radius = float(said["r"])
+        radius = _number(said, "r")
         return {"vat": {"width": _mm(2.0 * radius), "radius": _mm(radius), "absorption": absorption}}, notes
     if kind == "cylindrical":
-        outer, inner = float(said["r_ext"]), float(said["r_int"])
+        inner = _number(said, "r_int")
+        outer, glass = _number(said, "r_ext", least=inner), _number(said, "ior", least=1.0, zero=True)
         return {
             "vial": {"radius": _mm(outer), "wall": _mm(round(outer - inner, 12)), "resin_index": resin,
-                     "wall_index": float(said["ior"]), "bath_index": around, "absorption": absorption}
+                     "wall_index": glass, "bath_index": around, "absorption": absorption}
         }, notes  # fmt: skip
     raise BadInput(
         f"its vial is {kind!r}; expected index_matched or cylindrical: import its patterns as a folder of EXR images "

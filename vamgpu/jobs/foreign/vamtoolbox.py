@@ -62,6 +62,12 @@ def read_vamtoolbox(path: Path, target: Path | None = None) -> Found:
             notes.append(f"its {' and '.join(odd)} are left out; state them in a job")
     if target is not None:
         tables["target"] = {**tables.get("target", {}), "mesh": str(target.resolve()), "factor": 1.0}
+    least, most = float(array.min()), float(array.max())
+    if least < 0.0:
+        if most <= 0.0:
+            raise BadInput(f"the sinogram {str(path)!r} reaches from {least:g} to {most:g}; expected light, which is 0 "
+                           "or above: change its sign, or import what was made of it to be shown")  # fmt: skip
+        notes.append(f"it reaches down to {least:g}: what is below 0 is taken for dark")
     light = np.ascontiguousarray(np.maximum(array, 0.0)[:, order].transpose(1, 0, 2))
     part = None if target is None else _Part(*_volume(target, "a target [y, x, z]")[:1], target.stem)
     return Found("VAMToolbox", light, Turntable(poses[order] * deg), tables, part, notes=tuple(notes))
