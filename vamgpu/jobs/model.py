@@ -245,8 +245,8 @@ class SolveSection(Section):
     default.  tolerance: share of the first loss at which to stop.  evaluations: projector evaluations that may be
     spent.  exposure_limit: time that the light may last at most, by lamp and resin of [print]: the widest window of
     such light.  device: where to compute; the best one here by default.  operator: "voxels", by rays through each;
-    "rings", by Fourier transforms over even angles (`RingProjection`), which is faster on large volumes and within 0.003
-    of the window of a run of 40 evaluations; "auto", rings where they take the job and were measured to pay.
+    "rings", by Fourier transforms over even angles (`RingProjection`), which is faster on large volumes and within
+    0.003 of the window of a run of 40 evaluations; "auto", rings where they take the job and were measured to pay.
     """
 
     method: str = "default"
