@@ -24,8 +24,8 @@ from vamgpu.operators.spectral import SpectralProjection, passes
 from vamgpu.operators.traced import WHOLE, SparseEntries
 
 WIDTH = 0.55
-"""Width of a ring over that of a voxel. Strict windows of a print of 96 voxels across, after 40 evaluations, are lower by
-0.006 at 0.65, by 0.002 at 0.55, by 0.001 at 0.5."""
+"""Width of a ring over that of a voxel. Strict windows of a print of 96 voxels across, after 40 evaluations, are lower
+by 0.006 at 0.65, by 0.002 at 0.55, by 0.001 at 0.5."""
 FAINT = 1e-4
 """Share of the greatest entry of the table that counts as none: a fifth to a third of the products."""
 TAPS = np.arange(-1, 3)
