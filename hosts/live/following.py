@@ -151,11 +151,11 @@ class Following:
             self._desk.estimate([*found, *((name, value, 0.0) for name, value in facts)], self._maps(decision))
 
     def _maps(self, decision: Decision) -> dict[str, np.ndarray]:
-        seen, drawn = self._state.seen, {}
+        drawn = {}
         if decision.dose is not None:
             drawn[f"dose; brightest is {BRIGHT:g} times what turns solid"] = cuts(decision.dose, self._part, BRIGHT)
-        if seen is not None:
-            drawn["conversion seen"] = cuts(seen.conversion, self._part, 1.0, "viridis")
+        if decision.conversion is not None:
+            drawn["conversion seen"] = cuts(decision.conversion, self._part, 1.0, "viridis")
         return drawn
 
     def _propose(self, version: int, light: np.ndarray, turn: int, stop: int) -> None:

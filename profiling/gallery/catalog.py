@@ -57,6 +57,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "fom": "A calibration disk at five stop doses",
         "measured": "A rig that measures itself: focus, axis, gray levels, sharpness",
         "machines": "Prints on emulated machines, and how soon they are dark",
+        "live": "A print that is watched, and planned anew",
     }
 )
 """Name → title. The picture of a name is made by the function of that name in the module of that name."""

@@ -10,11 +10,13 @@ import pytest
 from vamgpu.cli.live import replay
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.live import Decision, SensorNoise, Turbidity
+from vamgpu.live.film import film
 from vamgpu.live.printer import CuringResin, Truth, VirtualPrinter
 from vamgpu.live.record import LiveRecord, LiveSetup, budget
 from vamgpu.methods.run import optimize
 from vamgpu.metrics import score
 from vamgpu.optics.vial import Vial
+from vamgpu.storage.films import read_film
 
 PLANNED = 10
 AGED = Truth(inhibitor=0.7, lamp=0.95, absorption=0.1, along_z=0.03)
@@ -95,6 +97,13 @@ def test_a_print_in_aged_resin_is_saved_and_replayed_bit_by_bit(tmp_path, capsys
     np.testing.assert_allclose(told, (AGED.inhibitor, AGED.lamp), atol=0.12)
     replayed = list(record.replay())
     assert len(replayed) == live.turns and all(not otherwise for _, otherwise in replayed)
+
+    images, _ = read_film(film(record, tmp_path / "live.mp4", rate=4.0))
+    assert len(images) == live.turns and not np.array_equal(images[0], images[-1])
+    with pytest.raises(StorageError, match="ends in .mp4"):
+        film(record, tmp_path / "live.gif")
+    with pytest.raises(StorageError, match="live.mp4"):
+        film(record, tmp_path / "live.mp4")
 
     with pytest.raises(StorageError, match="another folder"):
         record.begin(made, part, light)

@@ -1,4 +1,4 @@
-"""The command ``vam live replay``."""
+"""The commands ``vam live replay`` and ``vam live film``."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ def replay(run: Path, /) -> None:
     from vamgpu.live.record import budget
 
     screen, otherwise, decisions = console(), [], []
-    inside = run / "live"  # of a print on a rig
-    for told, differs in LiveRecord(inside if inside.is_dir() else run).replay():
+    for told, differs in LiveRecord(_place(run)).replay():
         decisions.append(told)
         same = f"differs in {', '.join(differs)}" if differs else "same"
         more = f"{told['turns']} to go, overlap {told['iou']:.4f}" if told["parameters"] else told["reason"]
@@ -45,6 +44,28 @@ def replay(run: Path, /) -> None:
         turns = ", ".join(map(str, otherwise))
         raise BadInput(f"{str(run)!r} decided otherwise than its record says in turns {turns}; expected the same: "
                        "replay it on the device and with the version of vamgpu that recorded it")  # fmt: skip
+
+
+@group.command
+def film(run: Path, /, out: Path = Path("live.mp4"), rate: float = 1.0) -> None:
+    """Make a film of a recorded print: turn by turn the camera, dose, conversion and what was decided.
+
+    Args:
+        run: folder of the run
+        out: the film, ending in .mp4; its folder exists
+        rate: turns a second
+    """
+    from vamgpu.geometry import positive
+    from vamgpu.live import LiveRecord
+    from vamgpu.live.film import film as drawn
+
+    made = drawn(LiveRecord(_place(run)), out, positive("rate [turns/s]", rate))
+    console().print(f"film    [bold]{escape(str(made))}[/]")
+
+
+def _place(run: Path) -> Path:
+    inside = run / "live"  # of a print on a rig
+    return inside if inside.is_dir() else run
 
 
 def _effective(decisions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:

@@ -56,6 +56,7 @@ class Decision:
         stages: Wall time of "see", "estimate" and "replan" [s]; no part of `entry`, as no replay takes as long.
         dose: Estimated of all light so far, over that from which resin is solid, [x, y, z]; no part of `entry`. None
             where nothing is estimated.
+        conversion: Seen, [x, y, z]; no part of `entry`. None before the first field.
     """
 
     turn: int
@@ -69,6 +70,7 @@ class Decision:
     reason: str = ""
     stages: dict[str, float] = field(default_factory=dict)
     dose: np.ndarray | None = None
+    conversion: np.ndarray | None = None
 
     @property
     def entry(self) -> dict[str, Any]:
@@ -191,7 +193,8 @@ class LiveLoop:
                 decision = self._replanned(turn, left, state, shown, pending, frames, seen, committed, laps)
         except VamError as error:
             decision = self._kept(turn, left, state, f"refused: {error}")
-        decision = replace(decision, stages=laps.seconds)
+        conversion = None if seen is None else seen.conversion
+        decision = replace(decision, stages=laps.seconds, conversion=conversion)
         after = LiveState(turn, shown, pending, decision.light, decision.turns, decision.version, seen,
                           tuple(committed), _values(decision, state.values))  # fmt: skip
         return after, decision

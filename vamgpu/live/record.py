@@ -256,13 +256,25 @@ class LiveRecord:
             BadInput: The setup cannot be read.
             StorageError: A file is missing or damaged.
         """
+        for was, _, now in self.again():
+            told = parse_json(json.dumps(now.entry))
+            yield was, [name for name in told if told[name] != was.get(name)]
+
+    def again(self) -> Iterator[tuple[dict[str, Any], np.ndarray, Decision]]:
+        """Go through the print once more.
+
+        Yields:
+            Of each turn the decision as recorded, the frames, [angle, row, column], and the decision made anew.
+
+        Raises:
+            BadInput: The setup cannot be read.
+            StorageError: A file is missing or damaged.
+        """
         setup, part, light = self.setup(), self.part(), np.array(map_npy(self.folder / "live-light.npy"))
         told: Sequence[dict[str, Any]] = self.decisions
         showed = [was.get("showed", ()) for was in told]
-        seen = (np.array(map_npy(self._frames(turn))) for turn in range(1, len(told) + 1))
-        for was, now in zip(told, setup.loop(part, light).replay(seen, showed), strict=True):
-            again = parse_json(json.dumps(now.entry))
-            yield was, [name for name in again if again[name] != was.get(name)]
+        seen = [np.array(map_npy(self._frames(turn))) for turn in range(1, len(told) + 1)]
+        yield from zip(told, seen, setup.loop(part, light).replay(seen, showed), strict=True)
 
     def _frames(self, turn: int) -> Path:
         return self.folder / f"live-frames-{turn:04}.npy"

@@ -1,13 +1,16 @@
-"""Films, frame by frame in gray levels."""
+"""Films, frame by frame: read in gray levels, written in color."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vamgpu.errors import StorageError
+from vamgpu.storage.atomic import explained, replacing
 from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import open_file
 
@@ -59,6 +62,42 @@ def read_film(path: str | Path) -> tuple[np.ndarray, str]:
     except (OSError, ValueError, FFmpegError, EOFError, MemoryError) as error:
         said = getattr(error, "strerror", None) or error
         raise StorageError(f"cannot read {str(path)!r}: {said}; expected a film: export it again") from error
+
+
+def write_film(path: str | Path, pictures: Iterable[np.ndarray], rate: float) -> Path:
+    """Write a film that common players show.
+
+    Args:
+        path: Where to, ending in .mp4; its folder exists.
+        pictures: uint8 [row, column, color], all of one size, which is made even.
+        rate: Pictures a second.
+
+    Returns:
+        The path written.
+
+    Raises:
+        StorageError: The path has another ending, is there already, or cannot be written.
+    """
+    import av
+    from av.error import FFmpegError
+
+    place = Path(path)
+    if place.suffix.lower() != ".mp4":
+        raise StorageError(f"cannot write {str(place)!r}: expected a film that ends in .mp4")
+    try:
+        with replacing(place) as draft, av.open(str(draft), "w", format="mp4") as film:
+            stream: Any = film.add_stream("libx264", rate=Fraction(rate).limit_denominator(1001), options={"crf": "16"})
+            for index, picture in enumerate(pictures):
+                even = picture[: len(picture) // 2 * 2, : picture.shape[1] // 2 * 2]
+                if index == 0:
+                    stream.height, stream.width, stream.pix_fmt = *even.shape[:2], "yuv420p"
+                film.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(even), format="rgb24")))
+            film.mux(stream.encode())
+    except FFmpegError as error:
+        raise StorageError(f"cannot encode {str(place)!r}: {error}") from error
+    except OSError as error:
+        raise explained("write", place, error) from error
+    return place
 
 
 def _gray(frame: Any) -> np.ndarray:

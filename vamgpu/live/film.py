@@ -1,0 +1,115 @@
+"""A film of a print that was watched: turn by turn what the camera saw, and what was made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vamgpu.live.loop import Decision
+from vamgpu.live.maps import cuts
+from vamgpu.live.record import LiveRecord
+from vamgpu.reports import style
+from vamgpu.storage.films import write_film
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+BRIGHT = 1.5
+"""Dose of the brightest color, over that from which resin is solid."""
+CURVES = {"sensitivity": style.BLUE, "absorption": style.ORANGE, "inhibitor": style.GREEN}
+"""Of what is estimated, what is drawn over the turns; all are 1 where nothing is off."""
+
+
+def film(record: LiveRecord, path: str | Path, rate: float = 1.0) -> Path:
+    """Make the film; every turn is decided anew for it.
+
+    Args:
+        record: Of the print.
+        path: Where to, ending in .mp4.
+        rate: Turns a second.
+
+    Returns:
+        The path written.
+
+    Raises:
+        BadInput: The setup cannot be read.
+        StorageError: A file of the record is missing or damaged, or the film cannot be written.
+    """
+    return write_film(path, pictures(record), rate)
+
+
+def pictures(record: LiveRecord) -> Iterator[np.ndarray]:
+    """One picture a turn.
+
+    Args:
+        record: Of the print.
+
+    Yields:
+        uint8 [row, column, color], all of one size.
+
+    Raises:
+        BadInput: The setup cannot be read.
+        StorageError: A file is missing or damaged.
+    """
+    part, open_field, count = record.part(), record.setup().open_field, len(record.decisions)
+    before: list[Decision] = []
+    for _, frames, decision in record.again():
+        before.append(decision)
+        yield _pixels(drawn(part, frames, before, open_field, count))
+
+
+def drawn(part: np.ndarray, frames: np.ndarray, decisions: Sequence[Decision], open_field: float, count: int) -> Figure:
+    """A turn of a print as a figure.
+
+    Args:
+        part: Fractions, [x, y, z].
+        frames: Of the turn, gray levels, [angle, row, column].
+        decisions: Up to the one after this turn.
+        open_field: Gray level through the vial before the print.
+        count: Turns of the whole print.
+
+    Returns:
+        The figure; whoever saves it does so within `vamgpu.reports.style.styled`.
+    """
+    now = decisions[-1]
+    with style.styled():
+        figure, axes = style.sheet("cdv;ppp", 4.8, height_ratios=(1.4, 1.0), width_ratios=(1.0, 1.5, 1.5))
+        image = next((each for each in frames if np.isfinite(each).all()), np.zeros(frames.shape[1:]))
+        style.shown(axes["c"], image.T, "camera", cmap="gray", vmin=0.6 * open_field, vmax=1.05 * open_field)
+        for panel, title, values, most, colors in (
+            ("d", "dose, as estimated", now.dose, BRIGHT, style.DOSE),
+            ("v", "conversion, as seen", now.conversion, 1.0, "viridis"),
+        ):
+            axes[panel].imshow(cuts(np.zeros(part.shape) if values is None else values, part, most, colors))
+            axes[panel].set_title(title)
+            axes[panel].grid(False)
+            style.bare(axes[panel])
+        _curves(axes["p"], decisions, count)
+        figure.suptitle(f"after turn {now.turn}: {now.action}, light {now.version}, {now.turns} turns to go",
+                        x=0.01, ha="left", fontweight="bold")  # fmt: skip
+    return figure
+
+
+def _pixels(figure: Figure) -> np.ndarray:
+    with style.styled():
+        canvas: Any = figure.canvas
+        canvas.draw()
+        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _curves(axis: Any, before: Sequence[Decision], count: int) -> None:
+    found = [each for each in before if each.parameters]
+    for name, color in CURVES.items():
+        pairs = np.array([_pair(each.parameters, name, each.inhibitor) for each in found]).reshape(-1, 2)
+        turns = [each.turn for each in found]
+        axis.errorbar(turns, pairs[:, 0], pairs[:, 1], marker="o", markersize=4, capsize=2.5, color=color, label=name)
+    axis.axhline(1.0, color=style.FAINT, lw=1.0)
+    axis.set(xlim=(0.5, count + 0.5), ylim=(0.3, 1.5), xlabel="turn", title="over planned")
+    axis.legend(loc="upper left", ncols=len(CURVES))
+
+
+def _pair(parameters: Mapping[str, tuple[float, float]], name: str, inhibitor: float) -> tuple[float, float]:
+    return parameters.get(name, (inhibitor, 0.0))
