@@ -84,14 +84,7 @@ def simulate(
         OpticsWarning: some of the target lies beyond the judged cylinder, or irradiance or critical dose is a number so
             great that it was hardly meant in these units.
     """
-    on_voxels: Projection = direct(A)
-    return _simulated(on_voxels, frames, target, irradiance, critical_dose, absorption, threshold, progress)
-
-
-def _simulated(
-    A: Projection, frames: ShownLight, target: Any, irradiance: float | str | None, critical_dose: float | str | None,
-    absorption: float | None, threshold: float | None, progress: Callable[[float], None],
-) -> Proof:  # fmt: skip
+    A = direct(A)
     _both_or_neither(irradiance, critical_dose)
     if threshold is not None:
         threshold = positive("threshold", threshold)
