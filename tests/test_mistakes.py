@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -56,9 +56,9 @@ MISTAKES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "function of two": (lambda s: scene(lambda x, y: x), "function of body 'odd'.*expected φ"),
     "function of text": (lambda s: scene(lambda x, y, z: "solid"), "function of body 'odd'.*expected φ"),
     "loss that is a number": (
-        lambda s: solved(s, VoxelLoss(np.square, part=3)),
+        lambda s: solved(s, VoxelLoss(np.square, part=cast(Any, 3))),
         "part of a VoxelLoss is 3; expected a funct",
-    ),  # type: ignore[arg-type]
+    ),
 }
 
 

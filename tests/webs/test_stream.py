@@ -139,9 +139,10 @@ LOCAL = ["bclp", "cal", "penalty", "window", "lbfgs", OWN + 0.1 * Band.threshold
 def pieces(method: Any, core: float, longer: float = 1.0) -> tuple[np.ndarray, list[tuple[float, float]]]:
     """Light of a web by steps so many times longer, and the losses of its segments that print."""
     job = stream(part(LONG), method=method, core=core, iterations=15)
-    job.solver.pace = replace(job.solver.pace, step=longer * job.solver.step)
+    solver: Any = job.solver  # of methods that step by a pace
+    solver.pace = replace(solver.pace, step=longer * solver.step)
     own = slice(job.layout.overlap, None)
-    cut = [(job.solver.buffer().numpy()[own][: len(segment.images)], segment) for segment in job]
+    cut = [(solver.buffer().numpy()[own][: len(segment.images)], segment) for segment in job]
     losses = [segment.loss for _, segment in cut if segment.target.any()]
     return np.concatenate([light for light, _ in cut]), losses
 

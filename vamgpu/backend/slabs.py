@@ -31,6 +31,9 @@ class Pieces(list[DeviceArray]):
 class Copies:
     """A table: on any member that asked for it, or in the parts that the members wrote along an axis."""
 
+    shape: tuple[int, ...]
+    dtype: np.dtype
+
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype) -> None:
         self.shape, self.dtype = shape, dtype
         self._whole: dict[Device, DeviceArray] = {}
@@ -95,6 +98,8 @@ def _stored(device: Device, values: np.ndarray, *, table: bool = False) -> Devic
 
 class SlabDevice(Device):
     """Devices that share the slices of every field; a device may be a member more than once."""
+
+    members: tuple[Device, ...]
 
     def __init__(self, name: str, members: Sequence[Device]) -> None:
         if len({(type(member), member.is_gpu) for member in members}) != 1:

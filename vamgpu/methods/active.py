@@ -29,6 +29,9 @@ class ActiveScenarios:
         state: Of the run; a resumed one goes on with the scenarios that its memory names.
     """
 
+    scenarios: Scenarios | None
+    state: OptimizerState
+
     def __init__(self, state: OptimizerState) -> None:
         operator = state.operator
         self.scenarios = operator if isinstance(operator, Scenarios) and len(operator) > 1 else None

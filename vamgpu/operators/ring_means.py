@@ -77,6 +77,9 @@ def _of_belt(rings: PolarGrid, number: int, shape: tuple[int, int], pitch: float
 class _Means(LinearOperator):
     """What both ways share: one matrix for all slices, by rows and by columns, and a resampling along z."""
 
+    grid: Grid
+    rings: PolarGrid
+
     def __init__(self, grid: Grid, rings: PolarGrid, device: str | Device | None) -> None:
         for value, kind in ((grid, Grid), (rings, PolarGrid)):
             if not isinstance(value, kind):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from math import ceil
-from typing import Any, final
+from typing import Any, final, overload
 
 import numpy as np
 
@@ -129,6 +129,10 @@ class RingProjection(LinearOperator):
         self.device.launch(gather_rows, source=on_rings, **self._to_voxels, out=out)
 
 
+@overload
+def direct(A: Projection | RingProjection) -> Projection: ...
+@overload
+def direct(A: Any) -> Any: ...
 def direct(A: Any) -> Any:
     """The operator on voxels of one on rings; any other operator itself."""
     return A.direct if isinstance(A, RingProjection) else A

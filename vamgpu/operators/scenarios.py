@@ -9,6 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Grid
 from vamgpu.kernels.resample import resample
@@ -38,6 +39,9 @@ class Scenarios(Derived):
 
     domain: Space
     range: Space
+    device: Device
+    grid: Grid
+    projections: float
     operators: tuple[LinearOperator, ...]
     mix: np.ndarray
 

@@ -67,7 +67,9 @@ class WebInsertProjection(LinearOperator):
     beam: Beam
     light: Propagation
     vessel: None
+    wrap: Wrap
     motion: WebMotion
+    device: Device
 
     def __init__(
         self,

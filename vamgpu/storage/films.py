@@ -70,7 +70,7 @@ def write_film(path: str | Path, pictures: Iterable[np.ndarray], rate: float) ->
     Args:
         path: Where to, ending in .mp4; its folder exists.
         pictures: uint8 [row, column, color], all of one size, which is made even.
-        rate: Pictures a second.
+        rate: Pictures a second [1/s].
 
     Returns:
         The path written.
