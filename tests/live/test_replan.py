@@ -108,6 +108,15 @@ def test_the_rest_is_as_much_as_brings_the_surface_home() -> None:
     assert off[1] < 0.8 * best and off[0] < 1.1 * best
 
 
+def test_light_that_cannot_suffice_is_given_all_the_same() -> None:
+    A, part, light, _ = setup()
+    weak = Replanner(part, most=0.3 * float(light.max()))
+    wanted = np.asarray(A.T(TURNS * light))
+    plan = weak.replan(A, 0.0 * part, 0.3 * light, 6, range(7), evaluations=1, wanted=wanted)
+    assert plan.expected.turns == 6 and plan.evaluations <= 1
+    assert np.asarray(plan.light).max() <= weak.most * (1.0 + 1e-5)
+
+
 def test_voxels_over_their_limit_have_no_weight() -> None:
     _, part, _, replanner = setup()
     delivered = np.where(part > 0, 0.5, 0.3)

@@ -39,6 +39,8 @@ ROUNDING = 1e-6
 """Share by which light may seem to exceed a bound."""
 RATIO = 5.0
 """By which a pixel of the plan is brightened at most for the dose that is wanted."""
+FORMED = 1.0
+"""Distance from the part's [voxels] within which a surface must lie where a print may stop."""
 WORTH = 0.02
 """By which further turns must bring the surface nearer to the part's [voxels]."""
 
@@ -170,19 +172,19 @@ class Replanner:
             begin = state.memory["light"] = state.sinogram()
             state.scale(missing, light, begin)
             fewest = self._turns(begin, counts)
-            if wanted is not None:
+            if wanted is not None and state.affords(1.0 + 0.5):
                 self._corrected(state, begin, missing, dose, given, finite(operator.domain, wanted, device,
                                 "the wanted dose"))  # fmt: skip
             capped(begin, fewest * self.most)
             best = self._lowered(state, loss, given, fewest)
             state.expose(best, dose)
-            share = border.share(given, dose)
+            share = min(border.share(given, dose), counts[-1] * self.most / max(extent(best)[1], 1e-30))
             state.scale(share, best, best)
-            capped(best, counts[-1] * self.most)
             state.combine(1.0, given, share, dose, work)
             needed = self._turns(best, counts)
             expected, best_off = self._outlook(needed, work, target, state), border.off(work)
-        if counts[0] == 0 and border.off(given) <= min(best_off, kept_off if possible else inf) + WORTH:
+        off = border.off(given)
+        if counts[0] == 0 and off <= min(FORMED, min(best_off, kept_off if possible else inf) + WORTH):
             dark = state.device.upload(np.zeros(light.shape, np.float32))
             return Replanned(dark, kept, self._outlook(0, given, target, state), state.evaluations)
         if best is None or (possible and kept_off <= best_off):
