@@ -112,7 +112,8 @@ def test_a_killed_planning_process_leaves_the_last_version(made: Callable[..., L
     live = made("dies")
     live.waits = {3: answered(1), 6: lambda link: link._gone}
     told = live.run()
-    assert kinds(told) == ["swap", "live lost"] and told.shown["version"].tolist() == [0] * COUNT + [1] * 3 * COUNT
+    assert sorted(kinds(told)) == ["live lost", "swap"], "whichever is told first"
+    assert told.shown["version"].tolist() == [0] * COUNT + [1] * 3 * COUNT
     assert "the planning process is gone" in live.board.now.live
 
 
