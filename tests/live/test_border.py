@@ -28,6 +28,6 @@ def test_the_share_that_brings_the_surface_home_is_found() -> None:
     assert BORDER.share(cube(10.0), cube(10.0)) == pytest.approx(0.0, abs=0.003)
 
 
-def test_a_part_without_a_surface_is_never_off() -> None:
+def test_a_part_without_a_surface_never_has_one() -> None:
     border = Border(np.ones((4, 4, 4)), 0.8)
-    assert border.off(np.zeros((4, 4, 4))) == 0.0
+    assert border.off(np.zeros((4, 4, 4))) == FARTHEST

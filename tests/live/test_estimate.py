@@ -122,6 +122,13 @@ def test_nonsense_is_refused(value: float) -> None:
         estimator.estimate(light, np.full(dose.shape, value), 0.01, Prior.of())
 
 
+@pytest.mark.parametrize("start", [np.ones(6), np.full(7, np.nan)])
+def test_a_start_is_a_value_for_each_parameter(start: np.ndarray) -> None:
+    estimator, light, _ = setup()
+    with pytest.raises(BadInput, match="expected 7 finite values"):
+        estimator.estimate(light, seen(0), NOISE, Prior.of(), start=start)
+
+
 def test_a_vial_gives_the_prior_and_takes_the_posterior() -> None:
     estimator, light, _ = setup()
     used = ResinHistory("resin", 20.0, oxygen=0.8)

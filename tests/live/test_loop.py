@@ -105,6 +105,11 @@ def test_a_print_in_aged_resin_is_saved_and_replayed_bit_by_bit(tmp_path, capsys
     with pytest.raises(StorageError, match="live.mp4"):
         film(record, tmp_path / "live.mp4")
 
+    with pytest.raises(BadInput, match="rate"):
+        film(record, tmp_path / "other.mp4", rate=0.0)
+    with pytest.raises(StorageError, match="no such folder"):
+        film(record, tmp_path / "none" / "live.mp4")
+
     with pytest.raises(StorageError, match="another folder"):
         record.begin(made, part, light)
     replay(tmp_path / "run")

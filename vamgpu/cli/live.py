@@ -55,11 +55,10 @@ def film(run: Path, /, out: Path = Path("live.mp4"), rate: float = 1.0) -> None:
         out: the film, ending in .mp4; its folder exists
         rate: turns a second
     """
-    from vamgpu.geometry import positive
     from vamgpu.live import LiveRecord
     from vamgpu.live.film import film as drawn
 
-    made = drawn(LiveRecord(_place(run)), out, positive("rate [turns/s]", rate))
+    made = drawn(LiveRecord(_place(run)), out, rate)
     console().print(f"film    [bold]{escape(str(made))}[/]")
 
 

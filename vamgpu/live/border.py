@@ -43,7 +43,7 @@ class Border:
             dose: Of the whole print, [x, y, z].
 
         Returns:
-            Root mean square [voxels], up to `FARTHEST`; 0 for a part without a surface.
+            Root mean square [voxels], up to `FARTHEST`, which a part without a surface always has.
         """
         return self._rms(*self._ends(dose))
 
@@ -71,6 +71,6 @@ class Border:
 
     def _rms(self, inside: np.ndarray, outside: np.ndarray) -> float:
         if not inside.size:
-            return 0.0
+            return FARTHEST
         crossed = (inside - self.threshold) / np.maximum(inside - outside, STEEPEST * self.threshold)
         return float(np.sqrt(np.mean(np.square(np.clip(crossed - 0.5, -FARTHEST, FARTHEST)))))

@@ -312,6 +312,8 @@ class Estimator:
         base = 0.0 if before is None else before.dose.reshape(-1)[used]
         whitening = np.linalg.inv(np.linalg.cholesky(prior.covariance))
         values = np.array(prior.mean if start is None else start, float)
+        if values.shape != prior.mean.shape or not np.isfinite(values).all():
+            raise BadInput(f"start is {start!r}; expected {len(NAMES)} finite values of {', '.join(NAMES)}")
         data, residuals, optical = np.empty((0, len(NAMES))), np.empty(0), list(OPTICAL)
         near: _Near | None = None
         for _ in range(self.rounds):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vamgpu.geometry import positive
 from vamgpu.live.loop import Decision
 from vamgpu.live.maps import cuts
 from vamgpu.live.record import LiveRecord
@@ -35,10 +36,10 @@ def film(record: LiveRecord, path: str | Path, rate: float = 1.0) -> Path:
         The path written.
 
     Raises:
-        BadInput: The setup cannot be read.
+        BadInput: The setup cannot be read, or the rate is not above 0.
         StorageError: A file of the record is missing or damaged, or the film cannot be written.
     """
-    return write_film(path, pictures(record), rate)
+    return write_film(path, pictures(record), positive("rate [turns/s]", rate))
 
 
 def pictures(record: LiveRecord) -> Iterator[np.ndarray]:
@@ -54,7 +55,7 @@ def pictures(record: LiveRecord) -> Iterator[np.ndarray]:
         BadInput: The setup cannot be read.
         StorageError: A file is missing or damaged.
     """
-    part, open_field, count = record.part(), record.setup().open_field, len(record.decisions)
+    part, open_field, count = record.part(), record.setup().open_field, len(record.decided())
     before: list[Decision] = []
     for _, frames, decision in record.again():
         before.append(decision)

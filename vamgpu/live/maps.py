@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from vamgpu.errors import ShapeMismatch
+from vamgpu.geometry import positive
 from vamgpu.reports.chart import colored
 
 TALL = 160
@@ -24,7 +26,16 @@ def cuts(field: np.ndarray, part: np.ndarray, most: float, colors: str = "magma"
 
     Returns:
         The picture, uint8 [row, column, color]: x to the right; y, and z, upwards.
+
+    Raises:
+        ShapeMismatch: Field and part are of unlike grids.
+        BadInput: ``most`` is not above 0.
     """
+    most = positive("most", most)
+    if np.ndim(field) != 3 or np.shape(field) != np.shape(part):
+        raise ShapeMismatch(
+            f"the field has shape {np.shape(field)}, the part {np.shape(part)}; expected [x, y, z] of one grid"
+        )
     nx, ny, nz = field.shape
     drawn = [
         _drawn(field[:, :, nz // 2].T, part[:, :, nz // 2].T, most, colors),

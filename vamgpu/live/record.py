@@ -29,6 +29,8 @@ from vamgpu.storage.reading import parse_json, read_text
 SETUP, DECISIONS = "live.json", "live.jsonl"
 STAGES = ("sense", "see", "estimate", "replan", "pack", "upload")
 """Of a decision: images come in, become a field, parameters, light and frames, and these are checked and kept."""
+ENTRY = "turn", "action", "version", "turns", "inhibitor", "parameters", "iou", "reason", "light"
+"""What every decision of a record has."""
 
 
 @dataclass(frozen=True)
@@ -220,10 +222,24 @@ class LiveRecord:
                     was = told[each.pop("of")]
                     was |= each | {"stages": was.get("stages", {}) | each["stages"]}
                 else:
-                    told[each["turn"]] = each
+                    told[each["turn"]] = {name: each[name] for name in ENTRY} | each
         except (ValueError, KeyError, TypeError) as error:
             raise StorageError(f"{DECISIONS} in {str(self.folder)!r} is damaged: {error!r}") from error
         return list(told.values())
+
+    def decided(self) -> list[dict[str, Any]]:
+        """The decisions, of which there is one at least.
+
+        Returns:
+            As `decisions`.
+
+        Raises:
+            StorageError: There is none, or the file is missing or damaged.
+        """
+        told = self.decisions
+        if not told:
+            raise StorageError(f"{str(self.folder)!r} holds no decision; take the record of a print that was watched")
+        return told
 
     def setup(self) -> LiveSetup:
         """What the loop was made of.

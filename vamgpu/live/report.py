@@ -40,7 +40,7 @@ def page(
         BadInput: The setup cannot be read.
         StorageError: A file is missing or damaged.
     """
-    told, setup = record.decisions, record.setup()
+    told, setup = record.decided(), record.setup()
     found = [each for each in told if each["parameters"]]
     swaps = sum(each["action"] == "swap" for each in told)
     last = told[-1]

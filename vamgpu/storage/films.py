@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
@@ -76,7 +77,7 @@ def write_film(path: str | Path, pictures: Iterable[np.ndarray], rate: float) ->
         The path written.
 
     Raises:
-        StorageError: The path has another ending, is there already, or cannot be written.
+        StorageError: The path has another ending, no folder, is there already, or cannot be written.
     """
     import av
     from av.error import FFmpegError
@@ -84,6 +85,8 @@ def write_film(path: str | Path, pictures: Iterable[np.ndarray], rate: float) ->
     place = Path(path)
     if place.suffix.lower() != ".mp4":
         raise StorageError(f"cannot write {str(place)!r}: expected a film that ends in .mp4")
+    if not place.parent.is_dir():
+        raise explained("write", place, FileNotFoundError(errno.ENOENT, "no such folder"))
     try:
         with replacing(place) as draft, av.open(str(draft), "w", format="mp4") as film:
             stream: Any = film.add_stream("libx264", rate=Fraction(rate).limit_denominator(1001), options={"crf": "16"})
@@ -93,6 +96,8 @@ def write_film(path: str | Path, pictures: Iterable[np.ndarray], rate: float) ->
                     stream.height, stream.width, stream.pix_fmt = *even.shape[:2], "yuv420p"
                 film.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(even), format="rgb24")))
             film.mux(stream.encode())
+    except StorageError:
+        raise
     except FFmpegError as error:
         raise StorageError(f"cannot encode {str(place)!r}: {error}") from error
     except OSError as error:
