@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, prod
 from typing import ClassVar
 
 from vamgpu.errors import OutOfMemory
@@ -14,14 +14,16 @@ from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
 
 MANY = 64.0
-"""Evaluations from which on prices lead to a wider window than thresholds."""
+"""Evaluations from which on prices lead to a wider window than thresholds, on slices."""
+VOXELS = 110.0
+"""Voxels of a solid that each evaluation must stand for at most for prices to lead."""
 VOLUMES, SINOGRAMS = 12, 6
 """Memory that prices take."""
 
 
 @dataclass(frozen=True)
 class BestWindow(Method):
-    """`ProcessWindow` where a run may spend fewer than 64 evaluations, else `WidestWindow`; nothing to choose.
+    """`WidestWindow` where a run may spend 64 evaluations, and one for every 110 voxels; else `ProcessWindow`.
 
     Bodies with weights, and gray ones, which prices hold from below alone, are `ProcessWindow`'s at any number.
 
@@ -60,7 +62,8 @@ class BestWindow(Method):
 
 def _many(state: OptimizerState) -> bool:
     """Whether prices lead: for a run that may spend enough, and for one whose light may not be too bright."""
-    return state.budget - state.evaluations >= MANY or state.brightness < inf
+    enough = max(MANY, prod(state.operator.domain.shape) / VOXELS)
+    return state.budget - state.evaluations >= enough or state.brightness < inf
 
 
 def _by_thresholds(state: OptimizerState) -> bool:
