@@ -82,6 +82,7 @@ def check_sum(data: bytes) -> int:
     return value
 
 
+@dataclass(eq=False)
 class EmulatedLens(LineDevice):
     """The driver's firmware and the lens behind it.
 
@@ -89,36 +90,25 @@ class EmulatedLens(LineDevice):
     as some units do, ``sensor`` False is a lens without a thermometer and memory.
     """
 
-    model: LensModel
-    firmware: str
-    sensor: bool
-    legacy: bool
-    stray: bool
-    mode: int
-    current_code: int
-    power_code: int
-    handshakes: int
-    settings: int
+    model: LensModel = LensModel()
+    firmware: str = "A"
+    celsius: float = 25.0
+    baud: int = 115200
+    latency_us: float = 100.0
+    sensor: bool = True
+    legacy: bool = False
+    stray: bool = False
 
-    def __init__(
-        self,
-        model: LensModel = LensModel(),
-        firmware: str = "A",
-        celsius: float = 25.0,
-        baud: int = 115200,
-        latency_us: float = 100.0,
-        sensor: bool = True,
-        legacy: bool = False,
-        stray: bool = False,
-    ) -> None:
-        super().__init__(latency_us, round(10 * SECOND / baud))
-        self.model, self.firmware, self.sensor, self.legacy, self.stray = model, firmware, sensor, legacy, stray
-        self.celsius: float = celsius
-        self.mode, self.current_code, self.power_code = CURRENT, 0, 0
+    def __post_init__(self) -> None:
+        super().__init__(self.latency_us, round(10 * SECOND / self.baud))
+        self.mode: int = CURRENT
+        self.current_code: int = 0
+        self.power_code: int = 0
         self.window: tuple[float, float] | None = None
-        self.handshakes = self.settings = 0
+        self.handshakes: int = 0
+        self.settings: int = 0
         self.refused: list[int] = []
-        self._glass = LensDynamics(model)
+        self._glass = LensDynamics(self.model)
         self._heard = 0
 
     # the line
