@@ -36,7 +36,7 @@ class EmulatedScreen:
 
     clock: VirtualClock
     size: tuple[int, int]
-    rate_hz: int = 60
+    rate_hz: float = 60.0
     order: str = "GR"
     bits: int = 8
     latency: int = 1
@@ -45,11 +45,12 @@ class EmulatedScreen:
     hitches: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._rate = round(self.rate_hz)
         self.repeated: int = 0
         self.video_frames: int = 0
         self._frame = np.zeros((*self.size, 3), np.uint8)
         self._scanned: deque[tuple[int, np.ndarray, bool]] = deque()
-        self._refresh = self.clock.now() * self.rate_hz // SECOND + 1
+        self._refresh = self.clock.now() * self._rate // SECOND + 1
         self._slot = (self._refresh + self.latency) * len(self.order)
         self._fresh = True
         self.closed: bool = False
@@ -58,11 +59,11 @@ class EmulatedScreen:
 
     def refresh_time(self, refresh: int) -> int:
         """When a refresh is [ns]."""
-        return -(-refresh * SECOND // self.rate_hz)
+        return -(-refresh * SECOND // self._rate)
 
     def slot_time(self, slot: int) -> int:
         """When a slot begins [ns]."""
-        return -(-slot * SECOND // (self.rate_hz * len(self.order)))
+        return -(-slot * SECOND // (self._rate * len(self.order)))
 
     def show(self, video_frame: np.ndarray, /) -> int:
         """Take a video frame for the next refresh, and return once that is reached, as a window in step does."""
