@@ -15,7 +15,7 @@ import numpy as np
 
 from vamgpu.curethrough.correction import Correction, Corrector
 from vamgpu.curethrough.dose import Judge, blocks
-from vamgpu.curethrough.machine import Machine
+from vamgpu.curethrough.printer import Machine
 from vamgpu.errors import BadInput
 
 WEIGHT = 20.0
