@@ -112,7 +112,7 @@ def test_pixels_that_say_nothing_weigh_nothing() -> None:
 
 
 @pytest.mark.parametrize("vial", [None, vam.Vial(6.0, 0.8, 1.48, 1.47, 1.3)])
-def test_measured_on_a_device_as_in_numpy(device: Device, vial: Any) -> None:
+def test_measured_on_a_device_as_in_numpy(device: Any, vial: Any) -> None:
     field = 200.0 + 10.0 * np.random.default_rng(0).random(camera("numpy").shape[1:])
     eye, posed = (camera(device, field, vial, noise=SensorNoise(1.0, 0.3, 8), pose=pose)
                   for pose in (CameraPose(), CameraPose(roll=1e-9)))  # fmt: skip

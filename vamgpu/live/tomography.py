@@ -200,7 +200,11 @@ class Tomograph:
     def _unbiased(self, depth: DeviceArray, extinction: DeviceArray, values: np.ndarray) -> DeviceArray:
         """Depths less by how much deeper the camera sees a field than the linear operator says, [angle, r, z]."""
         index = self.turbidity.index_at(self.turbidity.conversion_at(values)) if self.turbidity.index else None
-        dark, linear, out = self.camera.darkened(extinction, index), self._A(extinction), self._device.empty(depth.shape)
+        dark, linear, out = (
+            self.camera.darkened(extinction, index),
+            self._A(extinction),
+            self._device.empty(depth.shape),
+        )
         combine(1.0, depth, 0.0, depth, out)
         self._device.launch(take_bias, dark=dark, linear=linear, reached=self.camera.share, depth=out)
         return out
