@@ -69,9 +69,8 @@ def draw_noise(weight: Sinogram, slices: Numbers, seed: Integer, noise: Sinogram
         second = hashed(first)
     near, turn = (((each >> np.uint32(8)) + 0.5) / 2.0**24 for each in (first, second))
     normal = np.sqrt(-2.0 * np.log(near)) * np.cos(2.0 * np.pi * turn)
-    noise[...] = np.where(
-        weight > 0.0, normal.reshape(weight.shape) / np.sqrt(np.where(weight > 0.0, weight, 1.0)), 0.0
-    )
+    known = np.where(weight > 0.0, weight, 1.0)
+    noise[...] = np.where(weight > 0.0, normal.reshape(weight.shape) / np.sqrt(known), 0.0)
 
 
 def hashed(number: np.ndarray) -> np.ndarray:

@@ -124,8 +124,8 @@ def test_measured_on_a_device_as_in_numpy(device: Any, vial: Any) -> None:
     assert weight == pytest.approx(np.divide(known, share**2, out=np.zeros_like(known), where=share > 0), rel=1e-5)
     assert (depth[..., 1:] != 0).any() and not weight[0].any()
     images[:2] = 100.0  # a pose resamples, and knows no more about what was lost
-    seen, turned = (each.measured(images)[0].numpy() for each in (eye, posed))
-    assert np.abs(turned - seen).max() < 1e-3 * np.abs(seen).max()
+    for seen, turned in zip(eye.measured(images), posed.measured(images), strict=True):
+        assert np.abs(turned.numpy() - seen.numpy()).max() < 1e-3 * np.abs(seen.numpy()).max()
 
 
 def test_turbidity_there_and_back() -> None:
