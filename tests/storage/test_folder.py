@@ -147,7 +147,7 @@ def test_an_interrupted_write_leaves_nothing_behind(
     def stop(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(module, "digest", stop)  # by then the frames are written, the manifest is not
+    monkeypatch.setattr(module, "describe", stop)  # by then the frames are written, the manifest is not
     with pytest.raises(error):
         write(tmp_path / "a.vam")
     assert not list(tmp_path.iterdir())
