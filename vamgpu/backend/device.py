@@ -191,8 +191,6 @@ class Device(ABC):
         reference, which computes in float64, refuses them too, so that devices agree on what they take.
         """
         source = np.asarray(values)
-        if not table and source.ndim != 3:
-            raise BadInput(f"a field has 3 axes; got an array of shape {source.shape}")
         return self.gather(source.shape, [source], dtype, table=table)
 
     @final
@@ -200,7 +198,9 @@ class Device(ABC):
         self, shape: tuple[int, ...], parts: Iterable[np.ndarray], dtype: Any = None, *, table: bool = False
     ) -> DeviceArray:
         """A field or a table whose entries along the first axis come in parts, one after the other, as for `upload`."""
-        array, first = None, 0
+        if not table and len(shape) != 3:
+            raise BadInput(f"a field has 3 axes; got an array of shape {shape}")
+        array, first, most = None, 0, 0.0
         for source in parts:
             if source.dtype.kind not in "fiub":
                 raise BadInput(f"the array holds {source.dtype}; expected real numbers")
@@ -211,11 +211,17 @@ class Device(ABC):
                     shape, dtype if dtype is not None else (source.dtype if table else None), table=table
                 )
                 self.ledger.cross("upload", array.nbytes)
-            _check_range(source, array.dtype)
+            most = max(most, _checked(source, array.dtype))
             self._store(array, source, first)
             first += source.shape[0] if source.ndim else 1
         if array is None or first != (shape[0] if shape else 1):
             raise ShapeMismatch(f"got {first} entries along the first axis; expected those of {shape}")
+        least = float(np.finfo(np.float32).tiny)
+        if 0.0 < most < least:
+            raise BadInput(
+                f"the greatest number of the array is {most:.3g}, which float32 takes for nothing; expected "
+                f"{least:.3g} or more: scale it"
+            )
         return array
 
     def _store(self, array: DeviceArray, source: np.ndarray, first: int = 0) -> None:
@@ -475,10 +481,10 @@ class _Memory:
         return given | {"data": (given["data"][0], False)}
 
 
-def _check_range(source: np.ndarray, kind: np.dtype) -> None:
-    """Refuse numbers that the target type would turn into infinity, into others, or all of them into nothing."""
+def _checked(source: np.ndarray, kind: np.dtype) -> float:
+    """Refuse numbers that the target type would turn into infinity or into others; the greatest that could vanish."""
     if not source.size or source.dtype == kind != np.float64 or source.dtype.kind == "b":
-        return
+        return 0.0
     low, high = source.min(), source.max()
     if kind.kind in "iu":
         bounds = np.iinfo(kind)
@@ -486,14 +492,11 @@ def _check_range(source: np.ndarray, kind: np.dtype) -> None:
             raise BadInput(f"the array reaches from {low} to {high}; {kind} holds {bounds.min} to {bounds.max}")
     elif kind.kind == "f" and kind.itemsize >= 4:
         most = max(-float(low), float(high))
-        least, largest = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+        largest = float(np.finfo(np.float32).max)
         if most > largest:
             raise BadInput(f"the array holds {most:.3g}; expected at most {largest:.3g}, as float32 does: scale it")
-        if 0.0 < most < least:
-            raise BadInput(
-                f"the greatest number of the array is {most:.3g}, which float32 takes for nothing; expected "
-                f"{least:.3g} or more: scale it"
-            )
+        return most
+    return 0.0
 
 
 def _strips(first: int, last: int, each: int) -> Iterator[tuple[int, int]]:

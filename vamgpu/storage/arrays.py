@@ -17,7 +17,7 @@ import numpy as np
 from vamgpu.errors import StorageError
 from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import is_file, parse_json, read_text
-from vamgpu.storage.shards import ALONE, decode, threads, write_files
+from vamgpu.storage.shards import ALONE, LEVEL, decode, threads, write_files
 
 SHARD_BYTES = 64 * 2**20
 SHARD_CHUNKS = 512
@@ -57,7 +57,7 @@ def create(
         dtype=dtype,
         chunks=(1, *shape[1:]),
         shards=shards,
-        compressors=ZstdCodec(level=3, checksum=True),
+        compressors=ZstdCodec(level=LEVEL, checksum=True),
         dimension_names=axes,
         config={"write_empty_chunks": True},  # so that a file that went missing is not taken for darkness
     )
