@@ -2,8 +2,8 @@
 
     python profiling/storage.py --frames 10000 --shape 480 640 --at /var/tmp
 
-Rates are of frames as they are in memory. The disk's own are those of a plain file of as many bytes, written and brought
-to the disk, and read again from it; all files are dropped from the system's cache before they are read.
+Rates are of frames as they are in memory. The disk's own are those of a plain file of as many bytes, written and
+brought to the disk, and read again from it; all files are dropped from the system's cache before they are read.
 """
 
 from __future__ import annotations
@@ -104,8 +104,9 @@ def main() -> None:
         details = {"frames": {"bits": 8, "columns": shape[1], "scale": 1.0, "gray": vam.GrayCurve.linear().describe(),
                               "settings": {"flip_r": False, "flip_z": False, "shift": [0.0, 0.0]}}}  # fmt: skip
         axes = ("angle", "row", "column")
-        told("folder, written", seconds(lambda: write_folder(
-            job, {"frames": Entry(values, axes)}, inputs={}, details=details, device="numpy")), "disk, writing")  # fmt: skip
+        kinds = {"inputs": {}, "details": details, "device": "numpy"}
+        took = seconds(lambda: write_folder(job, {"frames": Entry(values, axes)}, **kinds))
+        told("folder, written", took, "disk, writing")
         kept = sum(path.stat().st_size for path in job.rglob("*") if path.is_file())
         print(f"{count / 1e9:.2f} GB of frames in {kept / 1e9:.2f} GB of files")
         told("folder, proven by hashes", seconds(lambda: Folder.open(job).verify(), job), "disk, reading")
@@ -116,8 +117,8 @@ def main() -> None:
             told(f"exported to {name}", seconds(lambda p=place: export(frames[0], p)), "disk, writing")
             shutil.rmtree(place) if place.is_dir() else place.unlink()
     if asked.records:
-        write_record(asked.records, f"storage-{asked.label}",
-                     {"machine": machine(), "frames": asked.frames, "shape": shape, "stored": kept, "rows": rows})  # fmt: skip
+        record = {"machine": machine(), "frames": asked.frames, "shape": shape, "stored": kept, "rows": rows}
+        write_record(asked.records, f"storage-{asked.label}", record)
 
 
 if __name__ == "__main__":
