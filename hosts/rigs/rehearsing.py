@@ -57,13 +57,9 @@ class Rehearsal:
 
     def levels(self, planned: PrintPlan, engine: int = 0, turns: int | None = None) -> np.ndarray:
         """What `seen` tells, as levels uint8 [image, row, column]. Raises `BadInput`."""
-        frames, table = planned.jobs[engine].frames, planned.schedule
-        if frames is None:
-            raise BadInput(f"{planned.jobs[engine].path!r} is no vial's job; ask the dose monitor what resin saw of it")
-        images = frames.shape[0]
-        turns = turns or len(table) // images
-        share = self.shares(planned, engine) / turns
-        return np.rint(share * (255 if frames.bits == 8 else 1)).astype(np.uint8)
+        shares = self.shares(planned, engine)
+        turns = turns or len(planned.schedule) // len(shares)
+        return np.rint(shares / turns * (255 if planned.bits == 8 else 1)).astype(np.uint8)
 
     def shares(self, planned: PrintPlan, engine: int = 0) -> np.ndarray:
         """Light that the resin of a vial got so far, in full-on slots, [image, row, column]. Raises `BadInput`."""
