@@ -8,7 +8,7 @@ Analoui, J. P. Allebach, Proc. SPIE 1666 (1992) 96), by the voxels that miss the
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -25,11 +25,11 @@ from vamgpu.operators.reductions import dot, total, window
 from vamgpu.operators.ring_projection import direct
 from vamgpu.printing.frames import Frames
 
-FULL_ON = (2.0, 1.0)
+FULL_ON = (8.0, 4.0, 2.0, 1.0)
 """Irradiance of full-on pixels to try, over the mean of the light, weighted by itself. Less of it than the brightest
-pixel lights more pixels, each by less; measured on a cross, a plate of holes and a boat."""
+pixel has lights more pixels, each by less, but light above it is lost: a boat keeps most at 6, a cross at 2."""
 SWEEPS = 8
-"""How often every pixel is asked."""
+"""How often every pixel is asked, once at each of `FULL_ON`."""
 TOGETHER = 3
 """Angles, a third of a turn apart, whose pixels are flipped together: their rays meet in few voxels."""
 THIRDS = 3
@@ -65,19 +65,15 @@ def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, floa
     fit = _Fit(A, fractions_of(A, target), light)
     bright = dot(light, light) / total(light)
     scales = [share * bright for share in FULL_ON] if scale is None else [scale]
-    window, lit, frames = max((fit.flipped(packed(light, full, "error-diffusion")) for full in scales), key=_width)
+    frames, lit, window = fit.flipped([packed(light, full, "error-diffusion") for full in scales])
     rounded = packed(light, scale, "round")
-    plain = fit.window(rounded.irradiance(A.device))
+    plain = fit.window(A.T(rounded.irradiance(A.device)))
     if plain >= window:
         warnings.warn(f"at {frames.shape[0]} angles rounding keeps a window of {plain:+.3f}, choosing pixels by their "
                       f"dose {window:+.3f}; the frames are rounded: take more angles, or 8 bits",
                       PackWarning, stacklevel=3)  # fmt: skip
         return rounded, plain
     return packed(lit, frames.scale, "round"), window
-
-
-def _width(found: tuple[float, DeviceArray, Frames]) -> float:
-    return found[0]
 
 
 @dataclass(frozen=True)
@@ -91,7 +87,7 @@ class _Fit:
     @cached_property
     def goal(self) -> dict[str, float]:
         """Least and most dose of the part, and the most of a void."""
-        return dict(zip(("least", "leak", "most"), self._extremes(self.light), strict=True))
+        return dict(zip(("least", "leak", "most"), self._extremes(self.A.T(self.light)), strict=True))
 
     @cached_property
     def side(self) -> DeviceArray:
@@ -114,27 +110,24 @@ class _Fit:
         shadow = A(self.A.device.upload(signs * lit.numpy()))
         return dot(shadow, shadow) / total(A(lit))
 
-    def window(self, light: DeviceArray) -> float:
-        """Strict window of the dose of light; −1 where it is dark."""
-        least, leak, greatest = self._extremes(light)
+    def window(self, dose: DeviceArray) -> float:
+        """Strict window of a dose; −1 where it is dark."""
+        least, leak, greatest = self._extremes(dose)
         return (least - leak) / greatest if greatest > 0.0 else -1.0
 
-    def _extremes(self, light: DeviceArray) -> tuple[float, float, float]:
-        least, leak, greatest = window(self.A.T(light), self.target, reach_of(self.A.grid))
+    def _extremes(self, dose: DeviceArray) -> tuple[float, float, float]:
+        least, leak, greatest = window(dose, self.target, reach_of(self.A.grid))
         return least, max(leak, 0.0), greatest
 
-    def flipped(self, frames: Frames) -> tuple[float, DeviceArray, Frames]:
-        """The strict window of frames with pixels flipped, their light, and the frames they began as."""
-        run = _Flips(self, frames)
-        best, kept = run.window, run.shown
-        for order in np.random.default_rng(0).permuted(np.tile(np.arange(len(self.poses)), (SWEEPS, 1)), axis=1):
+    def flipped(self, begun: Sequence[Frames]) -> tuple[Frames, DeviceArray, float]:
+        """Those of some frames that gain most, the light of their pixels once flipped, and its strict window."""
+        orders = np.random.default_rng(0).permuted(np.tile(np.arange(len(self.poses)), (SWEEPS, 1)), axis=1)
+        run = max((_Flips(self, frames).swept(orders[0]) for frames in begun), key=lambda each: each.best)
+        for order in orders[1:]:
             before = run.window
-            run.sweep(order)
-            if run.window > best:
-                best, kept = run.window, run.shown
-            if run.window == before:
+            if run.swept(order).window == before:
                 break
-        return best, kept, frames
+        return run.frames, run.kept, run.best
 
 
 class _Flips:
@@ -154,7 +147,7 @@ class _Flips:
         }
         groups = len(fit.poses)
         self.light = [self.device.upload(self._raised(lit[group::groups])) for group in range(groups)]
-        self.prices = {name: self.device.empty(fit.A.domain.shape) for name in ("brighter", "darker")}
+        self.best = -2.0
         self._judge()
 
     def _all(self, value: int) -> np.ndarray:
@@ -167,26 +160,30 @@ class _Flips:
         """Light that lit pixels have more than dark ones."""
         return (lit * self.step).astype(np.float32)
 
-    def sweep(self, order: np.ndarray) -> None:
+    def swept(self, order: np.ndarray) -> _Flips:
         """Ask every pixel once, groups of angles in an order."""
         fit, launch = self.fit, self.device.launch
+        prices = {name: self.device.empty(fit.A.domain.shape) for name in ("brighter", "darker")}
         usual = float(self.step[self.step > 0.0].mean()) * fit.share
         for group in order:
             A, light = fit.poses[group], self.light[group]
             change = self.device.empty(light.shape)
             for step in self.steps[A.motion.angles]:
-                launch(price_flips, dose=self.dose, side=fit.side, **fit.goal, step=usual, **self.prices)
-                gains = {name: A(price) for name, price in self.prices.items()}
+                launch(price_flips, dose=self.dose, side=fit.side, **fit.goal, step=usual, **prices)
+                gains = {name: A(price) for name, price in prices.items()}
                 launch(flip_pixels, **gains, step=step, light=light, change=change)
-                more = A.T(change, out=self.prices["darker"])
+                more = A.T(change, out=prices["darker"])
                 launch(linear, a=1.0, x=self.dose, b=1.0, y=more, floor=NO_FLOOR, out=self.dose)
         self._judge()
+        return self
 
     def _judge(self) -> None:
-        """The dose of the pixels as they are, in which no changes have been summed up, and its window."""
-        shown = np.empty(self.fit.light.shape, np.float32)
-        for group, light in enumerate(self.light):
-            shown[group :: len(self.light)] = self.black + light.numpy()
-        self.shown = self.device.upload(shown)
-        self.dose = self.fit.A.T(self.shown)
-        self.window = self.fit.window(self.shown)
+        """The dose of the pixels as they are, in which no changes have been summed up; keep the light of the best."""
+        light = np.empty(self.fit.light.shape, np.float32)
+        for group, raised in enumerate(self.light):
+            light[group :: len(self.light)] = self.black + raised.numpy()
+        shown = self.device.upload(light)
+        self.dose = self.fit.A.T(shown)
+        self.window = self.fit.window(self.dose)
+        if self.window > self.best:
+            self.best, self.kept = self.window, shown
