@@ -58,7 +58,9 @@ def main() -> None:
     parser.add_argument("--method", default="window", help="of both lights")
     parser.add_argument("--iterations", type=int, default=120)
     parser.add_argument("--only", choices=("nominal", "robust"), default=None)
-    parser.add_argument("--bound", type=int, default=0, help="evaluations of the nominal bound, steps of the robust one")
+    parser.add_argument(
+        "--bound", type=int, default=0, help="evaluations of the nominal bound, steps of the robust one"
+    )
     parser.add_argument("--device", default=None)
     parser.add_argument("--records", type=Path, default=HERE / "records")
     parser.add_argument("--label", default="here", help="of the machine, part of the record's name")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
 from math import sqrt
 from typing import Literal, final
@@ -149,6 +151,29 @@ class Projection(LinearOperator):
             self.device.launch(back_joseph, **fields, pitch=self.grid.pitch)
         else:
             self.device.launch(back_footprint, **fields, **self._light)
+
+    def of_poses(self, chosen: Sequence[int]) -> Projection:
+        """This projection at some of its angles; all that does not depend on them is shared.
+
+        Args:
+            chosen: Numbers of the angles, in order.
+
+        Returns:
+            The projection, whose light is [chosen angle, r, z].
+
+        Raises:
+            BadInput: Angles are lit for times of their own, which are shares of a whole turn's.
+        """
+        if self.motion.dwell is not None:
+            raise BadInput(f"got {self.motion} angles; expected angles that are lit as long")
+        some, poses = copy(self), self.motion.poses[list(chosen)]
+        for kept in ("_slices", "_transpose"):
+            some.__dict__.pop(kept, None)
+        some.motion = Turntable(poses)
+        some.range = SinogramSpace(self.beam, some.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
+        some._dwell = Dwell(some.motion, self.device)
+        some._directions = self.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
+        return some
 
     @property
     def row_weights(self) -> np.ndarray:
