@@ -30,17 +30,17 @@ SEEN = 0.6
 """Share of a turn whose images are looked at, more than a half of it; the rest is for planning and for the upload."""
 
 
-def light_of(frames: Frames, planned: int) -> np.ndarray:
-    """What frames shown in so many turns give in one of them, in the plan's units, [angle, r, z]."""
-    return (np.asarray(frames.irradiance().numpy(), float) / planned).astype(np.float32)
+def light_of(frames: Frames, planned: int, dose: float = 1.0) -> np.ndarray:
+    """What frames shown in so many turns give in one of them, in units of the resin's dose, [angle, r, z]."""
+    return (np.asarray(frames.irradiance().numpy(), float) * (dose / planned)).astype(np.float32)
 
 
-def levels_of(light: np.ndarray, frames: Frames, planned: int, operator: Projection) -> np.ndarray:
+def levels_of(light: np.ndarray, frames: Frames, planned: int, operator: Projection, dose: float = 1.0) -> np.ndarray:
     """Levels that show the light of a turn on the projector of a job's frames, [frame, row, column]."""
     if not light.any():
         return np.zeros(frames.shape, np.uint8)
     plan: Any = SimpleNamespace(
-        sinogram=operator.device.upload((planned * light).astype(np.float32)), operator=operator
+        sinogram=operator.device.upload((planned / dose * light).astype(np.float32)), operator=operator
     )  # fmt: skip
     placed = frames.settings
     return pack(
@@ -74,7 +74,7 @@ class Following:
         self._setup = LiveSetup.of(dict(task["settings"]))
         job = task["jobs"][0]
         self._frames = load_frames(job, "numpy")
-        light = light_of(self._frames, self._setup.planned)
+        light = light_of(self._frames, self._setup.planned, self._setup.dose)
         self._part = part = np.array(Folder.open(job).array("target"), np.float32)
         self._record = LiveRecord(Path(task["folder"]) / PLACE)
         self._loop = self._record.begin(self._setup, part, light)
@@ -159,7 +159,8 @@ class Following:
         return drawn
 
     def _propose(self, version: int, light: np.ndarray, turn: int, stop: int) -> None:
-        levels = levels_of(light, self._frames, self._setup.planned, self._loop.estimator.operator)
+        setup, operator = self._setup, self._loop.estimator.operator
+        levels = levels_of(light, self._frames, setup.planned, operator, setup.dose)
         self._proposed.append((version, turn - 1, time.perf_counter()))
         self._desk.propose([levels], turn, stop)
         self._stop = stop
