@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from full_disk import files_of_at_most
 
 import vamgpu as vam
 from vamgpu.backend.device import Device
@@ -119,17 +117,6 @@ def test_a_job_is_not_overwritten_unless_asked(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.vam", "precious"]
 
 
-@contextmanager
-def files_of_at_most(size: int) -> Iterator[None]:
-    """Let the system refuse to grow files, as a full disk does."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
 def test_a_full_disk_leaves_nothing_behind_and_the_old_job_alone(tmp_path: Path) -> None:
     write(tmp_path / "old.vam")
     big = np.random.default_rng(2).integers(0, 256, (2, 1000, 1000), np.uint8)
@@ -147,7 +134,7 @@ def test_an_interrupted_write_leaves_nothing_behind(
     def stop(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(module, "digest", stop)  # by then the frames are written, the manifest is not
+    monkeypatch.setattr(module, "describe", stop)  # by then the frames are written, the manifest is not
     with pytest.raises(error):
         write(tmp_path / "a.vam")
     assert not list(tmp_path.iterdir())

@@ -11,7 +11,6 @@ ROOT = Path(__file__).parents[2]
 DECODERS = {
     "vamgpu/storage/memory.py": {"read_text"},  # what the system says of a container
     "vamgpu/storage/reading.py": {"tomllib.loads", "json.loads", "os.open"},
-    "vamgpu/storage/arrays.py": {"zarr.open_array"},
     "vamgpu/storage/numpy_files.py": {"np.memmap"},
     "vamgpu/storage/zipped.py": {"ZipFile"},
     "vamgpu/storage/images.py": {"Image.open", "OpenEXR.File"},

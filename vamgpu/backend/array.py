@@ -47,6 +47,18 @@ class DeviceArray:
         """
         return self.device.download(self, out)
 
+    def part(self, first: int, last: int) -> np.ndarray:
+        """Copy entries of the first axis to NumPy, for arrays that memory does not hold twice.
+
+        Args:
+            first: The first entry.
+            last: The one after the last.
+
+        Returns:
+            The copy, [last - first, *shape[1:]].
+        """
+        return self.device.part(self, first, last)
+
     def native(self) -> Any:
         """The array as the device's own library has it, in logical shape and C order.
 

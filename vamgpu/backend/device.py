@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import prod
 from typing import Any, final
 
 import numpy as np
@@ -19,6 +20,8 @@ from vamgpu.kernels.update import linear
 
 SMALL = 4096
 """Transfers up to this many bytes (scalars, partial sums) are allowed everywhere."""
+STRIP = 1 << 25
+"""Bytes that are brought into another layout at once: fields may be larger than the memory that is left."""
 HOST = (1, 0)
 """Host memory, as DLPack names it."""
 
@@ -97,12 +100,12 @@ class Device(ABC):
         """A handle of uninitialized memory; ``shape`` is the stored shape."""
 
     @abstractmethod
-    def _write(self, handle: Any, stored: np.ndarray) -> None:
-        """Copy a contiguous host array into a handle."""
+    def _write(self, handle: Any, stored: np.ndarray, first: int = 0) -> None:
+        """Copy a contiguous host array into a handle, from its element ``first`` on."""
 
     @abstractmethod
-    def _read(self, handle: Any, stored: np.ndarray) -> None:
-        """Copy a handle into a contiguous host array."""
+    def _read(self, handle: Any, stored: np.ndarray, first: int = 0) -> None:
+        """Copy what a handle holds from its element ``first`` on into a contiguous host array."""
 
     @abstractmethod
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
@@ -188,33 +191,69 @@ class Device(ABC):
         reference, which computes in float64, refuses them too, so that devices agree on what they take.
         """
         source = np.asarray(values)
-        if source.dtype.kind not in "fiub":
-            raise BadInput(f"the array holds {source.dtype}; expected real numbers")
-        if not table and source.ndim != 3:
-            raise BadInput(f"a field has 3 axes; got an array of shape {source.shape}")
-        if source.dtype.kind == "f" and not np.isfinite(source).all():
-            raise BadInput("the array holds NaN or infinity; clean it before uploading")
-        kind = np.dtype(dtype) if dtype is not None else (source.dtype if table else self.real)
-        _check_range(source, kind)
-        array = self.empty(source.shape, kind, table=table)
-        self.ledger.cross("upload", array.nbytes)
-        self._store(array, source)
+        return self.gather(source.shape, [source], dtype, table=table)
+
+    @final
+    def gather(
+        self, shape: tuple[int, ...], parts: Iterable[np.ndarray], dtype: Any = None, *, table: bool = False
+    ) -> DeviceArray:
+        """A field or a table whose entries along the first axis come in parts, one after the other, as for `upload`."""
+        if not table and len(shape) != 3:
+            raise BadInput(f"a field has 3 axes; got an array of shape {shape}")
+        array, first, most = None, 0, 0.0
+        for source in parts:
+            if source.dtype.kind not in "fiub":
+                raise BadInput(f"the array holds {source.dtype}; expected real numbers")
+            if source.dtype.kind == "f" and not np.isfinite(source).all():
+                raise BadInput("the array holds NaN or infinity; clean it before uploading")
+            if array is None:
+                array = self.empty(
+                    shape, dtype if dtype is not None else (source.dtype if table else None), table=table
+                )
+                self.ledger.cross("upload", array.nbytes)
+            most = max(most, _checked(source, array.dtype))
+            self._store(array, source, first)
+            first += source.shape[0] if source.ndim else 1
+        if array is None or first != (shape[0] if shape else 1):
+            raise ShapeMismatch(f"got {first} entries along the first axis; expected those of {shape}")
+        least = float(np.finfo(np.float32).tiny)
+        if 0.0 < most < least:
+            raise BadInput(
+                f"the greatest number of the array is {most:.3g}, which float32 takes for nothing; expected "
+                f"{least:.3g} or more: scale it"
+            )
         return array
 
-    def _store(self, array: DeviceArray, source: np.ndarray) -> None:
-        """Copy a NumPy array of any layout and type into an array of its shape."""
-        if array.lanes:
-            stored = np.zeros(self.stored_shape(source.shape, array.lanes), array.dtype)
-            _pack(source, stored)
-        else:
-            stored = np.ascontiguousarray(source, array.dtype)
-        self._write(array.handle, stored)
+    def _store(self, array: DeviceArray, source: np.ndarray, first: int = 0) -> None:
+        """Copy a NumPy array of any layout and type into entries of the first axis from ``first`` on."""
+        lanes = array.lanes
+        if not lanes:
+            return self._write(array.handle, np.ascontiguousarray(source, array.dtype), first * prod(array.shape[1:]))
+        slabs, major, minor, _ = self.stored_shape(array.shape, lanes)
+        for begin, end in _strips(0, len(source), minor * lanes * array.dtype.itemsize):
+            strip = np.zeros((end - begin, minor, lanes), array.dtype)
+            for slab in range(slabs):
+                part = source[begin:end, :, slab * lanes : (slab + 1) * lanes]
+                strip[..., : part.shape[2]] = part
+                strip[..., part.shape[2] :] = 0
+                self._write(array.handle, strip, (slab * major + first + begin) * minor * lanes)
 
-    def _load(self, array: DeviceArray) -> np.ndarray:
-        """A NumPy copy in logical shape."""
-        stored = np.empty(self.stored_shape(array.shape, array.lanes), array.dtype)
-        self._read(array.handle, stored)
-        return _unpack(stored, array.shape) if array.lanes else stored
+    def _load(self, array: DeviceArray, first: int = 0, last: int | None = None) -> np.ndarray:
+        """A NumPy copy in logical shape, of the entries of the first axis from ``first`` to before ``last``."""
+        last = (array.shape[0] if array.shape else 1) if last is None else last
+        shape = (last - first, *array.shape[1:]) if array.shape else ()
+        logical, lanes = np.empty(shape, array.dtype), array.lanes
+        if not lanes:
+            self._read(array.handle, logical, first * prod(array.shape[1:]))
+            return logical
+        slabs, major, minor, _ = self.stored_shape(array.shape, lanes)
+        for begin, end in _strips(first, last, minor * lanes * array.dtype.itemsize):
+            strip = np.empty((end - begin, minor, lanes), array.dtype)
+            for slab in range(slabs):
+                self._read(array.handle, strip, (slab * major + begin) * minor * lanes)
+                part = logical[begin - first : end - first, :, slab * lanes : (slab + 1) * lanes]
+                part[...] = strip[..., : part.shape[2]]
+        return logical
 
     @final
     def field(self, values: Any) -> DeviceArray:
@@ -342,6 +381,15 @@ class Device(ABC):
         return self._load(array)
 
     @final
+    def part(self, array: DeviceArray, first: int, last: int) -> np.ndarray:
+        """A NumPy copy of entries of the first axis; see `DeviceArray.part`."""
+        self.check_mine(array)
+        if not 0 <= first <= last <= array.shape[0]:
+            raise BadInput(f"got entries {first} to {last} of the first axis; expected some of {array.shape[0]}")
+        self.ledger.cross("download", array.nbytes * (last - first) // max(array.shape[0], 1))
+        return self._load(array, first, last)
+
+    @final
     def launch(self, kernel: Kernel, **bindings: Any) -> None:
         """Run a kernel with arguments bound by name; an array in a number's place gives its lanes.
 
@@ -433,10 +481,10 @@ class _Memory:
         return given | {"data": (given["data"][0], False)}
 
 
-def _check_range(source: np.ndarray, kind: np.dtype) -> None:
-    """Refuse numbers that the target type would turn into infinity, into others, or all of them into nothing."""
+def _checked(source: np.ndarray, kind: np.dtype) -> float:
+    """Refuse numbers that the target type would turn into infinity or into others; the greatest that could vanish."""
     if not source.size or source.dtype == kind != np.float64 or source.dtype.kind == "b":
-        return
+        return 0.0
     low, high = source.min(), source.max()
     if kind.kind in "iu":
         bounds = np.iinfo(kind)
@@ -444,27 +492,15 @@ def _check_range(source: np.ndarray, kind: np.dtype) -> None:
             raise BadInput(f"the array reaches from {low} to {high}; {kind} holds {bounds.min} to {bounds.max}")
     elif kind.kind == "f" and kind.itemsize >= 4:
         most = max(-float(low), float(high))
-        least, largest = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+        largest = float(np.finfo(np.float32).max)
         if most > largest:
             raise BadInput(f"the array holds {most:.3g}; expected at most {largest:.3g}, as float32 does: scale it")
-        if 0.0 < most < least:
-            raise BadInput(
-                f"the greatest number of the array is {most:.3g}, which float32 takes for nothing; expected "
-                f"{least:.3g} or more: scale it"
-            )
+        return most
+    return 0.0
 
 
-def _pack(source: np.ndarray, stored: np.ndarray) -> None:
-    slabs, _, _, lanes = stored.shape
-    for slab in range(slabs):
-        part = source[:, :, slab * lanes : (slab + 1) * lanes]
-        stored[slab, :, :, : part.shape[2]] = part
-
-
-def _unpack(stored: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    logical = np.empty(shape, stored.dtype)
-    slabs, _, _, lanes = stored.shape
-    for slab in range(slabs):
-        part = logical[:, :, slab * lanes : (slab + 1) * lanes]
-        part[...] = stored[slab, :, :, : part.shape[2]]
-    return logical
+def _strips(first: int, last: int, each: int) -> Iterator[tuple[int, int]]:
+    """Entries of the first axis that are copied at once, of so many bytes each."""
+    step = max(STRIP // max(each, 1), 1)
+    for begin in range(first, last, step):
+        yield begin, min(begin + step, last)

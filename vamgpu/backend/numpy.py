@@ -38,11 +38,11 @@ class NumpyDevice(Device):
         begin = -memory.ctypes.data % ALIGNED
         return memory[begin : begin + memory.size - ALIGNED].view(dtype).reshape(shape)
 
-    def _write(self, handle: np.ndarray, stored: np.ndarray) -> None:
-        handle[...] = stored
+    def _write(self, handle: np.ndarray, stored: np.ndarray, first: int = 0) -> None:
+        handle.reshape(-1)[first : first + stored.size] = stored.reshape(-1)
 
-    def _read(self, handle: np.ndarray, stored: np.ndarray) -> None:
-        stored[...] = handle
+    def _read(self, handle: np.ndarray, stored: np.ndarray, first: int = 0) -> None:
+        stored.reshape(-1)[...] = handle.reshape(-1)[first : first + stored.size]
 
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
         kernel.definition(**bound)

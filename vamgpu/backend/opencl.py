@@ -113,14 +113,20 @@ class OpenclDevice(Device):
             return None
         return self.borrow(values)
 
-    def _write(self, handle: cl.Buffer, stored: np.ndarray) -> None:
-        if stored.nbytes:
-            cl.enqueue_copy(self.queue, handle, stored)
+    def _write(self, handle: Any, stored: np.ndarray, first: int = 0) -> None:
+        if isinstance(handle, cl.SVM):
+            self.queue.finish()
+            handle.mem.reshape(-1)[first : first + stored.size] = stored.reshape(-1)
+        elif stored.nbytes:
+            cl.enqueue_copy(self.queue, handle, stored, dst_offset=first * stored.itemsize)
 
-    def _read(self, handle: cl.Buffer, stored: np.ndarray) -> None:
-        if stored.nbytes:
+    def _read(self, handle: Any, stored: np.ndarray, first: int = 0) -> None:
+        if isinstance(handle, cl.SVM):
+            self.queue.finish()
+            stored.reshape(-1)[...] = handle.mem.reshape(-1)[first : first + stored.size]
+        elif stored.nbytes:
             try:
-                cl.enqueue_copy(self.queue, stored, handle)
+                cl.enqueue_copy(self.queue, stored, handle, src_offset=first * stored.itemsize)
             except cl.MemoryError as error:  # drivers may defer an allocation until it is first used
                 raise OutOfMemory(f"{self.name} ran out of memory: {error}") from error
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -142,22 +143,27 @@ class SlabDevice(Device):
         cuts = zip(self.members, self.cuts(nz), strict=True)
         return Pieces(member.empty((major, minor, end - begin), dtype) for member, (begin, end) in cuts)
 
-    def _write(self, handle: Copies, stored: np.ndarray) -> None:
-        handle.keep(_stored(self.members[0], stored, table=True))
+    def _write(self, handle: Copies, stored: np.ndarray, first: int = 0) -> None:
+        member = self.members[0]
+        if first == 0 and stored.size == prod(handle.shape):
+            return handle.keep(_stored(member, stored.reshape(handle.shape), table=True))
+        table = handle.on(member)
+        member._write(table.handle, stored, first)
+        handle.keep(table)
 
-    def _read(self, handle: Copies, stored: np.ndarray) -> None:
-        stored[...] = handle.read()
+    def _read(self, handle: Copies, stored: np.ndarray, first: int = 0) -> None:
+        stored.reshape(-1)[...] = handle.read().reshape(-1)[first : first + stored.size]
 
-    def _store(self, array: DeviceArray, source: np.ndarray) -> None:
+    def _store(self, array: DeviceArray, source: np.ndarray, first: int = 0) -> None:
         if not array.lanes:
-            return super()._store(array, source)
-        for piece, (begin, end) in zip(array.handle, self.cuts(source.shape[2]), strict=True):
-            piece.device._store(piece, source[:, :, begin:end])
+            return super()._store(array, source, first)
+        for piece, (begin, end) in zip(array.handle, self.cuts(array.shape[2]), strict=True):
+            piece.device._store(piece, source[:, :, begin:end], first)
 
-    def _load(self, array: DeviceArray) -> np.ndarray:
+    def _load(self, array: DeviceArray, first: int = 0, last: int | None = None) -> np.ndarray:
         if not array.lanes:
-            return super()._load(array)
-        return np.concatenate([piece.device._load(piece) for piece in array.handle], axis=2)
+            return super()._load(array, first, last)
+        return np.concatenate([piece.device._load(piece, first, last) for piece in array.handle], axis=2)
 
     def _relaid(self, array: DeviceArray, lanes: int) -> None:
         return None

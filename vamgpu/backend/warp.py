@@ -93,18 +93,23 @@ class WarpDevice(Device):
     def lend(self, values: np.ndarray) -> DeviceArray | None:
         return None if self._device.is_cuda or not values.flags.c_contiguous else self.borrow(values)
 
-    def _write(self, handle: wp.array, stored: np.ndarray) -> None:
-        wp.copy(handle, self._host_view(handle, stored))
+    def _write(self, handle: wp.array, stored: np.ndarray, first: int = 0) -> None:
+        seen, first, count = self._host_view(handle, stored, first)
+        if count:
+            wp.copy(handle, seen, dest_offset=first, count=count)
 
-    def _read(self, handle: wp.array, stored: np.ndarray) -> None:
-        wp.copy(self._host_view(handle, stored), handle)
+    def _read(self, handle: wp.array, stored: np.ndarray, first: int = 0) -> None:
+        seen, first, count = self._host_view(handle, stored, first)
+        if count:
+            wp.copy(seen, handle, src_offset=first, count=count)
         self.synchronize()
 
     @staticmethod
-    def _host_view(handle: wp.array, stored: np.ndarray) -> wp.array:
-        if handle.dtype is wp.vec4:
-            stored = stored.reshape(*handle.shape, 4)
-        return wp.array(stored, dtype=handle.dtype, device="cpu", copy=False)
+    def _host_view(handle: wp.array, stored: np.ndarray, first: int) -> tuple[wp.array, int, int]:
+        """Host memory, and first element and count as the handle counts them."""
+        width = 4 if handle.dtype is wp.vec4 else 1
+        seen = stored.reshape(-1, 4) if width > 1 else stored.reshape(-1)
+        return wp.array(seen, dtype=handle.dtype, device="cpu", copy=False), first // width, stored.size // width
 
     def _grid(self, kernel: Kernel, shape: tuple[int, int, int]) -> tuple[int, int, int, int]:
         """Threads along (slab, major, minor, lane group)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import warnings
 from collections.abc import Callable
@@ -10,7 +11,10 @@ from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from vamgpu.backend import open_device
+from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, Cancelled, JobError, MeshWarning, OutOfMemory, StorageError
 from vamgpu.jobs.build import packing_of, projection_of, target_of, with_diffusion
@@ -37,6 +41,8 @@ if TYPE_CHECKING:
     from vamgpu.printing.pack import Solved
     from vamgpu.printing.proof import Proof
 
+BLOCK = 1 << 26
+"""Bytes of a target that are hashed at once."""
 StageProgress = Callable[[str, float], None]
 """Notified of progress: what is being done, and how much of it is done, 0..1."""
 
@@ -242,7 +248,18 @@ def _known(operator: Any, target: Any) -> tuple[Any, ...]:
     """What a plan is for, to be compared; a `Target`, or None."""
     arrays: dict[str, Any] = {}
     described = describe(operator, arrays)
-    return described, {name: digest(values) for name, values in arrays.items()}, target and digest(target.numpy())
+    return described, {name: digest(values) for name, values in arrays.items()}, target and _seal(target)
+
+
+def _seal(target: Target) -> str:
+    """A hash of a target's fractions, which may be more than memory holds twice."""
+    values, seal = target.fraction, hashlib.sha256()
+    each = max(BLOCK // max(target.grid.shape[1] * target.grid.shape[2] * 4, 1), 1)
+    for first in range(0, target.grid.shape[0], each):
+        last = min(first + each, target.grid.shape[0])
+        part = values.part(first, last) if isinstance(values, DeviceArray) else values[first:last]
+        seal.update(np.ascontiguousarray(part, np.float32).view(np.uint8).data)
+    return seal.hexdigest()
 
 
 def _both(job: Job, target: Target, device: Device, progress: StageProgress) -> tuple[list[Solved], PlanRecord]:
@@ -309,7 +326,7 @@ def prove(
     progress("read", 0.0)
     try:
         A = operator_from(folder, place)
-        target = target_from(folder, A.grid, solid=False)
+        target = target_from(folder, A.grid, place, solid=False)
         if mended := ((inputs.get("target") or {}).get("solid") or {}).get("mended"):
             warnings.warn(f"the mesh was mended before it was solved for: {'; '.join(map(str, mended))}", MeshWarning,
                           stacklevel=2)  # fmt: skip

@@ -23,7 +23,7 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.schema import write
 from vamgpu.schema.read import read
-from vamgpu.storage.folder import Entry, Folder, write_folder
+from vamgpu.storage.folder import Entry, Folder, Streamed, write_folder
 from vamgpu.storage.memory import afford
 from vamgpu.storage.turntable import described, turntable_from
 from vamgpu.targets.limits import Asked, Limits
@@ -161,18 +161,26 @@ def _with_optics(beam: Mapping[str, Any]) -> dict[str, Any]:
     return OPTICS | dict(beam)
 
 
-def light_of(sinogram: DeviceArray) -> np.ndarray:
+def light_of(sinogram: DeviceArray) -> Streamed:
     """A sinogram [angle, r, z] as a folder keeps it, [angle, row, column]: row 0 the largest z. Floats, as wide as
     the device counts in: nothing is rounded."""
-    return np.ascontiguousarray(sinogram.numpy().transpose(0, 2, 1)[:, ::-1])
+    angles, columns, rows = sinogram.shape
+
+    def part(first: int, last: int) -> np.ndarray:
+        return sinogram.part(first, last).transpose(0, 2, 1)[:, ::-1]
+
+    return Streamed((angles, rows, columns), sinogram.dtype, part)
 
 
-def sinogram_of(light: np.ndarray, device: Device) -> DeviceArray:
-    """What `light_of` made, back on a device. Raises `StorageError` for what is no light."""
-    if light.ndim != 3 or light.dtype.kind != "f":
-        raise StorageError(f"its frames are {light.dtype} {light.shape}, a projector's bytes; expected plain light, "
+def sinogram_from(folder: Folder, device: Device) -> DeviceArray:
+    """The light that `light_of` made and a folder keeps, on a device. Raises `StorageError` for what is no light."""
+    stored = folder.record("frames")
+    if len(stored.shape) != 3 or np.dtype(stored.dtype).kind != "f":
+        raise StorageError(f"its frames are {stored.dtype} {stored.shape}, a projector's bytes; expected plain light, "
                            "floats [angle, row, column]: write the job again")  # fmt: skip
-    return device.upload(np.ascontiguousarray(light[:, ::-1].transpose(0, 2, 1)))
+    angles, rows, columns = stored.shape
+    parts = (light[:, ::-1].transpose(0, 2, 1) for light in folder.parts("frames"))
+    return device.gather((angles, columns, rows), parts)
 
 
 def inputs_of(plan: Any) -> tuple[dict[str, Any], dict[str, Entry]]:
@@ -223,8 +231,11 @@ def target_of(plan: Any) -> Target | None:
     return Target.from_array(values, grid.pitch, getattr(plan, "target_name", "target"))
 
 
-def target_from(folder: Folder, grid: Grid, *, solid: bool = True) -> Target | None:
-    """The target that a job folder keeps, with its mesh or without; None where it keeps none. Raises `StorageError`."""
+def target_from(folder: Folder, grid: Grid, device: Device | None = None, *, solid: bool = True) -> Target | None:
+    """The target that a job folder keeps, on a device or the host, with its mesh or without; None where it keeps none.
+
+    Raises `StorageError`.
+    """
     if "target" not in folder.manifest.arrays:
         return None
     try:
@@ -240,7 +251,8 @@ def target_from(folder: Folder, grid: Grid, *, solid: bool = True) -> Target | N
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise StorageError(f"{str(folder.path)!r} lacks or garbles its target: {error}; write it again") from error
     limits = limits_from(said.get("limits"), folder.array, tuple(grid.shape))
-    return Target(grid, name, folder.array("target"), radius, volume, height, surface, limits=limits)
+    kept = folder.array("target") if device is None else device.gather(grid.shape, folder.parts("target"))
+    return Target(grid, name, kept, radius, volume, height, surface, limits=limits)
 
 
 def limits_entries(target: Target) -> dict[str, Entry]:
@@ -351,12 +363,12 @@ def load_plan(path: str | Path, device: str | Device | None = None) -> Plan:
     details = folder.manifest.details.get("plan") or {}
     record = PlanRecord.read(folder.manifest.inputs.get("plan") or IMPORTED)
     grid = getattr(operator, "grid", None)
-    target = target_from(folder, grid) if isinstance(grid, Grid) else None
+    target = target_from(folder, grid, place) if isinstance(grid, Grid) else None
     try:
         history = tuple(Step(**dict(step)) for step in record.history)  # type: ignore[arg-type]
         spent = history[-1].evaluations if history else 0.0
         return Plan(
-            sinogram_of(folder.array("frames"), place),
+            sinogram_from(folder, place),
             operator,
             _method_from(details.get("method"), record, folder),
             history,
@@ -456,8 +468,8 @@ def _unpacked(value: Any, folder: Folder, device: Device) -> Any:
     if not isinstance(value, Mapping):
         return value
     if "array" in value:
-        array = folder.array(str(value["array"]))
-        return array if value.get("host") else device.upload(array)
+        name = str(value["array"])
+        return folder.array(name) if value.get("host") else device.gather(folder.record(name).shape, folder.parts(name))
     if "number" in value:
         return float(value["number"])
     ((kind, parts),) = value.items() or (("table", []),)

@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 
+from vamgpu.curethrough.images import deflated, encode, encode_bits
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import counts, positive
 from vamgpu.printing.folder import describe
 from vamgpu.quantity import positive as number
 from vamgpu.storage.atomic import as_path, replacing
 from vamgpu.storage.manifest import plain
+from vamgpu.storage.shards import threads
 
 if TYPE_CHECKING:
     from vamgpu.printing.frames import Frames
+
+BLOCK = 1 << 25
+"""Bytes of frames that are fetched at once."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +78,11 @@ class Canvas:
             BadInput: Frames of 1 bit are rotated by parts of a quarter turn.
             ShapeMismatch: They do not fit the canvas.
         """
-        turn = frames.gray_levels()
+        each = max(BLOCK // max(frames.shape[1] * frames.shape[2], 1), 1)
         for _ in range(self.repeats):
-            for levels in turn:
-                yield self._placed(self._turned(levels, frames))
+            for first in range(0, frames.shape[0], each):
+                for levels in frames.gray_levels(first, min(first + each, frames.shape[0])):
+                    yield self._placed(self._turned(levels, frames))
 
     def _turned(self, levels: np.ndarray, frames: Frames) -> np.ndarray:
         levels = levels[:, ::-1] if self.flip_r else levels
@@ -190,32 +199,46 @@ class _Shown:
         return plain({**describe(self.frames), **beside})
 
 
-def _png(shown: _Shown, draft: Path) -> None:
-    from PIL import Image
+def _on_threads(act: Callable[[tuple[int, np.ndarray]], Any], shown: _Shown) -> Iterator[Any]:
+    """What comes of numbers and pictures, in their order, by as many threads as there are cores."""
+    with ThreadPoolExecutor(threads()) as pool:
+        begun: deque[Future[Any]] = deque()
+        for numbered in enumerate(shown.images):
+            begun.append(pool.submit(act, numbered))
+            if len(begun) > 4 * threads():
+                yield begun.popleft().result()
+        while begun:
+            yield begun.popleft().result()
 
+
+def _png(shown: _Shown, draft: Path) -> None:
     draft.mkdir()
     digits = max(4, len(str(shown.count - 1)))
-    for index, levels in enumerate(shown.images):
-        image = Image.fromarray(levels)
-        image = image if shown.frames.bits == 8 else image.convert("1")
-        image.save(draft / f"frame_{index:0{digits}d}.png")
+
+    def save(numbered: tuple[int, np.ndarray]) -> None:
+        number, levels = numbered
+        data = encode(levels, ".png") if shown.frames.bits == 8 else encode_bits(levels > 127)
+        (draft / f"frame_{number:0{digits}d}.png").write_bytes(data)
+
+    for _ in _on_threads(save, shown):
+        pass
     (draft / "frames.json").write_text(json.dumps(shown.description, indent=2) + "\n", encoding="utf-8")
 
 
 def _tiff(shown: _Shown, draft: Path) -> None:
     import tifffile
 
-    images = shown.frames.gray_levels() if shown.canvas is None else np.stack(list(shown.images))
-    description = json.dumps(shown.description)
+    rows, columns = next(shown.images).shape
+    pages = _on_threads(lambda numbered: deflated(numbered[1]), shown)
     tifffile.imwrite(
-        draft, images, photometric="minisblack", compression="zlib", description=description, metadata=None
+        draft, pages, shape=(shown.count, rows, columns), dtype=np.uint8, rowsperstrip=rows, photometric="minisblack",
+        compression="zlib", description=json.dumps(shown.description), metadata=None,
     )  # fmt: skip
 
 
 def _npz(shown: _Shown, draft: Path) -> None:
     frames = shown.frames
     fields = {
-        "images": frames.images.numpy(),
         "bits": np.array(frames.bits),
         "columns": np.array(frames.columns),
         "scale": np.array(frames.scale),
@@ -223,8 +246,17 @@ def _npz(shown: _Shown, draft: Path) -> None:
         "flat_field": np.ones(frames.shape[1:]) if frames.flat_field is None else frames.flat_field,
         "description": np.array(json.dumps(plain(describe(frames)))),
     }
-    with open(draft, "wb") as file:  # given a path, NumPy would add an ending of its own to .NPZ
-        np.savez_compressed(file, **fields)
+    images = frames.images
+    each = max(BLOCK // max(images.nbytes // images.shape[0], 1), 1)
+    with ZipFile(draft, "w", ZIP_DEFLATED, compresslevel=1) as file:
+        with file.open("images.npy", "w", force_zip64=True) as entry:
+            head = {"descr": "|u1", "fortran_order": False, "shape": images.shape}
+            np.lib.format.write_array_header_1_0(entry, head)  # type: ignore[arg-type]
+            for first in range(0, images.shape[0], each):
+                entry.write(images.part(first, min(first + each, images.shape[0])).data)
+        for name, values in fields.items():
+            with file.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, values, allow_pickle=False)  # type: ignore[arg-type]
 
 
 def _mp4(shown: _Shown, draft: Path) -> None:

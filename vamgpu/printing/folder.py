@@ -10,7 +10,7 @@ from typing import Any
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.methods.saved import inputs_of, light_of, pixel_pitch, sinogram_of
+from vamgpu.methods.saved import inputs_of, light_of, pixel_pitch, sinogram_from
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import Solved, pack
@@ -102,9 +102,10 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
         flat = folder.array("flat_field")
     try:
         if packed:
-            return Frames.from_bytes(folder.array("frames"), place, gray=gray, settings=settings, flat_field=flat,
-                                     motion=motion, columns=details.get("columns"), **known)  # fmt: skip
-        source = plan or Solved(sinogram_of(folder.array("frames"), place), None)
+            images = place.gather(stored.shape, folder.parts("frames"), table=True)
+            return Frames(images, gray=gray, settings=settings, flat_field=flat, motion=motion,
+                          columns=details.get("columns"), **known)  # fmt: skip
+        source = plan or Solved(sinogram_from(folder, place), None)
         how = {key: getattr(settings, key) for key in ("flip_r", "flip_z", "shift", "dither")}
         how |= {"quantile": settings.quantile or 1.0, **known}
         made = pack(Solved(source.sinogram, None), gray=gray, flat_field=flat, **how)

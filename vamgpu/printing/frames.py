@@ -188,14 +188,31 @@ class Frames:
         )
         return light
 
-    def levels(self) -> np.ndarray:
-        """The value of every pixel, uint8 [angle, row, column]: 0 to 255, or 0 and 1 where ``bits`` is 1."""
-        images = self.images.numpy()
+    def levels(self, first: int = 0, last: int | None = None) -> np.ndarray:
+        """The value of every pixel, of all frames or of some.
+
+        Args:
+            first: The first frame.
+            last: The one after the last; None for all that there are.
+
+        Returns:
+            uint8 [angle, row, column]: 0 to 255, or 0 and 1 where ``bits`` is 1.
+        """
+        images = self.images.part(first, self.shape[0] if last is None else last)
         return images if self.bits == 8 else np.unpackbits(images, axis=-1, count=self.columns)
 
-    def gray_levels(self) -> np.ndarray:
-        """Gray levels as a viewer shows them, uint8 [angle, row, column] from 0 to 255 at either bit depth."""
-        return self.levels() if self.bits == 8 else self.levels() * np.uint8(255)
+    def gray_levels(self, first: int = 0, last: int | None = None) -> np.ndarray:
+        """Gray levels as a viewer shows them, of all frames or of some.
+
+        Args:
+            first: The first frame.
+            last: The one after the last; None for all that there are.
+
+        Returns:
+            uint8 [angle, row, column] from 0 to 255 at either bit depth.
+        """
+        levels = self.levels(first, last)
+        return levels if self.bits == 8 else levels * np.uint8(255)
 
     pictures: ClassVar[Renamed] = Renamed("gray_levels")
 

@@ -64,13 +64,13 @@ def load_proof(path: str | Path, device: str | Device | None = None) -> Proof:
     """
     folder, place = Folder.open(path), open_device(device)
     A = operator_from(folder, place)
-    target = target_from(folder, A.grid) if isinstance(getattr(A, "grid", None), Grid) else None
+    target = target_from(folder, A.grid, place) if isinstance(getattr(A, "grid", None), Grid) else None
     try:
         said = folder.manifest.details["proof"]
         numbers: dict[str, Any] = {name: _read(said[name]) for name in FIELDS}
         if target is None or not isinstance(numbers["scores"], Scores):
             raise ValueError("its target or its scores")
-        dose = folder.array("dose")
+        dose = folder.record("dose")
         if dose.shape != A.grid.shape:
             raise ValueError(f"a dose of {dose.shape} on a grid of {A.grid.shape}")
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
@@ -83,7 +83,7 @@ def load_proof(path: str | Path, device: str | Device | None = None) -> Proof:
         frames,
         target.name,
         target.on(place),
-        place.upload(dose),
+        place.gather(dose.shape, folder.parts("dose")),
         solid=target.solid,
         limits=target.limits,
         **numbers,

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from vamgpu.errors import StorageError
 from vamgpu.storage.memory import afford
-from vamgpu.storage.reading import is_file, open_file, parse_json, read_text
+from vamgpu.storage.reading import is_file, parse_json, read_text
+from vamgpu.storage.shards import ALONE, LEVEL, decode, threads, write_files
 
 SHARD_BYTES = 64 * 2**20
 SHARD_CHUNKS = 512
 """Limits of one file: few enough files for a job of many thousand frames, small enough to write and copy with ease."""
 MOST_SHARD = 1 << 20
 """Entries of a file beyond which its index alone would be no index any more."""
-ZSTANDARD = b"\x28\xb5\x2f\xfd"
-ABSENT = np.uint64(2**64 - 1)
-"""What Zarr's index says of an entry that is not there."""
 
 
 def shard_length(shape: tuple[int, ...], itemsize: int) -> int:
@@ -56,33 +57,69 @@ def create(
         dtype=dtype,
         chunks=(1, *shape[1:]),
         shards=shards,
-        compressors=ZstdCodec(level=3, checksum=True),
+        compressors=ZstdCodec(level=LEVEL, checksum=True),
         dimension_names=axes,
         config={"write_empty_chunks": True},  # so that a file that went missing is not taken for darkness
     )
 
 
-def write(folder: Path, name: str, values: np.ndarray, axes: tuple[str, ...]) -> None:
-    """Add an array to the Zarr group at ``folder``; raises `OSError` as the system does."""
-    shards = (shard_length(values.shape, values.itemsize), *values.shape[1:])
-    create(folder, name, values.shape, values.dtype, shards, axes)[...] = values
+class Entries(Protocol):
+    """What can be stored: values that are fetched in parts, entries of the first axis."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    @property
+    def dtype(self) -> np.dtype[Any]: ...
+
+    def part(self, first: int, last: int, /) -> np.ndarray: ...
+
+
+def write(folder: Path, name: str, values: Entries, axes: tuple[str, ...]) -> str:
+    """Add an array to the Zarr group at ``folder`` and bring it to the disk; returns the SHA-256 of its bytes.
+
+    Raises `OSError` as the system does.
+    """
+    shape, dtype = values.shape, values.dtype.newbyteorder("<")
+    shard, seal = shard_length(shape, dtype.itemsize), hashlib.sha256()
+    create(folder, name, shape, values.dtype, (shard, *shape[1:]), axes)
+
+    def part(first: int, last: int) -> np.ndarray:
+        return np.ascontiguousarray(values.part(first, last), dtype)
+
+    layout = Layout(folder / name, shape, dtype, shard)
+    write_files(layout.file, shape[0], shard, part, lambda some: seal.update(some.view(np.uint8).data))
+    return seal.hexdigest()
 
 
 def read(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> np.ndarray:
     """A whole array. Raises `StorageError` where it is missing, damaged, or not as its record says."""
-    return _read(folder, name, shape, dtype, range(shape[0]))
+    with _explained(folder, name):
+        return _layout(folder, name, shape, dtype).entries(range(shape[0]), whole=True)
 
 
 def read_one(folder: Path, name: str, shape: tuple[int, ...], dtype: str, index: int) -> np.ndarray:
     """One entry of the first axis. Raises `StorageError` as `read` does."""
-    return _read(folder, name, shape, dtype, range(index, index + 1))[0]
+    with _explained(folder, name):
+        return _layout(folder, name, shape, dtype).entries(range(index, index + 1), whole=True)[0]
 
 
-def _read(folder: Path, name: str, shape: tuple[int, ...], dtype: str, span: range) -> np.ndarray:
+def read_parts(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> Iterator[np.ndarray]:
+    """A whole array, the entries of a file at a time. Raises `StorageError` as `read` does."""
+    with _explained(folder, name):
+        parts = _layout(folder, name, shape, dtype).parts()
+    while True:
+        with _explained(folder, name):
+            part = next(parts, None)
+        if part is None:
+            return
+        yield part
+
+
+@contextmanager
+def _explained(folder: Path, name: str) -> Iterator[None]:
     try:
-        layout = Layout.of(folder / name)
-        if (layout.shape, layout.dtype.name) == (shape, dtype):
-            return layout.entries(span, whole=True)
+        yield
     except StorageError:
         raise
     except Exception as error:  # noqa: BLE001 - damaged files raise whatever the codec that met them raises
@@ -90,10 +127,16 @@ def _read(folder: Path, name: str, shape: tuple[int, ...], dtype: str, span: ran
             f"cannot read array {name!r} of {str(folder)!r}: {type(error).__name__}: {error}; "
             "the job is damaged, write it again"
         ) from error
-    raise StorageError(
-        f"array {name!r} of {str(folder)!r} is {layout.dtype.name} {layout.shape}, its manifest says {dtype} {shape}; "
-        "the job was changed, write it again"
-    )
+
+
+def _layout(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> Layout:
+    layout = Layout.of(folder / name)
+    if (layout.shape, layout.dtype.name) != (shape, dtype):
+        raise StorageError(
+            f"array {name!r} of {str(folder)!r} is {layout.dtype.name} {layout.shape}, its manifest says {dtype} "
+            f"{shape}; the job was changed, write it again"
+        )
+    return layout
 
 
 @dataclass(frozen=True)
@@ -175,16 +218,59 @@ class Layout:
             ValueError: A file says of its entries what the array does not.
             StorageError: The entries take more memory than the budget.
         """
-        import zarr
-
         afford(len(span) * self.bytes, f"{self.path.name!r} of {str(self.path.parent)!r}")
-        if whole:
-            self._count_files()
+        out = np.empty((len(span), *self.shape[1:]), self.dtype.newbyteorder("<"))
+        if not len(span) or not out.nbytes:
+            return out.astype(self.dtype, copy=False)
+        if out.nbytes <= ALONE:
+            self._unpack(span, out, None, whole)
+        else:
+            with ThreadPoolExecutor(threads()) as pool:
+                for done in self._unpack(span, out, pool, whole):
+                    done.result()
+        return out.astype(self.dtype, copy=False)
+
+    def parts(self) -> Iterator[np.ndarray]:
+        """All entries, those of a file at a time; the next file is unpacked while the last one is looked at.
+
+        Yields:
+            The arrays [entry, …], one after the other.
+
+        Raises:
+            OSError: As `entries`.
+            ValueError: As `entries`.
+            StorageError: As `entries`, for a file.
+        """
+        afford(2 * min(self.shard, self.shape[0]) * self.bytes, f"{self.path.name!r} of {str(self.path.parent)!r}")
+        self._count_files()
+        with ThreadPoolExecutor(threads()) as pool:
+            begun: tuple[np.ndarray, list[Future[None]]] | None = None
+            for first in range(0, self.shape[0], self.shard):
+                span = range(first, min(first + self.shard, self.shape[0]))
+                out = np.empty((len(span), *self.shape[1:]), self.dtype.newbyteorder("<"))
+                following = out, self._unpack(span, out, pool, True)
+                if begun is not None:
+                    yield self._finished(*begun)
+                begun = following
+            if begun is not None:
+                yield self._finished(*begun)
+
+    def _finished(self, out: np.ndarray, tasks: list[Future[None]]) -> np.ndarray:
+        for task in tasks:
+            task.result()
+        return out.astype(self.dtype, copy=False)
+
+    def _unpack(self, span: range, out: np.ndarray, pool: ThreadPoolExecutor | None, whole: bool) -> list[Future[None]]:
+        """Begin to unpack entries; waits for nothing."""
+        tasks: list[Future[None]] = []
         for number in range(span.start // self.shard, -(-span.stop // self.shard)):
-            first, end = number * self.shard, (number + 1) * self.shard
-            self._check_file(number, range(max(first, span.start), min(end, span.stop)), whole)
-        array = zarr.open_array(self.path, mode="r", zarr_format=3)
-        return np.asarray(array[span.start : span.stop])
+            begin = number * self.shard
+            first, end = max(begin, span.start), min(begin + self.shard, span.stop)
+            if whole and not is_file(self.file(number)):
+                self._count_files()
+            part = out[first - span.start : end - span.start]
+            tasks += decode(self.file(number), self.shard, range(first - begin, end - begin), part, pool, whole=whole)
+        return tasks
 
     @property
     def bytes(self) -> int:
@@ -192,41 +278,8 @@ class Layout:
         return prod(self.shape[1:]) * self.dtype.itemsize
 
     def _count_files(self) -> None:
-        """Zarr reads a file that is missing as zeros; here every file was written, so count them."""
+        """Every file was written, so count them; raises `FileNotFoundError` where some are missing."""
         expected = -(-self.shape[0] // self.shard)
         found = sum(len(files) for _, _, files in os.walk(self.path / "c"))
         if found != expected:
             raise FileNotFoundError(f"{found} of {expected} files of chunks are there")
-
-    def _check_file(self, number: int, span: range, whole: bool) -> None:
-        """Raise `ValueError` where entries of a file unpack to another size than the array's, as bombs do.
-
-        At the end of a file stand where each entry begins and how long it is, and a check sum; an entry begins with
-        Zstandard's header, which says how long it is unpacked.
-        """
-        if not is_file(self.file(number)):  # Zarr would read darkness
-            raise FileNotFoundError(f"file {number} is missing, or no file")
-        with open_file(self.file(number)) as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
-            begin = len(data) - 16 * self.shard - 4
-            if begin < 0:
-                raise ValueError(f"file {number} has {len(data)} bytes, too few for {self.shard} entries")
-            first = begin + 16 * (span.start - number * self.shard)
-            index = np.frombuffer(data[first : first + 16 * len(span)], "<u8").reshape(-1, 2)
-            there = index[(index != ABSENT).any(axis=1)]
-            if whole and len(there) < len(span):
-                raise ValueError(f"file {number} lacks {len(span) - len(there)} of {len(span)} entries")
-            if len(there) and (int(there.max()) > begin or int(there.sum(axis=1).max()) > begin):
-                raise ValueError(f"file {number} has entries beyond its end")
-            for offset, _ in there.tolist():
-                if (found := _unpacked(data[offset : offset + 18])) != self.bytes:
-                    raise ValueError(f"an entry of file {number} unpacks to {found} bytes; expected {self.bytes}")
-
-
-def _unpacked(head: bytes) -> int | None:
-    """Bytes that a Zstandard frame says it unpacks to (RFC 8878, 3.1.1.1); None where it does not say."""
-    if len(head) < 6 or head[:4] != ZSTANDARD:
-        return None
-    single, length = head[4] >> 5 & 1, (0, 2, 4, 8)[head[4] >> 6]
-    length = length or single
-    start = 6 - single + (0, 1, 2, 4)[head[4] & 3]
-    return int.from_bytes(head[start : start + length], "little") + (256 if length == 2 else 0) if length else None

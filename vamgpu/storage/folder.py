@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.storage.arrays import read, read_one, write
+from vamgpu.storage.arrays import read, read_one, read_parts, write
 from vamgpu.storage.atomic import as_path, explained, replacing
 from vamgpu.storage.manifest import ArrayRecord, Manifest
 from vamgpu.storage.ngff import Image, describe
@@ -23,17 +24,32 @@ MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True, eq=False)
+class Streamed:
+    """Values that are made part by part while they are stored, for arrays that memory does not hold whole.
+
+    Args:
+        shape: Of all.
+        dtype: Of all.
+        part: Makes the entries of the first axis from one to before another.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    part: Callable[[int, int], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
 class Entry:
     """An array to store.
 
     Args:
-        values: NumPy or on a device, of any shape [one length for each of ``axes``].
+        values: NumPy, on a device, or made in parts; of any shape [one length for each of ``axes``].
         axes: Names of its axes.
         unit: Its unit; "1" for a plain number.
         spacing: Distance of neighbors in space [mm], for viewers; None where it is no picture.
     """
 
-    values: np.ndarray | DeviceArray
+    values: np.ndarray | DeviceArray | Streamed
     axes: tuple[str, ...]
     unit: str = "1"
     spacing: float | None = None
@@ -106,13 +122,35 @@ class Folder:
         """
         record = self.record(name)
         values = read(self.path, name, record.shape, record.dtype)
-        found = digest(values)
-        if found != record.sha256:
+        self._compare(name, digest(values))
+        return values
+
+    def parts(self, name: str) -> Iterator[np.ndarray]:
+        """Read a whole array in parts that follow each other along the first axis, proven by its hash at the end.
+
+        Args:
+            name: The array.
+
+        Yields:
+            Its entries [entry, …], those of a file at a time. What was made of them is worth nothing if the last step
+            raises.
+
+        Raises:
+            StorageError: It is missing, damaged or changed.
+        """
+        record, seal = self.record(name), hashlib.sha256()
+        for part in read_parts(self.path, name, record.shape, record.dtype):
+            seal.update(part.view(np.uint8).data)
+            yield part
+        self._compare(name, seal.hexdigest())
+
+    def _compare(self, name: str, found: str) -> None:
+        expected = self.record(name).sha256
+        if found != expected:
             raise StorageError(
                 f"array {name!r} of {str(self.path)!r} has SHA-256 {found[:12]}…, its manifest says "
-                f"{record.sha256[:12]}…; the job was changed or damaged, write it again"
+                f"{expected[:12]}…; the job was changed or damaged, write it again"
             )
-        return values
 
     def one(self, name: str, index: int) -> np.ndarray:
         """Read one entry along the first axis, such as one frame, proven by the checksum of its chunk.
@@ -140,7 +178,8 @@ class Folder:
             StorageError: An array differs; the message names the first.
         """
         for name in self.manifest.arrays:
-            self.array(name)
+            for _ in self.parts(name):
+                pass
 
 
 def write_folder(
@@ -154,7 +193,7 @@ def write_folder(
 ) -> Folder:
     """Write a job folder, whole or not at all.
 
-    Arrays are downloaded and written one after the other, one chunk an entry along the first axis.
+    Arrays are fetched and written one after the other and part by part, one chunk an entry along the first axis.
 
     Args:
         path: The folder.
@@ -189,15 +228,17 @@ def write_folder(
 
 
 def _store(draft: Path, name: str, entry: Entry) -> ArrayRecord:
-    values = np.ascontiguousarray(entry.values.numpy() if isinstance(entry.values, DeviceArray) else entry.values)
-    if not (name.isidentifier() and values.size and values.ndim == len(entry.axes) and values.dtype.kind in "biuf"):
+    values, shape, dtype = entry.values, tuple(entry.values.shape), np.dtype(entry.values.dtype)
+    if not (name.isidentifier() and prod(shape) and shape and len(shape) == len(entry.axes) and dtype.kind in "biuf"):
         raise BadInput(
-            f"array {name!r} is {values.dtype} {values.shape} with axes {entry.axes}; "
+            f"array {name!r} is {dtype} {shape} with axes {entry.axes}; "
             "expected a plain name, some numbers, and one name an axis"
         )
-    values = values.astype(values.dtype.newbyteorder("<"), copy=False)
-    write(draft, name, values, entry.axes)
-    return ArrayRecord(values.shape, values.dtype.name, tuple(entry.axes), entry.unit, digest(values))
+    source = (
+        Streamed(shape, dtype, lambda first, last: values[first:last]) if isinstance(values, np.ndarray) else values
+    )
+    seal = write(draft, name, source, entry.axes)
+    return ArrayRecord(shape, dtype.name, tuple(entry.axes), entry.unit, seal)
 
 
 def digest(values: np.ndarray) -> str:

@@ -1,0 +1,175 @@
+"""Files of many chunks, as Zarr's sharding codec lays them out, written and read by as many threads as there are cores.
+
+A file holds its chunks, each compressed by Zstandard with a checksum, then where each begins and how long it is, then
+the CRC-32C of that index. Chunks are entries of an array's first axis.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from vamgpu.storage.reading import is_file, open_file
+
+LEVEL = -1
+"""Of Zstandard. Below 1 literals are not coded again: grainy frames take 7 % more room than at 3, are packed six times
+and unpacked three times as fast, and disks are faster than that."""
+ZSTANDARD = b"\x28\xb5\x2f\xfd"
+HEAD = 18
+"""Bytes of a Zstandard frame that hold its header whatever it says."""
+ABSENT = np.uint64(2**64 - 1)
+"""What the index says of an entry that is not there."""
+ALONE = 1 << 20
+"""Bytes up to which entries are decoded without threads, which take as long to start."""
+
+
+def threads() -> int:
+    """Threads that compress or unpack at once: one a core that this process may use."""
+    usable = getattr(os, "sched_getaffinity", None)
+    return max(1, min(len(usable(0)) if usable else os.cpu_count() or 1, 16))
+
+
+def write_files(
+    place: Callable[[int], Path], count: int, each: int, part: Callable[[int, int], np.ndarray],
+    seen: Callable[[np.ndarray], object],
+) -> None:  # fmt: skip
+    """Write entries to files, and bring each file to the disk.
+
+    While a file is compressed, the one before is written and the next one's entries are fetched: so two files' entries
+    are in memory.
+
+    Args:
+        place: Path of a file by its number.
+        count: Entries in all.
+        each: Entries of a file.
+        part: Entries from one to before another, contiguous and little-endian [entry, …].
+        seen: Is given all entries, file after file.
+
+    Raises:
+        OSError: As the system does.
+    """
+    from numcodecs.zstd import Zstd
+
+    codec = Zstd(LEVEL, checksum=True)
+    with ThreadPoolExecutor(threads() + 1) as pool:
+        written: Future[None] | None = None
+        entries = part(0, min(each, count))
+        for number in range(-(-count // each)):
+            packed = [pool.submit(codec.encode, entry) for entry in _rows(entries)]
+            seen(entries)
+            first = (number + 1) * each
+            following = part(first, min(first + each, count)) if first < count else entries[:0]
+            chunks = [one.result() for one in packed]
+            if written is not None:
+                written.result()
+            written, entries = pool.submit(_save, place(number), chunks, each), following
+        if written is not None:
+            written.result()
+
+
+def _rows(entries: np.ndarray) -> Iterator[np.ndarray]:
+    """Each entry as bytes."""
+    yield from entries.reshape(len(entries), -1).view(np.uint8)
+
+
+def _save(path: Path, chunks: list[bytes], each: int) -> None:
+    from google_crc32c import value
+
+    index = np.full((each, 2), ABSENT, "<u8")
+    lengths = np.array([len(chunk) for chunk in chunks], np.uint64)
+    index[: len(chunks), 0], index[: len(chunks), 1] = np.cumsum(lengths) - lengths, lengths
+    tail = index.tobytes()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "wb", buffering=0) as file:
+        for piece in (*chunks, tail, value(tail).to_bytes(4, "little")):
+            view = memoryview(piece)
+            while view:
+                view = view[file.write(view) :]
+        os.fsync(file.fileno())
+
+
+def decode(
+    path: Path, each: int, entries: range, out: np.ndarray, pool: ThreadPoolExecutor | None, *, whole: bool
+) -> list[Future[None]]:
+    """Begin to unpack some entries of a file into an array, or do it at once.
+
+    What the file says is compared with itself and with the array before anything is unpacked: sizes, as bombs lie about
+    them, and places.
+
+    Args:
+        path: The file.
+        each: Entries that a file has room for.
+        entries: Which of them.
+        out: Takes them [entry, …], contiguous.
+        pool: Threads; None for this one.
+        whole: Whether every entry must be there; else those that are not are 0.
+
+    Returns:
+        What is still being done.
+
+    Raises:
+        OSError: The file is missing or cannot be read.
+        ValueError: The file says of its entries what the array does not.
+    """
+    from google_crc32c import value
+
+    if not is_file(path):  # Zarr would read darkness
+        raise FileNotFoundError(f"{path.name} is missing, or no file")
+    with open_file(path) as file:
+        begin = file.seek(0, os.SEEK_END) - 16 * each - 4
+        if begin < 0:
+            raise ValueError(f"a file has {begin + 16 * each + 4} bytes, too few for {each} entries")
+        file.seek(begin)
+        tail = file.read()
+        if value(tail[:-4]).to_bytes(4, "little") != tail[-4:]:
+            raise ValueError("the index of a file has another checksum than it says")
+        index = np.frombuffer(tail[:-4], "<u8").reshape(-1, 2)[entries.start : entries.stop]
+        there = (index != ABSENT).any(axis=1)
+        if whole and not there.all():
+            raise ValueError(f"a file lacks {np.count_nonzero(~there)} of {len(there)} entries")
+        places = index[there]
+        if len(places) and (int(places.max()) > begin or int(places.sum(axis=1).max()) > begin):
+            raise ValueError("a file has entries beyond its end")
+        first = int(places[:, 0].min()) if len(places) else 0
+        file.seek(first)
+        data = memoryview(file.read(int(places.sum(axis=1).max()) - first if len(places) else 0))
+    rows = out.reshape(len(entries), -1).view(np.uint8)
+    rows[~there] = 0
+    tasks = []
+    for (offset, length), number in zip(places.tolist(), np.flatnonzero(there), strict=True):
+        chunk, row = data[offset - first : offset - first + length], rows[number]
+        if (found := unpacked(bytes(chunk[:HEAD]))) != row.size:
+            raise ValueError(f"an entry of a file unpacks to {found} bytes; expected {row.size}")
+        tasks.append((chunk, row))
+    if pool is None or out.nbytes <= ALONE:
+        _unpack(tasks)
+        return []
+    return [pool.submit(_unpack, tasks[k :: threads()]) for k in range(threads())]
+
+
+def _unpack(tasks: list[tuple[memoryview, np.ndarray]]) -> None:
+    from numcodecs.zstd import decompress
+
+    for chunk, row in tasks:
+        decompress(chunk, row)
+
+
+def unpacked(head: bytes) -> int | None:
+    """Bytes that a Zstandard frame says it unpacks to (RFC 8878, 3.1.1.1); None where it does not say.
+
+    Args:
+        head: Its first `HEAD` bytes, or all.
+
+    Returns:
+        The count, or None.
+    """
+    if len(head) < 6 or head[:4] != ZSTANDARD:
+        return None
+    single, length = head[4] >> 5 & 1, (0, 2, 4, 8)[head[4] >> 6]
+    length = length or single
+    start = 6 - single + (0, 1, 2, 4)[head[4] & 3]
+    return int.from_bytes(head[start : start + length], "little") + (256 if length == 2 else 0) if length else None
