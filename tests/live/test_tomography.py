@@ -121,6 +121,16 @@ def test_a_deadline_that_is_over_leaves_one_iteration_and_a_replay_repeats_it(qu
         tomograph.see(images, iterations=0)
 
 
+def test_a_camera_of_other_rows_than_slices_knows_its_deviation(quick: str) -> None:
+    full = camera("matched", quick)
+    A = vam.Projection(GRID, vam.Beam((40, 30), GRID.pitch), vam.Turntable(180), VIALS["matched"], quick)
+    low = MonitoringCamera(A, np.broadcast_to(OPEN, (30, 40)), NOISE)
+    resin, images = Turbidity(extinction=(0.0, FULL)), noisy("matched", 0)
+    expected = Tomograph(full, resin).deviation(images, iterations=3)[:, :, 10:30]
+    found = Tomograph(low, resin).deviation(images[:, 5:-5], iterations=3)[:, :, 10:30]
+    assert np.median(found) == pytest.approx(np.median(expected), rel=0.05)
+
+
 @pytest.mark.slow
 def test_the_deviation_is_that_of_repeated_turns(quick: str) -> None:
     tomograph = Tomograph(camera("matched", quick), Turbidity(extinction=(0.0, FULL)))

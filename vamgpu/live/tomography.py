@@ -184,7 +184,7 @@ class Tomograph:
         """
         told = self._measured(images, iterations)
         noise, start = self._device.empty(self._A.range.shape), self._device.empty(self._A.domain.shape)
-        self._device.launch(draw_noise, weight=told.weight, slices=self._slices, seed=seed, noise=noise)
+        self._device.launch(draw_noise, weight=told.weight, slices=self._rows, seed=seed, noise=noise)
         combine(0.0, self._ones, 0.0, self._ones, start)
         steps = _Descent(self, noise, told, start, floor=NO_FLOOR)
         for _ in range(iterations):
@@ -214,8 +214,8 @@ class Tomograph:
         return self._device.upload(np.ones(self._A.domain.shape, np.float32))
 
     @cached_property
-    def _slices(self) -> DeviceArray:
-        return self._device.table(np.arange(self._A.domain.shape[2]), "int32")
+    def _rows(self) -> DeviceArray:
+        return self._device.table(np.arange(self._A.range.shape[2]), "int32")
 
     @cached_property
     def _patches(self) -> Smoothing:
