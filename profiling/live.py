@@ -95,8 +95,8 @@ def table(rows: Sequence[dict[str, Any]], markdown: bool) -> str:
         "evaluations a second",
     ]
     cells = [
-        [row["device"], f"{row['size']}³ × {row['angles']} × {row['columns']}", *(f"{row[name]:.2f}" for name in (*STAGES, "decision")),
-         f"{row['rate']:.1f}"]
+        [row["device"], f"{row['size']}³ × {row['angles']} × {row['columns']}",
+         *(f"{row[name]:.2f}" for name in (*STAGES, "decision")), f"{row['rate']:.1f}"]
         for row in rows
     ]  # fmt: skip
     if markdown:
