@@ -61,9 +61,10 @@ def quick() -> str:
     return vam.devices()[0]
 
 
-@pytest.mark.parametrize("kind", VIALS)
-def test_conversion_is_known_to_five_percent(kind: str, quick: str) -> None:
-    tomograph = Tomograph(camera(kind, quick), Turbidity(extinction=(0.0, FULL)))
+@pytest.mark.parametrize(("kind", "rings"), [("matched", True), ("refracting", False), ("refracting", True)])
+def test_conversion_is_known_to_five_percent(kind: str, rings: bool, quick: str) -> None:
+    tomograph = Tomograph(camera(kind, quick), Turbidity(extinction=(0.0, FULL)), rings=rings)
+    assert isinstance(tomograph.operator, vam.RingProjection) == rings
     first = tomograph.see(noisy(kind, 0))
     second = tomograph.see(noisy(kind, 1), first, iterations=12)
     assert error(first) < 0.055

@@ -60,6 +60,7 @@ class LiveSetup:
         fill: Share of a pixel of the beam that is lit.
         spread: Standard deviation of the beam's point spread [mm]; None for half a pixel.
         dose: Of one unit of planned light, in units of the resin's dose.
+        rings: Whether to see and to plan on rings, see `vamgpu.RingProjection`; None where they are faster.
     """
 
     shape: tuple[int, int, int]
@@ -84,6 +85,7 @@ class LiveSetup:
     fill: float = 1.0
     spread: float | None = None
     dose: float = 1.0
+    rings: bool | None = None
 
     def projection(self, vial: Vial, beam: Beam | None = None) -> Projection:
         """Rays through a vial, on the device of this setup.
@@ -117,10 +119,10 @@ class LiveSetup:
             The loop, before its first turn.
         """
         replanner = Replanner(part, most=self.most * float(light.max()), threshold=self.resin.solid)
-        estimator = Estimator(self.projection(self.vial), self.resin.response)
+        estimator = Estimator(self.projection(self.vial), self.resin.response, rings=self.rings)
         return LiveLoop(
-            Tomograph(self.camera(), self.turbidity), estimator, replanner, self.resin, light, self.planned,
-            self.longest, self.iterations, self.evaluations, ahead=self.ahead, every=self.every,
+            Tomograph(self.camera(), self.turbidity, rings=self.rings), estimator, replanner, self.resin, light,
+            self.planned, self.longest, self.iterations, self.evaluations, ahead=self.ahead, every=self.every,
         )  # fmt: skip
 
     @classmethod
