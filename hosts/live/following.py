@@ -17,6 +17,7 @@ import numpy as np
 from vamgpu.errors import BadInput
 from vamgpu.hosts.live.worker import Desk
 from vamgpu.live import Decision, LiveRecord, LiveSetup
+from vamgpu.live.estimate import NAMES
 from vamgpu.live.maps import cuts
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.folder import load_frames
@@ -140,15 +141,22 @@ class Following:
             light = decision.light if decision.turns else np.zeros_like(decision.light)
             if decision.action != "keep" or stop != self._stop:
                 self._propose(decision.version, light, begin, stop)
-        found = [(name, *pair) for name, pair in decision.parameters.items()]
-        if found:
-            ends = decision.turn + 1 + decision.turns
-            facts = (
-                ("inhibitor", decision.inhibitor),
-                ("estimated after turn", decision.turn),
-                ("expected stop [turn]", ends),
-            )
-            self._desk.estimate([*found, *((name, value, 0.0) for name, value in facts)], self._maps(decision))
+        if decision.parameters:
+            self._desk.estimate(self._found(decision), self._maps(decision))
+
+    def _found(self, decision: Decision) -> list[Any]:
+        """Parameters with their deviations, and two of the prior's on either side of what was planned; facts."""
+        prior, induction = self._loop.prior, self._setup.resin.induction
+        usual = [(mean - 2.0 * s, mean + 2.0 * s) for mean, s in zip(prior.mean, np.sqrt(np.diag(prior.covariance)),
+                                                                     strict=True)]  # fmt: skip
+        found = [(name, *pair, *usual[NAMES.index(name)]) for name, pair in decision.parameters.items()]
+        less, more = (1.0 - each / induction for each in usual[NAMES.index("head_start")])
+        error = decision.parameters["head_start"][1] / induction
+        facts = ("estimated after turn", decision.turn), ("expected stop [turn]", decision.turn + 1 + decision.turns)
+        return [
+            *found, ("inhibitor", decision.inhibitor, error, min(less, more), max(less, more)),
+            *((name, value, 0.0) for name, value in facts),
+        ]  # fmt: skip
 
     def _maps(self, decision: Decision) -> dict[str, np.ndarray]:
         drawn = {}
