@@ -115,14 +115,14 @@ def rehearsal(planned: PrintPlan, paced: bool = False) -> Rehearsal:
     return Rehearsal(machines, emulated, monitor)
 
 
-def curing(planned: PrintPlan, stand: Rehearsal, printer: VirtualPrinter, turns: int) -> Any:
+def curing(planned: PrintPlan, stand: Rehearsal, printer: VirtualPrinter, turns: float) -> Any:
     """Put curing resin behind an emulated print of one vial, and the camera that watches it before it.
 
     Args:
         planned: The plan.
         stand: Its emulated machines, whose camera this is from now on.
         printer: The resin and its camera.
-        turns: Of the plan; the light of each is a share of the frames' light.
+        turns: Of the plan, over the dose of a unit of its light; the light of each is a share of the frames' light.
 
     Returns:
         The camera, a `vamgpu.hosts.emulators.curing.CuringCamera`.

@@ -21,6 +21,7 @@ class RowResampler:
         device: that holds the tables.
         fill: height of a row's lit box over its pitch.
         sigma: standard deviation of the point spread [rows].
+        raised: by which the light lies higher [rows].
     """
 
     rows: int
@@ -29,18 +30,18 @@ class RowResampler:
 
     def __init__(
         self, rows: int, row_pitch: float, slices: int, slice_pitch: float, device: Device, fill: float = 1.0,
-        sigma: float = 0.0,
+        sigma: float = 0.0, raised: float = 0.0,
     ) -> None:  # fmt: skip
         self.rows, self.slices, self.device = rows, slices, device
         ratio = slice_pitch / row_pitch
         self.same_pitch: bool = abs(ratio - 1.0) < 1e-6
-        self.same: bool = rows == slices and self.same_pitch and fill == 1.0 and sigma == 0.0
+        self.same: bool = rows == slices and self.same_pitch and fill == 1.0 and sigma == raised == 0.0
         """Whether each row is a slice."""
         self.weights: np.ndarray = np.eye(rows)
         """What each slice gets of the light of each row, (slices, rows)."""
         if self.same:
             return
-        position = (np.arange(slices) - 0.5 * (slices - 1)) * ratio + 0.5 * (rows - 1)
+        position = (np.arange(slices) - 0.5 * (slices - 1)) * ratio + 0.5 * (rows - 1) - raised
         matrix = ratio * _mean(position[:, None] - np.arange(rows), ratio, fill, sigma)
         self.weights = matrix
         self._to_slices, self._from_slices = (banded(device, m) for m in (matrix, matrix.T))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from functools import cached_property
 from math import prod, sqrt
 from threading import local
@@ -70,8 +71,7 @@ class SpectralProjection(LinearOperator):
         self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
         self._held = local()
-        pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
-        self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.slices, grid.slice_pitch, self.device, **pixel)
+        self._rows = self._resampler(0.0)
         table = ring_table(grid, beam, vessel or OpenAir(), square, faint)
         self._folded = (grid.angles, table.pairs * (2 if table.mirrored else 1), grid.slices)
         upload = self.device.table
@@ -84,6 +84,27 @@ class SpectralProjection(LinearOperator):
     def __repr__(self) -> str:
         vessel = f", {self.vessel!r}" if self.vessel else ""
         return f"SpectralProjection({self.grid!r}, {self.beam!r}{vessel}, device={self.device.name!r})"
+
+    def raised(self, height: float) -> SpectralProjection:
+        """The same for light that lies higher; they share their tables, and the fields that they work in.
+
+        Args:
+            height: By which it does [mm].
+
+        Returns:
+            The operator.
+        """
+        other = copy(self)
+        other._transpose = None
+        other._rows = self._resampler(height)
+        return other
+
+    def _resampler(self, height: float) -> RowResampler:
+        grid, beam = self.grid, self.beam
+        pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
+        return RowResampler(
+            beam.pixels[1], beam.pitch, grid.slices, grid.slice_pitch, self.device, **pixel, raised=height / beam.pitch
+        )
 
     @cached_property
     def _of_light(self) -> _Passes:
