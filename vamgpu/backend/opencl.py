@@ -20,6 +20,8 @@ from vamgpu.backend.device import Device, from_host
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Table, Tiling
 
+SMALL_TABLE = 1 << 24
+"""Bytes up to which a table stays in memory, whatever that may hold."""
 VECTOR = 64
 """Bytes of the widest vectors that kernels load."""
 MOST_TOGETHER = 64
@@ -49,7 +51,7 @@ class OpenclDevice(Device):
         self.is_gpu: bool = bool(device.type & cl.device_type.GPU)
         self.context = context
         self.memory = memory
-        """Bytes that fields take of memory before further ones are kept in files; None for any number."""
+        """Bytes that arrays take of memory before further ones are kept in files; None for any number."""
         self.queue: cl.CommandQueue = cl.CommandQueue(context)
         self._device = device
         self._is_nvidia = device.platform.name.startswith("NVIDIA")
@@ -77,7 +79,8 @@ class OpenclDevice(Device):
                 "use a coarser grid or fewer angles"
             )
         try:
-            if lanes and self.memory is not None and self.ledger.allocated + nbytes > self.memory:
+            beyond = self.memory is not None and self.ledger.allocated + nbytes > self.memory
+            if beyond and (lanes or nbytes > SMALL_TABLE):
                 return self._in_file(nbytes)
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(nbytes, 4))
         except cl.Error as error:

@@ -103,7 +103,7 @@ class SlabDevice(Device):
     members: tuple[Device, ...]
 
     def __init__(self, name: str, members: Sequence[Device]) -> None:
-        if len({(type(member), member.is_gpu) for member in members}) != 1:
+        if len({(type(member), member.is_gpu, member.real) for member in members}) != 1:
             raise DeviceError(
                 f"{name!r} is {', '.join(map(str, members)) or 'no device'}; expected devices of one kind, which cut "
                 "their work alike"
