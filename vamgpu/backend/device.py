@@ -111,6 +111,13 @@ class Device(ABC):
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
         """Run a kernel on handles and scalars that already fit its declaration."""
 
+    def _fetch(self, handle: Any, other: Device, source: Any) -> bool:
+        """Copy memory of another device into a handle of as many bytes; False where that takes the host.
+
+        Whatever either device is told to do after that happens after it.
+        """
+        return False
+
     def flush(self) -> None:
         """Begin what was launched, where a driver would wait for more."""
         return

@@ -133,6 +133,16 @@ class OpenclDevice(Device):
             except cl.MemoryError as error:  # drivers may defer an allocation until it is first used
                 raise OutOfMemory(f"{self.name} ran out of memory: {error}") from error
 
+    def _fetch(self, handle: Any, other: Device, source: Any) -> bool:
+        if not isinstance(other, OpenclDevice) or other.context != self.context or isinstance(source, cl.SVM):
+            return False
+        ready = cl.enqueue_marker(other.queue)
+        other.queue.flush()
+        done = cl.enqueue_copy(self.queue, handle, source, wait_for=[ready])
+        self.queue.flush()
+        cl.enqueue_barrier(other.queue, wait_for=[done])
+        return True
+
     def compile(self, kernel: Kernel, lanes: int, *, cached: bool = True) -> cl.Kernel:
         """The sibling of a kernel compiled for a layout of ``lanes``; not cached, it tells its arguments everywhere."""
         options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info"]

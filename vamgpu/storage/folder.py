@@ -30,7 +30,7 @@ class Streamed:
     Args:
         shape: Of all.
         dtype: Of all.
-        part: Makes the entries of the first axis from one to before another.
+        part: Makes the entries of the first axis from one to before another, [entry, …].
     """
 
     shape: tuple[int, ...]
