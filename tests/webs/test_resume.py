@@ -86,8 +86,13 @@ def interrupted(place: Path, segments: int) -> WebFolder:
 def test_a_full_disk_loses_no_segment_that_was_counted(tmp_path: Path) -> None:
     job = stream(tiled(part(6 * WINDOW)), core=1.0, iterations=2)
     alone, place, limits = job.write(tmp_path / "alone.vam"), tmp_path / "web.vam", ExitStack()
+
+    def fill(done: int, _: int | None) -> None:
+        if done == 3:
+            limits.enter_context(files_of_at_most(200))
+
     with pytest.raises(StorageError, match="beyond what the system allows"), limits:
-        job.write(place, progress=lambda done, of: done == 3 and limits.enter_context(files_of_at_most(200)))
+        job.write(place, progress=fill)
     kept = WebFolder.open(place)
     assert len(kept.segments) == 3
     kept.verify()
