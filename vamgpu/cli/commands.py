@@ -150,13 +150,17 @@ def prove(
         bound: find the widest window that any light can have too, by 1500 projector evaluations
         tolerances: prove it at every corner of the job's [tolerances] too, with one threshold for all
         printed: folder of a job that a run printed, where it was moved since; one for each that was
-        memory: what the proof may take, such as 8GB; fields beyond it lie in files, in the folder TMPDIR
+        memory: what the proof may take, such as 8GB; fields beyond it lie in files, in the folder TMPDIR, and a report
+            that takes more is left out
     """
     from vamgpu.backend import within
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.run import prove as run
     from vamgpu.jobs.web import is_web_folder
+    from vamgpu.printing.report import report_bytes
+    from vamgpu.quantity import bytes_of
     from vamgpu.storage.atomic import named, page_path
+    from vamgpu.storage.memory import size
 
     job = named(job)
     device = device if memory is None else within(device, memory)
@@ -174,10 +178,16 @@ def prove(
     screen = console()
     with shown(screen) as progress:
         proven = run(job, device, evaluations=1500.0 if bound else 0.0, tolerances=tolerances, progress=progress)
-        progress("report", 0.0)
-        page = proven.report(place)
+        needs = report_bytes(proven.proof)
+        fits = memory is None or needs <= (bytes_of(memory) or 0)
+        if fits:
+            progress("report", 0.0)
+            proven.report(place)
     _scores(screen, proven)
-    screen.print(f"report  [bold]{_path(page.resolve())}[/]")
+    if fits:
+        screen.print(f"report  [bold]{_path(place.resolve())}[/]")
+    else:
+        screen.print(f"[yellow]note[/]  no report, which takes {size(needs)} of memory; leave --memory out to draw it")
 
 
 def _prove_run(run: Path, place: Path, device: str | None, printed: Sequence[Path]) -> None:
