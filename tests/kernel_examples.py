@@ -133,6 +133,11 @@ def _light(n: int) -> dict[str, int]:
     return {"angle": n + n % 2, "r": n + 2 * (n % 2), "z": _slices(n)}
 
 
+def _watched(n: int, **given: Any) -> Example:
+    sizes = {**_light(n), **({"shot": 1} if given else {})}
+    return Example(sizes, {"reached": np.linspace(-0.2, 1.0, sizes["r"]).clip(0.0), **given})
+
+
 def _straight(n: int) -> Example:
     sizes = {**_volume(n), **_light(n)}
     return Example(sizes, {"directions": _poses(sizes["angle"]), "pitch": 0.1})
@@ -605,6 +610,10 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "unpack": lambda n: _frames(n, bits=8, scale=1.5),
     "mask_bytes": lambda n: Example({**_light(n), "byte": _light(n)["r"]}),
     "mask_rays": lambda n: Example(_light(n)),
+    "measure_depth": lambda n: _watched(n, floor=0.01, gain=0.02, brightest=0.95),
+    "dim_light": _watched,
+    "take_bias": _watched,
+    "draw_noise": lambda n: Example(_light(n), {"slices": np.arange(_slices(n)), "seed": 7}),
     "weigh_poses": lambda n: Example({**_light(n), "pose": _light(n)["angle"] // 2}),
     "rebin_rays": _rebinned,
     "count_crossings": lambda n: _solid(n, listed=False),

@@ -134,7 +134,11 @@ def test_names_of_several_devices() -> None:
 def test_fields_beyond_the_memory_lie_in_files(
     opencl_name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
 ) -> None:
-    """The light is the same bit by bit, wherever its fields were kept."""
+    """The light is the same bit by bit, wherever its fields were kept; GPUs keep none in files."""
+    if vam.open_device(opencl_name).is_gpu:
+        with pytest.raises(DeviceError, match="processor"):
+            vam.open_device(opencl_name + "@100kB")
+        return
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     filed: list[int] = []
     in_file = OpenclDevice._in_file

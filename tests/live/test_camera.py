@@ -111,6 +111,23 @@ def test_pixels_that_say_nothing_weigh_nothing() -> None:
     assert weight[~dead] == pytest.approx(1e4 / (1.0 + 1.0 / 12.0))
 
 
+@pytest.mark.parametrize("vial", [None, vam.Vial(6.0, 0.8, 1.48, 1.47, 1.3)])
+def test_measured_on_a_device_as_in_numpy(device: Any, vial: Any) -> None:
+    field = 200.0 + 10.0 * np.random.default_rng(0).random(camera("numpy").shape[1:])
+    eye, posed = (camera(device, field, vial, noise=SensorNoise(1.0, 0.3, 8), pose=pose)
+                  for pose in (CameraPose(), CameraPose(roll=1e-9)))  # fmt: skip
+    images = np.random.default_rng(1).uniform(0.0, 270.0, eye.shape).astype(np.float32)
+    images[0], images[1, 2, 3] = np.nan, np.inf
+    (depth, weight), (want, known) = (tuple(a.numpy() for a in eye.measured(images)), eye.optical_depth(images))
+    share = np.where(eye.reached > 1e-6, eye.reached, 0.0)
+    assert depth == pytest.approx(want * share, abs=1e-5)
+    assert weight == pytest.approx(np.divide(known, share**2, out=np.zeros_like(known), where=share > 0), rel=1e-5)
+    assert (depth[..., 1:] != 0).any() and not weight[0].any()
+    images[:2] = 100.0  # a pose resamples, and knows no more about what was lost
+    for seen, turned in zip(eye.measured(images), posed.measured(images), strict=True):
+        assert np.abs(turned.numpy() - seen.numpy()).max() < 1e-3 * np.abs(seen.numpy()).max()
+
+
 def test_turbidity_there_and_back() -> None:
     resin = Turbidity((0.0, 0.3, 1.0), (0.0, 0.02, 0.3), (0.0, 1e-3, 8e-3))
     share = np.linspace(0.0, 1.0, 11)

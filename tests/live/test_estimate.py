@@ -61,7 +61,7 @@ def test_parameters_lie_within_two_standard_errors_as_often_as_promised() -> Non
 def test_derivatives_of_the_dose_are_those_of_the_real_operator() -> None:
     estimator, light, _ = setup()
     used = np.arange(light.size)[: estimator.operator.grid.shape[0] ** 2 * 16]
-    near = estimator._near(light, NOMINAL, used, 0.0)
+    near = estimator._near(estimator.operator.device.field(light), NOMINAL, used, 0.0)
     for index, step in ((0, 0.01), (1, 0.02), (2, 0.003), (3, 0.01), (4, 0.01), (5, 0.01)):
         ends = [estimator.delivering(NOMINAL + side * step * (np.arange(7) == index)).T(light) for side in (-1, 1)]
         real = (np.asarray(ends[1], float) - np.asarray(ends[0], float)).reshape(-1) / (2.0 * step)

@@ -89,6 +89,17 @@ def test_devices_agree(fast_device: Any) -> None:
     assert np.abs(found - expected).max() < 1e-4
 
 
+def test_depths_less_their_bias_are_what_rays_add_up_to(fast_device: Any) -> None:
+    """Light is spread, not its logarithm, so that edges seem less deep."""
+    eye, field = camera("refracting", fast_device), np.asarray(FULL * truth(), np.float32)
+    tomograph = Tomograph(eye, Turbidity(extinction=(0.0, FULL)))
+    told, rays = tomograph.measure(eye.transmitted(field)), np.asarray(eye.projection(field))
+    less = tomograph._unbiased(told.depth, fast_device.upload(field), field).numpy()
+    good = told.weight.numpy() > 0.0
+    assert told.pixels == np.count_nonzero(good) > 0.3 * good.size
+    assert np.abs(less - rays)[good].max() < 1e-3 < 0.1 * np.abs(told.depth.numpy() - rays)[good].max()
+
+
 def test_frames_that_are_lost_cost_little(quick: str) -> None:
     tomograph = Tomograph(camera("matched", quick), Turbidity(extinction=(0.0, FULL)))
     images = noisy("matched", 0)

@@ -22,11 +22,14 @@ class Border:
         threshold: Dose from which resin is solid.
     """
 
+    part: np.ndarray
+    """Whether each voxel is of the part, [x, y, z]."""
     threshold: float
 
     def __init__(self, part: np.ndarray, threshold: float) -> None:
         self.threshold = threshold
-        inside, number = part >= 0.5, np.arange(part.size).reshape(part.shape)
+        self.part = inside = part >= 0.5
+        number = np.arange(part.size).reshape(part.shape)
         found: list[np.ndarray] = []
         for axis in range(3):
             low, high = ((slice(None),) * axis + (cut,) for cut in (slice(None, -1), slice(1, None)))

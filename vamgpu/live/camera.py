@@ -8,7 +8,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.kernels.camera import FAINTEST, dim_light, measure_depth
 from vamgpu.operators.blur import Blur
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
@@ -19,8 +21,8 @@ Bits = Annotated[int, Quantity(least=1.0, most=16.0, whole=True)]
 
 TAIL = 5.0
 """Standard deviations kept of a point spread, and one pixel more."""
-FAINTEST = 2.0
-"""Standard deviations of its noise that a pixel must be bright, or it is not counted."""
+LEAST = 1e-6
+"""Share of a column's light that gets in, from which on its pixels see anything."""
 
 
 @dataclass(frozen=True)
@@ -222,10 +224,29 @@ class MonitoringCamera:
         Raises:
             ShapeMismatch: A field is not of the projection's grid.
         """
-        light = np.exp(-self._lengths(extinction))
+        return 1.0 - self.darkened(extinction, index).numpy()
+
+    def darkened(self, extinction: Any, index: Any = None) -> DeviceArray:
+        """Share of the open field's light that a centered camera misses.
+
+        Args:
+            extinction: As for `transmitted`, [x, y, z], NumPy or on the device.
+            index: As for `transmitted`, [x, y, z].
+
+        Returns:
+            The share, [angle, r, z] on the device.
+
+        Raises:
+            ShapeMismatch: A field is not of the projection's grid.
+        """
+        require(self.projection.domain, extinction, "the field")
+        device = self.projection.device
+        dark = self._sharp(device.field(extinction))
+        device.launch(dim_light, path=dark, reached=self.share, dark=dark)
         if index is not None and self.focus:
-            light *= np.maximum(1.0 - self.focus * self._curvature(self._lengths(index)), 0.0)
-        return 1.0 - self._spread(1.0 - light)  # beyond the image nothing is dark
+            bent = np.maximum(1.0 - self.focus * self._curvature(self._lengths(index)), 0.0)
+            dark = device.upload(1.0 - (1.0 - dark.numpy()) * bent)
+        return dark if self._blur is None else self._blur(dark)  # beyond the image nothing is dark
 
     def scattered(self, scattering: Any, background: Any = 0.0) -> np.ndarray:
         """The view at an angle of the light: each pixel adds up what scatters along its ray.
@@ -247,7 +268,7 @@ class MonitoringCamera:
         require(self.projection.domain, field, "the field")
         reached = self.reached
         through = np.asarray(self._sharp(np.asarray(field, np.float32)))
-        return through * np.where(reached > 0, 1.0 / np.maximum(reached, 1e-6), 0.0)
+        return through * np.where(reached > 0, 1.0 / np.maximum(reached, LEAST), 0.0)
 
     def _curvature(self, path: np.ndarray) -> np.ndarray:
         """Σ of the second derivatives of optical path [mm] across an image, over the index of the resin [1/mm]."""
@@ -273,6 +294,17 @@ class MonitoringCamera:
         A = self.projection
         columns = A.beam.columns()
         return (np.ones(columns.size) if A.vessel is None else A.vessel.chords(columns).transmittance)[:, None]
+
+    @cached_property
+    def share(self) -> DeviceArray:
+        """`reached` as a table on the device, 0 where there is next to nothing."""
+        return self.projection.device.table(np.where(self.reached > LEAST, self.reached, 0.0)[:, 0])
+
+    @cached_property
+    def _open(self) -> DeviceArray:
+        """The open field, of one image or of each."""
+        field = self.open_field if self.open_field.ndim == 3 else np.broadcast_to(self.open_field, self.shape[1:])[None]
+        return self.projection.device.table(field)
 
     @cached_property
     def _sharp(self) -> Projection:
@@ -308,9 +340,7 @@ class MonitoringCamera:
         Raises:
             ShapeMismatch: The images are not of this camera.
         """
-        levels = np.asarray(images, np.float32)
-        if levels.shape != self.shape:
-            raise ShapeMismatch(f"the images have shape {levels.shape}; expected {self.shape} = [angle, row, column]")
+        levels = self._levels(images)
         variance = self.noise.variance(levels)
         with np.errstate(invalid="ignore"):
             good = (levels**2 > FAINTEST**2 * variance) & (levels < self.noise.brightest) & (self.open_field > 0)
@@ -323,3 +353,35 @@ class MonitoringCamera:
             depth = self.pose.centering(depth, pitch)
             weight = np.where(known, np.maximum(self.pose.centering(weight, pitch), 0.0), 0.0)
         return depth.swapaxes(1, 2), weight.swapaxes(1, 2)
+
+    def measured(self, images: Any) -> tuple[DeviceArray, DeviceArray]:
+        """`optical_depth` as a projection has it, times the share of its column's light that gets in.
+
+        Args:
+            images: Gray levels [angle, row, column].
+
+        Returns:
+            Depth, and the inverse of its variance, both [angle, r, z] on the device.
+
+        Raises:
+            ShapeMismatch: The images are not of this camera.
+        """
+        device, levels = self.projection.device, self._levels(images)
+        if not self.pose.centered:
+            depth, weight = self.optical_depth(levels)
+            share = np.where(self.reached > LEAST, self.reached, 0.0)
+            known = np.divide(weight, share**2, out=np.zeros_like(weight), where=share > 0.0)
+            return device.upload(depth * share), device.upload(known)
+        shown = device.table(np.nan_to_num(levels, posinf=self.noise.brightest))  # a level of 0 says nothing
+        depth, weight = (device.empty(self.projection.range.shape) for _ in range(2))
+        device.launch(
+            measure_depth, images=shown, open=self._open, reached=self.share, floor=self.noise.read**2 + 1.0 / 12.0,
+            gain=self.noise.gain, brightest=float(self.noise.brightest), depth=depth, weight=weight,
+        )  # fmt: skip
+        return depth, weight
+
+    def _levels(self, images: Any) -> np.ndarray:
+        levels = np.asarray(images, np.float32)
+        if levels.shape != self.shape:
+            raise ShapeMismatch(f"the images have shape {levels.shape}; expected {self.shape} = [angle, row, column]")
+        return levels

@@ -8,16 +8,20 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
 
+from vamgpu.backend.array import DeviceArray
 from vamgpu.chemistry.history import ResinHistory
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.kernels.loss import look_up
+from vamgpu.kernels.resample import resample
 from vamgpu.live.delivering import Delivering
+from vamgpu.live.planes import by_planes
+from vamgpu.live.smooth import Smoothing
 from vamgpu.losses.response import Response
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.row_resampler import banded
 from vamgpu.operators.space import require
 from vamgpu.printing.scenarios import clouded_and_displaced, displaced
 
@@ -197,12 +201,6 @@ def _raising(rows: int, up: float) -> np.ndarray:
     return np.maximum(1.0 - np.abs(np.arange(rows)[:, None] - up - np.arange(rows)), 0.0)
 
 
-def _mixed(light: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Slices of light by the weights of its rows, (slices, rows)."""
-    some = np.flatnonzero(weights.any(axis=0))
-    return light[..., some] @ weights[:, some].T.astype(np.float32)
-
-
 class Estimator:
     """The most probable parameters of a print, given the conversion seen.
 
@@ -243,9 +241,7 @@ class Estimator:
         self._placed = lru_cache(KEPT)(self._placed_anew)
         x, y, z = operator.grid.axes()
         top, rim = max(float(z[-1]), operator.grid.pitch), operator.grid.inscribed_radius
-        self._up = np.broadcast_to(z / top, operator.grid.shape)
-        out = (x[:, None] ** 2 + y[None, :] ** 2) / rim**2 - 0.5
-        self._out = np.broadcast_to(out[:, :, None], operator.grid.shape)
+        self._up, self._out = z / top, (x[:, None] ** 2 + y[None, :] ** 2) / rim**2 - 0.5
 
     def conversion(self, dose: np.ndarray) -> np.ndarray:
         """Conversion of a dose.
@@ -267,7 +263,8 @@ class Estimator:
         Returns:
             The factor of each voxel, [x, y, z].
         """
-        return values[0] * (1.0 + values[4] * self._up + values[5] * self._out)
+        along, level = values[4] * self._up, values[0]
+        return by_planes(lambda out: level * (1.0 + along + values[5] * out[..., None]), self._out)
 
     def delivering(self, values: np.ndarray) -> Delivering:
         """The operator with these parameters; its transpose is what light delivers.
@@ -307,8 +304,9 @@ class Estimator:
         require(self.operator.range, light, "the light")
         require(self.operator.domain, seen, "the conversion seen")
         spread = np.broadcast_to(np.asarray(deviation, float), seen.shape).reshape(-1)
-        lit = np.asarray(light, np.float32)
-        told, used = np.asarray(seen, float).reshape(-1), self._used(seen, spread, self._slices(lit))
+        lit = self.operator.device.field(light)
+        used = self._used(seen, spread, self._slices(np.asarray(light)))
+        told = np.asarray(seen, float).reshape(-1)
         base = 0.0 if before is None else before.dose.reshape(-1)[used]
         whitening = np.linalg.inv(np.linalg.cholesky(prior.covariance))
         values = np.array(prior.mean if start is None else start, float)
@@ -336,8 +334,8 @@ class Estimator:
         self._check(values, chi)
         excess = max(chi / used.size, 1.0)
         covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
-        dose = self.delivering(values).T(light)
-        field = np.asarray(dose, float) + values[6] + (0.0 if before is None else before.dose)
+        dose = self.delivering(values).T(lit).numpy()
+        field = by_planes(lambda dose, had: dose + values[6] + had, dose, 0.0 if before is None else before.dose)
         field, deviations = self._by_voxel(field, np.asarray(seen, float), spread.reshape(seen.shape), excess)
         return Estimate(values, covariance, field, deviations, chi, used.size)
 
@@ -379,7 +377,14 @@ class Estimator:
         """`STEPS` in the units of the parameters."""
         return STEPS[0], *(step * self.operator.beam.pitch for step in STEPS[1:])
 
-    def _near(self, light: np.ndarray, center: np.ndarray, used: np.ndarray, before: Any) -> _Near:
+    def _mixed(self, light: DeviceArray, weights: np.ndarray) -> DeviceArray:
+        """Slices of light by the weights of its rows, (slices, rows)."""
+        device = self.operator.device
+        mixed = device.empty((*light.shape[:2], len(weights)))
+        device.launch(resample, source=light, lanes=light, **banded(device, weights), target=mixed)
+        return mixed
+
+    def _near(self, light: DeviceArray, center: np.ndarray, used: np.ndarray, before: Any) -> _Near:
         """The dose about some parameters, by differences of operators."""
         count, weights, step = self.operator.grid.shape[2], self.operator.row_weights, STEPS[2]
         slices, place = np.unique(used % count, return_inverse=True)
@@ -387,13 +392,13 @@ class Estimator:
         rows, pitch = light.shape[2], self.operator.beam.pitch
         higher, lower = (_raising(rows, center[3] / pitch + side * step) for side in (1, -1))
         still, rising = (
-            _mixed(light, weights[slices] @ mix)
+            self._mixed(light, weights[slices] @ mix)
             for mix in (_raising(rows, center[3] / pitch), (higher - lower) / (2.0 * step * pitch))
         )
 
         absorption, across = (round(center[k + 1] / self._steps[k]) for k in (0, 1))
 
-        def even(light: np.ndarray, clouds: int = 0, aside: int = 0) -> np.ndarray:
+        def even(light: DeviceArray, clouds: int = 0, aside: int = 0) -> np.ndarray:
             """Dose of a gain of 1 at the voxels used, so many steps of absorption and of the axis off the center."""
             placed = self._placed((absorption + clouds) * self._steps[0], (across + aside) * self._steps[1])
             return placed.dose_of_slices(light).reshape(-1)[here].astype(float)
@@ -406,7 +411,7 @@ class Estimator:
                 low, high = (even(still, side * (k == 0), side * (k == 1)) for side in (-1, 1))
                 slopes[k] = (high - low) / (2.0 * self._steps[k])
                 curves[k] = (high - 2.0 * middle + low) / self._steps[k] ** 2
-        up, out = (field.reshape(-1)[used] for field in (self._up, self._out))
+        up, out = self._up[used % count], self._out.reshape(-1)[used // count]
         return _Near(center, middle, slopes, curves, up, out, before)
 
     @property
@@ -440,13 +445,23 @@ class Estimator:
         self, dose: np.ndarray, seen: np.ndarray, spread: np.ndarray, excess: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Dose with the relative gain of every voxel that its neighborhood speaks for, and its deviation."""
-        rate = self._slope(dose) * dose
-        known = np.isfinite(seen) & self.operator.grid.cylinder()[:, :, None]
-        gap = np.where(known, seen - self.conversion(dose), 0.0)
-        variance = np.where(known, spread**2, 1.0)
         shared = 1.0 / (2.0 * self.smooth * np.sqrt(np.pi)) ** 3  # Σ of the squared weights of a neighborhood
-        weight = gaussian_filter(np.where(known, rate**2 / variance, 0.0), self.smooth)
-        pull = gaussian_filter(rate * gap / variance, self.smooth)
-        own = pull / (weight + shared / self.residual**2)
-        deviation = np.abs(dose) / np.sqrt(weight / shared + 1.0 / self.residual**2)
-        return dose * (1.0 + own), deviation
+        known = np.isfinite(seen) & self.operator.grid.cylinder()[:, :, None]
+
+        def told(dose: np.ndarray, seen: np.ndarray, spread: np.ndarray, known: np.ndarray) -> np.ndarray:
+            made, rise = look_up(dose, self._curve.values, self._curve.start, self._curve.density)
+            rate = np.where(known, rise * self._curve.density * dose, 0.0) / np.where(known, spread**2, 1.0)
+            gap = np.where(known, seen - made, 0.0)
+            return np.stack([rate * rise * self._curve.density * dose, rate * gap], axis=1)
+
+        both = by_planes(told, dose, seen, spread, known)
+        weight, pull = (self._neighborhoods.of(both[:, k]) for k in (0, 1))
+        least = shared / self.residual**2
+        gained = by_planes(lambda dose, pull, weight: dose * (1.0 + pull / (weight + least)), dose, pull, weight)
+        return gained, by_planes(
+            lambda dose, weight: np.abs(dose) / np.sqrt(weight / shared + 1.0 / self.residual**2), dose, weight
+        )
+
+    @cached_property
+    def _neighborhoods(self) -> Smoothing:
+        return Smoothing(self.operator.device, self.operator.grid.shape, self.smooth)

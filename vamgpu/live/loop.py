@@ -12,13 +12,14 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from vamgpu.errors import VamError
 from vamgpu.live.estimate import Estimator, Prior
+from vamgpu.live.planes import by_planes
 from vamgpu.live.printer import CuringResin
 from vamgpu.live.replan import Replanner
-from vamgpu.live.tomography import Seen, Tomograph
+from vamgpu.live.smooth import Smoothing
+from vamgpu.live.tomography import Measured, Seen, Tomograph
 
 SIGNIFICANT = 0.1
 """Conversion that counts as seen."""
@@ -188,9 +189,10 @@ class LiveLoop:
             if turn % self.every:
                 decision = self._kept(turn, left, state, f"decided after every {self.every} turns")
             else:
-                seen = self.tomograph.see(frames, seen, iterations=self.iterations)
+                told = self.tomograph.measure(frames)
+                seen = self.tomograph.see(told, seen, iterations=self.iterations)
                 laps.over("see")
-                decision = self._replanned(turn, left, state, shown, pending, frames, seen, committed, laps)
+                decision = self._replanned(turn, left, state, shown, pending, told, seen, committed, laps)
         except VamError as error:
             decision = self._kept(turn, left, state, f"refused: {error}")
         conversion = None if seen is None else seen.conversion
@@ -236,7 +238,7 @@ class LiveLoop:
         return Decision(turn, "stop" if stop else "keep", state.version, state.light, left, reason=reason)
 
     def _replanned(
-        self, turn: int, left: int, state: LiveState, shown: np.ndarray, pending: np.ndarray, frames: np.ndarray,
+        self, turn: int, left: int, state: LiveState, shown: np.ndarray, pending: np.ndarray, told: Measured,
         seen: Seen, committed: list[np.ndarray], laps: _Laps,
     ) -> Decision:  # fmt: skip
         grid, operator = self.estimator.operator.grid, self.estimator.operator
@@ -244,25 +246,21 @@ class LiveLoop:
         if np.count_nonzero(seen.conversion[inside] > SIGNIFICANT) < ENOUGH:
             # A weak lamp must not end a print before anything is seen.
             return self._kept(turn, max(left, min(1, self.longest - turn - self.ahead)), state, "nothing cured yet")
-        noise = self.tomograph.deviation(frames, iterations=self.iterations)
-        blunt = np.abs(seen.conversion - gaussian_filter(seen.conversion, 1.0))  # edges are seen rounded off
-        noise = np.hypot(noise * self.tomograph.turbidity.slope_at(seen.extinction), 2.0 * blunt)
-        deviation = np.hypot(noise, MODEL)
+        deviation = self._deviation(told, seen)
         laps.over("see")
-        acted = shown - pending
-        even = np.asarray(operator.T(acted.astype(np.float32)), float)
+        acted = np.asarray(shown - pending, np.float32)
+        even = operator.T(acted)
         some = np.flatnonzero(inside)[:: max(np.count_nonzero(inside) // FIRST, 1)]
         gain, inhibitor = self._first_look(*(field.reshape(-1)[some] for field in (even, seen.conversion, deviation)))
         start = np.array(self.prior.mean if state.values is None else state.values)
         start[0], start[6] = gain, self.resin.induction * (1.0 - inhibitor)
-        found = self.estimator.estimate(
-            acted.astype(np.float32), seen.conversion, sqrt(ALIKE) * deviation, self.prior, start=start
-        )
+        found = self.estimator.estimate(acted, seen.conversion, sqrt(ALIKE) * deviation, self.prior, start=start)
         inhibitor = 1.0 - float(found.values[6]) / self.resin.induction
         laps.over("estimate")
         delivering = self.estimator.delivering(found.values)
         coming = pending + np.sum(committed, axis=0) if committed else pending
-        delivered = found.dose + np.asarray(delivering.T(coming.astype(np.float32)), float)
+        more = delivering.T(np.asarray(coming, np.float32))
+        delivered = by_planes(lambda had, more: had + more, found.dose, more)
         plan = self.replanner.replan(
             delivering, delivered.astype(np.float32), state.light.astype(np.float32), left,
             range(max(self.longest - turn - self.ahead, 0) + 1), evaluations=self.evaluations,
@@ -275,6 +273,22 @@ class LiveLoop:
         return Decision(turn, action, state.version + swapped, light, turns, inhibitor, found.parameters,
                         float(plan.expected.iou), f"overlap {plan.kept.iou:.4f} without",
                         dose=delivered / self.resin.solid)  # fmt: skip
+
+    def _deviation(self, told: Measured, seen: Seen) -> np.ndarray:
+        """Standard deviation of the conversion seen: noise, what is rounded off at edges, and what models lack."""
+        noise = self.tomograph.deviation(told, iterations=self.iterations)
+        round_ = self._rounding.of(seen.conversion)
+
+        def joined(noise: np.ndarray, extinction: np.ndarray, sharp: np.ndarray, round_: np.ndarray) -> np.ndarray:
+            noise = np.hypot(noise * self.tomograph.turbidity.slope_at(extinction), 2.0 * np.abs(sharp - round_))
+            return np.hypot(noise, MODEL)
+
+        return by_planes(joined, noise, seen.extinction, seen.conversion, round_)
+
+    @cached_property
+    def _rounding(self) -> Smoothing:
+        """Of the edges that a tomograph sees."""
+        return Smoothing(self.estimator.operator.device, self.estimator.operator.grid.shape, 1.0)
 
     def _wanted(self, head_start: float) -> np.ndarray:
         """Dose of the whole plan, by as much less as resin with a head start needs, which counts as dose."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import inf, isfinite
+from dataclasses import dataclass, field
+from math import inf, isfinite, prod
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.kernels.update import correct_by_ratio
 from vamgpu.live.border import Border
+from vamgpu.live.planes import by_planes
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import DoseObjective
@@ -26,7 +27,7 @@ from vamgpu.methods.state import OptimizerState
 from vamgpu.methods.window import SPAN
 from vamgpu.metrics import score
 from vamgpu.operators.compose import capped, combine
-from vamgpu.operators.reductions import extent
+from vamgpu.operators.reductions import dot, extent, total
 from vamgpu.operators.space import require
 
 SURE = 2.0
@@ -48,10 +49,10 @@ WORTH = 0.02
 def finite(space: Any, values: Any, device: Device, name: str) -> DeviceArray:
     """Values on the device. Raises `BadInput` for what is no number, `ShapeMismatch`."""
     require(space, values, name)
-    field = values if isinstance(values, DeviceArray) else device.upload(values)
-    if not all(isfinite(end) for end in extent(field)) or not np.isfinite(np.asarray(values)).all():
+    known = isfinite(total(values)) if isinstance(values, DeviceArray) else np.isfinite(values).all()
+    if not known:
         raise BadInput(f"{name} holds NaN or infinity; expected finite numbers: go on by the last plan")
-    return field
+    return device.field(values)
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,7 @@ class Replanner:
     inside: float = 0.95
     greatest: float = 1.0
     threshold: float | None = None
+    _known: dict[Any, tuple[DeviceArray, Border]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         positive("greatest light", self.most)
@@ -150,14 +152,13 @@ class Replanner:
         counts = sorted({int(count) for count in turns})
         if not counts or counts[0] < 0 or planned < 0:
             raise BadInput(f"got turns {list(turns)} and {planned} planned; expected whole numbers from 0 on")
-        target = fractions_of(operator, one_limit(self.target))
+        target, border = self._part(operator)
         state = OptimizerState(operator, target, {}, "loss")  # type: ignore[arg-type]
         state.most_evaluations = positive("evaluations", evaluations)
         device = operator.device
         given = finite(operator.domain, delivered, device, "the delivered dose")
         light = finite(operator.range, plan, device, "the plan's light")
-        loss = self._loss(np.asarray(given, float), np.asarray(target, float), deviation).on(state.field)
-        border = Border(np.asarray(target), self.threshold or 0.0)
+        loss = self._loss(np.asarray(delivered), border.part, deviation).on(state.field)
         dose, work = state.volume(), state.volume()
 
         state.expose(light, dose)
@@ -192,6 +193,14 @@ class Replanner:
         state.scale(1.0 / expected.turns, best, best)
         return Replanned(best, kept, expected, state.evaluations)
 
+    def _part(self, operator: Projector) -> tuple[DeviceArray, Border]:
+        """The part on an operator's device, and its border: found once, however often the operator is clouded."""
+        place = operator.device, operator.domain
+        if place not in self._known:
+            target = fractions_of(operator, one_limit(self.target))
+            self._known[place] = target, Border(target.numpy(), self.threshold or 0.0)
+        return self._known[place]
+
     def _turns(self, light: DeviceArray, counts: Sequence[int]) -> int:
         """The fewest turns above 0 in which the projector gives so much light."""
         return next((n for n in counts if n and extent(light)[1] <= n * self.most * (1.0 + ROUNDING)), counts[-1])
@@ -211,7 +220,8 @@ class Replanner:
 
     def _lowered(self, state: OptimizerState, loss: Loss, given: DeviceArray, turns: int) -> DeviceArray:
         """Light of all the turns together, from the state's on, with what may be spent less one half."""
-        gain = float(np.mean(np.square(np.asarray(getattr(state.operator, "gain", 1.0), float))))
+        gain = getattr(state.operator, "gain", None)
+        gain = 1.0 if gain is None else dot(gain, gain) / prod(gain.shape)
         pace = Pace(1.0 / gain, soon=1.0, possible=True)
         channel = Channel(state, capped_ramp(state.operator, CAP, SPAN))
         steps = minimize(DoseObjective(state, loss, pace, rest=given), (channel,), pace)
@@ -221,10 +231,14 @@ class Replanner:
         steps.close()
         return state.memory.get("best", state.memory["light"])
 
-    def _loss(self, delivered: np.ndarray, target: np.ndarray, deviation: Any) -> Band:
+    def _loss(self, delivered: np.ndarray, part: np.ndarray, deviation: Any) -> Band:
         """The loss of what can still be mended."""
-        part, sure = target >= 0.5, delivered - SURE * np.asarray(deviation, float)
-        lost = np.where(part, sure > self.greatest, sure >= self.inside)
+
+        def gone(dose: np.ndarray, part: np.ndarray, deviation: Any) -> np.ndarray:
+            sure = dose - SURE * deviation
+            return np.where(part, sure > self.greatest, sure >= self.inside)
+
+        lost = by_planes(gone, delivered, part, np.asarray(deviation))
         band = Band.thresholds(self.outside, self.inside, self.greatest)
         if not lost.any() or lost.all():
             return band

@@ -15,11 +15,15 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.kernels.blur import blur_slices
+from vamgpu.kernels.camera import draw_noise, take_bias
 from vamgpu.kernels.filter import filter_rows
 from vamgpu.kernels.gauss import blur_planes
-from vamgpu.kernels.update import multiply
+from vamgpu.kernels.update import correct_by_ratio, multiply
 from vamgpu.live.camera import MonitoringCamera
+from vamgpu.live.smooth import Smoothing
 from vamgpu.live.turbidity import Turbidity
+from vamgpu.metrics.histogram import above
+from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.compose import NO_FLOOR, combine
 from vamgpu.operators.reductions import dot
 from vamgpu.operators.space import require
@@ -27,10 +31,25 @@ from vamgpu.operators.space import require
 ITERATIONS = 30
 NEIGHBORS = 12.0
 """Greatest sum of a row of the second differences along three axes, sizes counted."""
-FAINT = 1e-6
-"""Least share of light whose logarithm is taken."""
+TINY = 1e-30
+"""Less than any weight, and any bound of a step."""
 PATCH = 2.0
 """Standard deviation [voxels] of the patches in which a deviation is measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What the images of a turn say, as a camera's projection has it, on its device.
+
+    Attributes:
+        depth: Optical depth times the share of its column's light that gets in, [angle, r, z].
+        weight: The inverse of its variance, [angle, r, z]; 0 where a pixel says nothing.
+        pixels: That say anything.
+    """
+
+    depth: DeviceArray
+    weight: DeviceArray
+    pixels: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,13 +106,33 @@ class Tomograph:
         self._A, self._device = camera.projection, camera.projection.device
         self._stiffness = (self.contrast * turbidity.full) ** -2
 
+    def measure(self, images: Any) -> Measured:
+        """What the images of a turn say; `see` and `deviation` take it in place of the images.
+
+        Args:
+            images: Gray levels [angle, row, column]; frames that were lost are NaN.
+
+        Returns:
+            Depths and weights, on the device.
+
+        Raises:
+            BadInput: No pixel is good.
+            ShapeMismatch: The images are of another geometry.
+        """
+        depth, weight = self.camera.measured(images)
+        pixels = int(above(Parts.whole(weight), TINY)[0, IN, 1])
+        if not pixels:
+            raise BadInput("no pixel of the images is lit, below saturation and finite; expected one turn of the lit "
+                           "vial: check exposure, bits and noise of the camera")  # fmt: skip
+        return Measured(depth, weight, pixels)
+
     def see(
         self, images: Any, last: Seen | None = None, *, iterations: int = ITERATIONS, deadline: float = inf
     ) -> Seen:
         """The field behind the images of one turn.
 
         Args:
-            images: Gray levels [angle, row, column]; frames that were lost are NaN.
+            images: Gray levels [angle, row, column]; frames that were lost are NaN. Or what `measure` made of them.
             last: What the turn before said, to go on from.
             iterations: Pairs of projections at most.
             deadline: Time that it may take [s]; the best field so far is returned, after one iteration at least.
@@ -106,13 +145,15 @@ class Tomograph:
             ShapeMismatch: Images or field are of another geometry.
         """
         begun = perf_counter()
-        depth, weight = self._measured(images, iterations)
-        start = np.zeros(self._A.domain.shape, np.float32)
-        if last is not None:
+        told = self._measured(images, iterations)
+        start, depth = self._device.empty(self._A.domain.shape), told.depth
+        if last is None:
+            combine(0.0, self._ones, 0.0, self._ones, start)
+        else:
             require(self._A.domain, last.extinction, "the last field")
-            start = last.extinction
-            depth = depth - self._bias(start)
-        steps = _Descent(self, depth, weight, start, floor=0.0)
+            start = self._device.upload(last.extinction)
+            depth = self._unbiased(depth, start, last.extinction)
+        steps = _Descent(self, depth, told, start, floor=0.0)
         done, longest, now = 0, 0.0, perf_counter()
         while done < iterations and (not done or now + longest - begun < deadline):
             steps.advance()
@@ -130,7 +171,7 @@ class Tomograph:
         makes void more certain does not count, nor what smoothing rounds off.
 
         Args:
-            images: Gray levels [angle, row, column].
+            images: As for `see`, gray levels [angle, row, column] or `Measured`.
             iterations: As for `see`; it takes as long.
             seed: Of the noise.
 
@@ -141,38 +182,49 @@ class Tomograph:
             BadInput: No pixel is good, or fewer than one iteration is asked for.
             ShapeMismatch: The images are of another geometry.
         """
-        from scipy.ndimage import gaussian_filter  # takes longer to load than all of vamgpu
-
-        _, weight = self._measured(images, iterations)
-        noise = np.random.default_rng(seed).standard_normal(weight.shape, np.float32)
-        noise *= np.where(weight > 0, 1.0 / np.sqrt(np.maximum(weight, 1e-30)), 0.0)
-        steps = _Descent(self, noise, weight, np.zeros(self._A.domain.shape, np.float32), floor=NO_FLOOR)
+        told = self._measured(images, iterations)
+        noise, start = self._device.empty(self._A.range.shape), self._device.empty(self._A.domain.shape)
+        self._device.launch(draw_noise, weight=told.weight, slices=self._slices, seed=seed, noise=noise)
+        combine(0.0, self._ones, 0.0, self._ones, start)
+        steps = _Descent(self, noise, told, start, floor=NO_FLOOR)
         for _ in range(iterations):
             steps.advance()
-        return np.sqrt(gaussian_filter(np.square(steps.field.numpy()), PATCH, mode="nearest"))
+        self._device.launch(multiply, x=steps.field, y=steps.field, out=start)
+        return np.sqrt(self._patches(start).numpy())
 
-    def _measured(self, images: Any, iterations: int) -> tuple[np.ndarray, np.ndarray]:
+    def _measured(self, images: Any, iterations: int) -> Measured:
         if isinstance(iterations, bool) or not isinstance(iterations, int) or iterations < 1:
             raise BadInput(f"iterations is {iterations!r}; expected a whole number of at least 1")
-        depth, weight = self.camera.optical_depth(images)
-        if not weight.any():
-            raise BadInput("no pixel of the images is lit, below saturation and finite; expected one turn of the lit "
-                           "vial: check exposure, bits and noise of the camera")  # fmt: skip
-        return depth, weight
+        return images if isinstance(images, Measured) else self.measure(images)
 
-    def _bias(self, extinction: np.ndarray) -> np.ndarray:
-        """How much deeper the camera sees a field than the linear operator says, [angle, r, z]."""
-        index = self.turbidity.index_at(self.turbidity.conversion_at(extinction)) if self.turbidity.index else None
-        seen = -np.log(np.maximum(self.camera.transmission(extinction, index), FAINT))
-        reached = self.camera.reached
-        linear = np.asarray(self._A(np.asarray(extinction, np.float32)))
-        return seen - linear * np.where(reached > 0, 1.0 / np.maximum(reached, 1e-6), 0.0)
+    def _unbiased(self, depth: DeviceArray, extinction: DeviceArray, values: np.ndarray) -> DeviceArray:
+        """Depths less by how much deeper the camera sees a field than the linear operator says, [angle, r, z]."""
+        index = self.turbidity.index_at(self.turbidity.conversion_at(values)) if self.turbidity.index else None
+        dark, linear, out = (
+            self.camera.darkened(extinction, index),
+            self._A(extinction),
+            self._device.empty(depth.shape),
+        )
+        combine(1.0, depth, 0.0, depth, out)
+        self._device.launch(take_bias, dark=dark, linear=linear, reached=self.camera.share, depth=out)
+        return out
+
+    @cached_property
+    def _ones(self) -> DeviceArray:
+        return self._device.upload(np.ones(self._A.domain.shape, np.float32))
+
+    @cached_property
+    def _slices(self) -> DeviceArray:
+        return self._device.table(np.arange(self._A.domain.shape[2]), "int32")
+
+    @cached_property
+    def _patches(self) -> Smoothing:
+        return Smoothing(self._device, self._A.domain.shape, PATCH)
 
     @cached_property
     def _lengths(self) -> DeviceArray:
         """A·1, what every ray passes of the grid."""
-        ones = self._device.upload(np.ones(self._A.domain.shape, np.float32))
-        return self._A(ones)
+        return self._A(self._ones)
 
     @cached_property
     def _bending(self) -> DeviceArray:
@@ -184,22 +236,22 @@ class _Descent:
     """Steps towards the most probable field, all on the device."""
 
     def __init__(
-        self, tomograph: Tomograph, depth: np.ndarray, weight: np.ndarray, start: np.ndarray, floor: float
+        self, tomograph: Tomograph, depth: DeviceArray, told: Measured, start: DeviceArray, floor: float
     ) -> None:
         self._tomograph, self._A, self._floor, self._taken = tomograph, tomograph._A, floor, 0
-        device, reached = self._A.device, tomograph.camera.reached
-        # The operator's values are a ray's lengths times the share of its light that gets in.
-        self._depth = device.upload((depth * reached).astype(np.float32))
-        heavy = np.where(reached > 0, weight / np.maximum(reached, 1e-6) ** 2, 0.0)
-        self._weight = device.upload(heavy.astype(np.float32))
-        self._pixels = max(int(np.count_nonzero(heavy)), 1)
+        self._depth, self._weight, self._pixels = depth, told.weight, told.pixels
+        device, ones = self._A.device, tomograph._ones
         self._residual, self._weighted = device.empty(depth.shape), device.empty(depth.shape)
-        self.field = device.upload(start.astype(np.float32))
-        self._ahead = device.upload(start.astype(np.float32))
-        self._slope, self._part, self._next = (device.empty(start.shape) for _ in range(3))
+        self.field, (self._ahead, self._slope, self._part, self._next, self._length) = (
+            start, (device.empty(start.shape) for _ in range(5))
+        )  # fmt: skip
+        combine(1.0, start, 0.0, start, self._ahead)
         device.launch(multiply, x=tomograph._lengths, y=self._weight, out=self._weighted)
-        bound = self._A.T(self._weighted).numpy() + NEIGHBORS * tomograph._stiffness
-        self._length = device.upload((1.0 / bound).astype(np.float32))
+        self._A.T(self._weighted, out=self._slope)
+        combine(1.0, self._slope, NEIGHBORS * tomograph._stiffness, ones, self._slope)
+        combine(1.0, ones, 0.0, ones, self._length)
+        over = {"scale": 1.0, "target": ones, "low": 1.0, "high": 1.0, "most": 1.0 / TINY}  # one over the bound
+        device.launch(correct_by_ratio, dose=self._slope, **over, model=self._length)
 
     @property
     def misfit(self) -> float:

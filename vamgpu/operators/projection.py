@@ -155,11 +155,11 @@ class Projection(LinearOperator):
         """What each slice gets of the light of each row of pixels, (slices, rows)."""
         return self._rows.weights
 
-    def dose_of_slices(self, light: np.ndarray) -> np.ndarray:
+    def dose_of_slices(self, light: np.ndarray | DeviceArray) -> np.ndarray:
         """Dose of some slices, of which each has its own light: none lights another.
 
         Args:
-            light: With `row_weights` applied, [angle, r, slice], of any number of slices.
+            light: With `row_weights` applied, [angle, r, slice], of any number of slices; NumPy or on the device.
 
         Returns:
             The dose, [x, y, slice], NumPy.

@@ -43,7 +43,7 @@ class RowResampler:
         position = (np.arange(slices) - 0.5 * (slices - 1)) * ratio + 0.5 * (rows - 1)
         matrix = ratio * _mean(position[:, None] - np.arange(rows), ratio, fill, sigma)
         self.weights = matrix
-        self._to_slices, self._from_slices = (_banded(device, m) for m in (matrix, matrix.T))
+        self._to_slices, self._from_slices = (banded(device, m) for m in (matrix, matrix.T))
 
     def from_slices(self, source: DeviceArray, target: DeviceArray) -> None:
         """target [pose, r, row] from source [pose, r, slice]."""
@@ -73,9 +73,9 @@ def _second_integral(x: np.ndarray, sigma: float) -> np.ndarray:
     return x * ndtr(t) + sigma / np.sqrt(2.0 * np.pi) * np.exp(-0.5 * t**2)
 
 
-def _banded(device: Device, matrix: np.ndarray) -> dict[str, DeviceArray]:
+def banded(device: Device, matrix: np.ndarray) -> dict[str, DeviceArray]:
     """The tables of `resample` for a matrix [target, source] whose rows are one short run each."""
-    filled = matrix > 0.0
+    filled = matrix != 0.0
     first = np.maximum.accumulate(filled.argmax(axis=1))  # a row without an entry stands where the one before it does
     last = np.where(filled.any(axis=1), matrix.shape[1] - filled[:, ::-1].argmax(axis=1), first + 1)
     taps = np.arange(int((last - first).max()))

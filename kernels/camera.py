@@ -1,0 +1,80 @@
+"""What a camera's images say of the light that a print took, and what a field would show instead."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
+from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramInOut, SinogramOut, Table, Tiling, kernel
+
+Images = Annotated[np.ndarray, Table("float32", ("angle", "z", "r"))]
+Open = Annotated[np.ndarray, Table("float32", ("shot", "z", "r"))]
+"""Gray levels through the vial before the print, of one image or of as many as there are angles."""
+Reached = Annotated[np.ndarray, Table("float32", ("r",))]
+"""Share of a column's light that gets in: operators count rays times this, 0 beyond the vial."""
+Numbers = Annotated[np.ndarray, Table("int32", ("z",))]
+
+FAINTEST = 2.0
+"""Standard deviations of its noise that a pixel must be bright, or it is not counted."""
+FAINT = 1e-6
+"""Least share of light whose logarithm is taken."""
+SPREAD = np.uint32(2654435769)
+"""What seeds are multiplied by, so that near ones draw unlike numbers."""
+
+CPU, GPU = Tiling(major=1, minor=0), Tiling(major=1, minor=1)
+
+
+@kernel(over="depth", cpu=CPU, gpu=GPU)
+def measure_depth(
+    images: Images, open: Open, reached: Reached, floor: Real, gain: Real, brightest: Real, depth: SinogramOut,
+    weight: SinogramOut,
+) -> None:  # fmt: skip
+    """depth = reached·ln(open / image), weight = 1 / its variance; 0 and 0 where a pixel says nothing.
+
+    floor: variance of the noise in the dark.  gain: and per gray level.  brightest: from there on levels are saturated.
+    """
+    levels, field = images.swapaxes(1, 2), np.resize(open, (len(images), *open.shape[1:])).swapaxes(1, 2)
+    variance, lit = floor + gain * np.maximum(levels, 0.0), reached[:, None] > 0.0
+    good = (levels**2 > FAINTEST**2 * variance) & (levels < brightest) & (field > 0.0) & lit
+    share = np.where(lit, reached[:, None], 1.0)
+    depth[...] = np.where(good, share * np.log(np.where(good, field, 1.0) / np.where(good, levels, 1.0)), 0.0)
+    weight[...] = np.where(good, levels**2 / (variance * share**2), 0.0)
+
+
+@kernel(over="dark", cpu=CPU, gpu=GPU)
+def dim_light(path: Sinogram, reached: Reached, dark: SinogramOut) -> None:
+    """dark = 1 − exp(−path / reached), the share of light that is lost; dark may be path."""
+    lit = reached[:, None] > 0.0
+    dark[...] = np.where(lit, 1.0 - np.exp(-path / np.where(lit, reached[:, None], 1.0)), 0.0)
+
+
+@kernel(over="depth", cpu=CPU, gpu=GPU)
+def take_bias(dark: Sinogram, linear: Sinogram, reached: Reached, depth: SinogramInOut) -> None:
+    """depth −= −reached·ln(1 − dark) − linear, by which images of a field seem deeper than its rays add up to."""
+    lit = reached[:, None] > 0.0
+    depth -= np.where(lit, -reached[:, None] * np.log(np.maximum(1.0 - dark, FAINT)) - linear, 0.0)
+
+
+@kernel(over="noise", cpu=CPU, gpu=GPU)
+def draw_noise(weight: Sinogram, slices: Numbers, seed: Integer, noise: SinogramOut) -> None:
+    """Normal numbers of variance 1 / weight, 0 where that is 0; the same on every device, whatever its layout.
+
+    slices: 0, 1, 2, …
+    Source: hash by M. E. O'Neill (PCG-RXS-M-XS-32), G. E. P. Box & M. E. Muller, Ann. Math. Stat. 29 (1958) 610.
+    """
+    with np.errstate(over="ignore"):
+        columns = np.arange(weight.shape[0] * weight.shape[1], dtype=np.uint32) + np.uint32(seed) * SPREAD
+        first = hashed(hashed(columns)[:, None] + slices.astype(np.uint32))
+        second = hashed(first)
+    near, turn = (((each >> np.uint32(8)) + 0.5) / 2.0**24 for each in (first, second))
+    normal = np.sqrt(-2.0 * np.log(near)) * np.cos(2.0 * np.pi * turn)
+    known = np.where(weight > 0.0, weight, 1.0)
+    noise[...] = np.where(weight > 0.0, normal.reshape(weight.shape) / np.sqrt(known), 0.0)
+
+
+def hashed(number: np.ndarray) -> np.ndarray:
+    """Each uint32 as another one."""
+    state = number * np.uint32(747796405) + np.uint32(2891336453)
+    word = ((state >> ((state >> np.uint32(28)) + np.uint32(4))) ^ state) * np.uint32(277803737)
+    return (word >> np.uint32(22)) ^ word
