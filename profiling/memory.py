@@ -1,6 +1,6 @@
 """Memory that a job takes from mesh to proof, stage by stage, under a limit that the system keeps.
 
-    python profiling/memory.py --n 512 --angles 360 --evaluations 2 --memory 4GB --device opencl:pocl:0
+    python profiling/memory.py --n 512 --angles 360 --evaluations 20 --memory 4GB --device opencl:pocl:0
 
 The process may have so much private memory and no more (RLIMIT_DATA, by which Linux refuses what goes beyond); pages of
 mapped files, which the system takes back when it needs them, do not count. Peaks are of resident private memory.
@@ -49,7 +49,7 @@ absorption = "0.05 1/mm"
 method = "{method}"
 iterations = {iterations}
 evaluations = {evaluations}
-operator = "voxels"
+operator = "{operator}"
 device = "{device}"
 
 [print]
@@ -73,18 +73,23 @@ class Watch:
 
     def __init__(self) -> None:
         self.rows: dict[str, dict[str, float]] = {}
-        self.stage, self.since = "start", time.perf_counter()
+        self.stage, self.since, self.worked = "start", time.perf_counter(), time.process_time()
         threading.Thread(target=self._look, daemon=True).start()
 
     def __call__(self, stage: str, share: float = 0.0) -> None:
         """Take the name of the stage that begins."""
         if stage != self.stage:
-            now = time.perf_counter()
+            now, worked = time.perf_counter(), time.process_time()
             row = self.rows.setdefault(self.stage, {})
             row["seconds"] = row.get("seconds", 0.0) + now - self.since
+            row["processor_seconds"] = row.get("processor_seconds", 0.0) + worked - self.worked
             peak = row.get("peak_GB", 0.0)
-            print(f"{self.stage}: {row['seconds']:.1f} s, {peak:.2f} GB", file=sys.stderr, flush=True)
-            self.stage, self.since = stage, now
+            print(
+                f"{self.stage}: {row['seconds']:.1f} s ({row['processor_seconds']:.1f} s of processors), {peak:.2f} GB",
+                file=sys.stderr,
+                flush=True,
+            )
+            self.stage, self.since, self.worked = stage, now, worked
 
     def _look(self) -> None:
         while True:
@@ -133,6 +138,7 @@ def main() -> None:
     options.add_argument("--n", type=int, default=128)
     options.add_argument("--angles", type=int, default=180)
     options.add_argument("--shape", default="gyroid_sphere")
+    options.add_argument("--operator", default="auto", help="voxels, rings, or auto, as in job files")
     options.add_argument("--method", default="default")
     options.add_argument("--iterations", type=int, default=1000)
     options.add_argument("--evaluations", type=float, default=2.0)
@@ -148,7 +154,9 @@ def main() -> None:
     if asked.child:
         return child(asked)
     pitch = WIDTH / asked.n
-    fields = {key: getattr(asked, key) for key in ("angles", "shape", "method", "iterations", "evaluations")}
+    fields = {
+        key: getattr(asked, key) for key in ("angles", "shape", "operator", "method", "iterations", "evaluations")
+    }
     device = within(asked.device, asked.memory)
     text = JOB.format(**fields, device=device, pitch=pitch, across=3 * asked.n // 2, high=asked.n,
                       height=(asked.n - 6) * pitch)  # fmt: skip
@@ -161,7 +169,8 @@ def main() -> None:
         shutil.rmtree(folder)
     found: dict[str, Any] = json.loads(run.stdout.splitlines()[-1])
     for stage, row in found["stages"].items():
-        print(f"{stage}: {row['seconds']:.1f} s, {row['peak_GB']:.2f} GB")
+        times = f"{row['seconds']:.1f} s, {row['processor_seconds']:.1f} s of processors"
+        print(f"{stage}: {times}, {row['peak_GB']:.2f} GB")
     if not asked.solve_only:
         print(f"window {found['window']:+.4f}, IoU {found['iou']:.4f}, folder {found['folder_bytes'] / 1e9:.2f} GB")
     if asked.records:

@@ -365,6 +365,14 @@ class Device(ABC):
         """
         return self.upload(values, table=True)
 
+    def room(self, shape: tuple[int, ...]) -> np.ndarray:
+        """An array of float32 for `settle`; in a file where fields may be, too."""
+        return np.empty(shape, np.float32)
+
+    def settle(self, values: np.ndarray) -> DeviceArray:
+        """A table of an array of `room` that nobody else has: the array itself where device and host share memory."""
+        return self.table(values)
+
     def lend(self, values: np.ndarray) -> DeviceArray | None:
         """A table to write that is the NumPy array itself; None where device and host share no memory.
 

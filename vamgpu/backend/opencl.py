@@ -9,6 +9,7 @@ import warnings
 import weakref
 from collections.abc import Callable
 from functools import lru_cache
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,18 @@ takes groups of thousands, which overflow it."""
 def _release(queue: cl.CommandQueue, values: Any) -> None:
     """Let host memory go once no kernel that was launched works on it any more."""
     queue.finish()
+
+
+def _mapped(nbytes: int) -> tuple[np.ndarray, mmap.mmap]:
+    """Memory that is a nameless file, whose pages the system brings and takes. Raises `OutOfMemory`."""
+    folder = os.environ.get("TMPDIR") or ("/var/tmp" if os.path.isdir("/var/tmp") else None)  # /tmp may be memory
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.truncate(-(-nbytes // mmap.PAGESIZE) * mmap.PAGESIZE)
+            mapped = mmap.mmap(file.fileno(), 0)
+    except OSError as error:
+        raise OutOfMemory(f"no file of {nbytes} bytes in {folder}: {error}; set TMPDIR to a larger disk") from error
+    return np.frombuffer(mapped, np.uint8), mapped
 
 
 def _divisor(count: int) -> int:
@@ -87,17 +100,16 @@ class OpenclDevice(Device):
             raise OutOfMemory(f"{self.name} has no {nbytes} bytes left for {shape} of {dtype}: {error}") from error
 
     def _in_file(self, nbytes: int) -> cl.Buffer:
-        """Memory that is a nameless file, whose pages the system brings and takes; it goes with the buffer."""
-        folder = os.environ.get("TMPDIR") or ("/var/tmp" if os.path.isdir("/var/tmp") else None)  # /tmp may be memory
-        try:
-            with tempfile.TemporaryFile(dir=folder) as file:
-                file.truncate(-(-nbytes // mmap.PAGESIZE) * mmap.PAGESIZE)
-                mapped = mmap.mmap(file.fileno(), 0)
-        except OSError as error:
-            raise OutOfMemory(f"no file of {nbytes} bytes in {folder}: {error}; set TMPDIR to a larger disk") from error
-        pages = np.frombuffer(mapped, np.uint8)
+        """Memory that is a nameless file; it goes with the buffer."""
+        pages, mapped = _mapped(nbytes)
         weakref.finalize(pages, _release, self.queue, mapped).atexit = False
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=pages)
+
+    def room(self, shape: tuple[int, ...]) -> np.ndarray:
+        nbytes = 4 * prod(shape)
+        if self.memory is None or nbytes <= SMALL_TABLE:
+            return super().room(shape)
+        return _mapped(nbytes)[0][:nbytes].view(np.float32).reshape(shape)
 
     def borrow(self, values: np.ndarray) -> DeviceArray:
         if self.is_gpu or not values.flags.c_contiguous or not values.nbytes:
@@ -115,6 +127,9 @@ class OpenclDevice(Device):
         if not self._shares_memory or self.is_gpu or not values.flags.c_contiguous or not values.nbytes:
             return None
         return self.borrow(values)
+
+    def settle(self, values: np.ndarray) -> DeviceArray:
+        return super().settle(values) if self.is_gpu else self.adopt(values)
 
     def _write(self, handle: Any, stored: np.ndarray, first: int = 0) -> None:
         if isinstance(handle, cl.SVM):
