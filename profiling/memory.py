@@ -68,6 +68,11 @@ def private() -> int:
     raise OSError("the system does not tell RssAnon")
 
 
+def _times(row: dict[str, float]) -> str:
+    """Of a stage."""
+    return f"{row['seconds']:.1f} s ({row['processor_seconds']:.1f} s of processors), {row.get('peak_GB', 0.0):.2f} GB"
+
+
 class Watch:
     """Peaks and seconds by stage."""
 
@@ -83,12 +88,7 @@ class Watch:
             row = self.rows.setdefault(self.stage, {})
             row["seconds"] = row.get("seconds", 0.0) + now - self.since
             row["processor_seconds"] = row.get("processor_seconds", 0.0) + worked - self.worked
-            peak = row.get("peak_GB", 0.0)
-            print(
-                f"{self.stage}: {row['seconds']:.1f} s ({row['processor_seconds']:.1f} s of processors), {peak:.2f} GB",
-                file=sys.stderr,
-                flush=True,
-            )
+            print(f"{self.stage}: {_times(row)}", file=sys.stderr, flush=True)
             self.stage, self.since, self.worked = stage, now, worked
 
     def _look(self) -> None:
@@ -169,8 +169,7 @@ def main() -> None:
         shutil.rmtree(folder)
     found: dict[str, Any] = json.loads(run.stdout.splitlines()[-1])
     for stage, row in found["stages"].items():
-        times = f"{row['seconds']:.1f} s, {row['processor_seconds']:.1f} s of processors"
-        print(f"{stage}: {times}, {row['peak_GB']:.2f} GB")
+        print(f"{stage}: {_times(row)}")
     if not asked.solve_only:
         print(f"window {found['window']:+.4f}, IoU {found['iou']:.4f}, folder {found['folder_bytes'] / 1e9:.2f} GB")
     if asked.records:
