@@ -100,6 +100,8 @@ class RingProjection(LinearOperator):
         found = _interpolated(self.rings, grid)
         self._to_voxels = found.table(self.device, grid.shape[:2], BLOCK)
         self._to_rings = found.transposed().table(self.device, self.rings.shape[:2], BLOCK)
+        if getattr(self.device, "memory", None) is not None:
+            self._take_memory()
 
     @classmethod
     def of(cls, A: Projection) -> RingProjection:
@@ -152,6 +154,18 @@ class RingProjection(LinearOperator):
             dose = self._strip("voxels", out)
             self.device.launch(gather_rows, source=on_rings, **self._to_voxels, out=dose)
             self._put(dose, first, out)
+
+    def _take_memory(self) -> None:
+        """Have what is worked in all the time before anything else is, which may then have to lie in files."""
+        slices, (angles, columns, _) = self._spectral.grid.slices, self.range.shape
+        work = self._spectral._work
+        for name in ("samples", "rings 0", "rings 1"):
+            work(name, self._spectral.grid.shape)
+        for name in ("folded 0", "folded 1"):
+            work(name, self._spectral._folded)
+        if len(self._strips) > 1:
+            work("light", (angles, columns, slices))
+            work("voxels", (*self.grid.shape[:2], slices))
 
     @property
     def _slices(self) -> tuple[int, int, int]:
