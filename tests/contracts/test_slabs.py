@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from typing import Any
 
 import kernel_examples as examples
@@ -131,6 +133,10 @@ def test_names_of_several_devices() -> None:
         three.upload(np.ones((2, 3, 4))).native()
 
 
+def _full(*_: Any) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
 def test_fields_beyond_the_memory_lie_in_files(
     opencl_name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
 ) -> None:
@@ -152,6 +158,11 @@ def test_fields_beyond_the_memory_lie_in_files(
     monkeypatch.setenv("TMPDIR", str(tmp_path / "nowhere"))
     with pytest.raises(OutOfMemory, match="set TMPDIR"):
         vam.open_device(f"{opencl_name}@1B").empty((4, 4, 4))
+    if hasattr(os, "posix_fallocate"):
+        monkeypatch.setenv("TMPDIR", str(tmp_path))
+        monkeypatch.setattr(os, "posix_fallocate", _full)
+        with pytest.raises(OutOfMemory, match="No space left.*set TMPDIR"):
+            vam.open_device(f"{opencl_name}@1B").empty((4, 4, 4))
     with pytest.raises(DeviceError, match="expected a processor through OpenCL"):
         vam.open_device("numpy@1GB")
     with pytest.raises(DeviceError, match="a size of memory"):

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vamgpu.errors import ClusterWarning
 from vamgpu.jobs import cluster, run
 from vamgpu.jobs.demo import JOB, WEB_JOB
 from vamgpu.jobs.read import Job
@@ -109,7 +110,7 @@ def test_slabs_on_workers_find_the_light_of_one_process(tmp_path: Path, monkeypa
     print("cluster", time.perf_counter() - began)
     np.testing.assert_allclose(whole, alone, rtol=1e-6, atol=1e-6 * alone.max())
     monkeypatch.setattr(run, "CHECKPOINT", 2.0)
-    with killing(monkeypatch, 4, (3.0, 9.0)) as alive:
+    with killing(monkeypatch, 4, (3.0, 9.0)) as alive, pytest.warns(ClusterWarning, match="gone.*kept last"):
         found = light_of(solve(job, tmp_path / "killed", cluster="local:2").path)
     print("kills", len(alive), time.perf_counter() - began)
     assert len(alive) >= 2 and len(set().union(*alive)) > 2

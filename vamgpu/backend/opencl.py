@@ -40,7 +40,10 @@ def _mapped(nbytes: int) -> tuple[np.ndarray, mmap.mmap]:
     folder = os.environ.get("TMPDIR") or ("/var/tmp" if os.path.isdir("/var/tmp") else None)  # /tmp may be memory
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
-            file.truncate(-(-nbytes // mmap.PAGESIZE) * mmap.PAGESIZE)
+            whole = -(-nbytes // mmap.PAGESIZE) * mmap.PAGESIZE
+            if hasattr(os, "posix_fallocate"):  # else a disk that gets full later kills the process
+                os.posix_fallocate(file.fileno(), 0, whole)
+            file.truncate(whole)
             mapped = mmap.mmap(file.fileno(), 0)
     except OSError as error:
         raise OutOfMemory(f"no file of {nbytes} bytes in {folder}: {error}; set TMPDIR to a larger disk") from error

@@ -20,7 +20,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.backend.remote import DeviceLost
-from vamgpu.errors import BadInput, Cancelled, JobError, MeshWarning, OutOfMemory, StorageError
+from vamgpu.errors import BadInput, Cancelled, ClusterWarning, JobError, MeshWarning, OutOfMemory, StorageError
 from vamgpu.jobs.build import packing_of, projection_of, target_of, with_diffusion
 from vamgpu.jobs.read import Job
 from vamgpu.methods.saved import (
@@ -131,9 +131,10 @@ def solve(
             try:
                 begun = {"overwrite": overwrite and not tried, "start": None if is_interrupted(place) else start}
                 return _solve(job, method, place, made(), pareto=pareto, progress=progress, due=due, **begun)
-            except DeviceLost:
+            except DeviceLost as error:
                 if tried >= TRIES:
                     raise
+                warnings.warn(f"{error}; going on from the plan that was kept last", ClusterWarning, stacklevel=2)
             except Cancelled:
                 if not due.came:
                     raise
