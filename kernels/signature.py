@@ -93,8 +93,9 @@ class Kernel:
     """One declared kernel: its definition, arguments, and the field whose samples its work items share out.
 
     reach: which other slices a slice's result depends on. Nothing: none. An axis: as many to either side as its length
-    less one. A table along z: those of another field, from its entry on, as many as the axis ``tap``. "all": any. A
-    kernel over a table reaches along "part" where partial results of partial results are the result.
+    less one. A table along z: those of another field, from its entry on, as many as the axis ``tap``. A number: the
+    one of another field that comes to lie there when that begins at the slice of this number. "all": any. A kernel
+    over a table reaches along "part" where partial results of partial results are the result.
     """
 
     definition: Callable[..., None]

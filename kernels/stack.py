@@ -11,7 +11,7 @@ from vamgpu.kernels.signature import ArrayInOut, Field, Integer, Real, Tiling, k
 Source = Annotated[np.ndarray, Field(("i", "j", "source"))]
 
 
-@kernel(over="stack", cpu=Tiling(major=1, minor=0))
+@kernel(over="stack", reach="first", cpu=Tiling(major=1, minor=0))
 def put_slices(source: Source, first: Integer, factor: Real, keep: Integer, lanes: Integer, stack: ArrayInOut) -> None:
     """stack[i, j, first + s] = factor·source[i, j, s], added to what stands there where ``keep`` is not 0.
 

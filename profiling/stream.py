@@ -1,7 +1,8 @@
 """Time and memory of an endless web: 600 mm × 3 mm at half a degree a pose, and a tenth of it.
 
 Run: ``python profiling/stream.py [--lengths 60 600] [--iterations 100] [--record FILE]``; each length is a process of
-its own, so that peaks do not mix, and the system holds its address space to --limit GiB.
+its own, so that peaks do not mix, and the system holds its address space to --limit GiB. ``--across 208 --limit 0``
+takes voxels of 14.4 µm in place of 80.
 """
 
 from __future__ import annotations
@@ -13,56 +14,96 @@ import subprocess
 import sys
 import tempfile
 import time
-from math import radians
+from collections.abc import Iterator
+from math import ceil, radians
 from pathlib import Path
 
 import numpy as np
 from common import machine
 
+from vamgpu.backend import open_device
 from vamgpu.geometry import Beam
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
 from vamgpu.targets.lattices import SheetGyroid
+from vamgpu.targets.stream import tile
+from vamgpu.web import WebGrid
 from vamgpu.webs.proof import prove_web
 from vamgpu.webs.stream import Stream
 
-PITCH = 0.08
-"""Voxels along rho and z, and pixels of the beam [mm]."""
+THICK, PITCH, ROWS = 3.0, 0.08, 32
+"""Of the film [mm]; voxels along rho and z, and pixels of the beam [mm]; rows."""
 
 
-def web(length: float, iterations: int, core: float, device: str | None) -> Stream:
-    """The paper's film on its roller: 79 µm a pose, 38 layers, 32 slices, a window of 55 mm; cells drift along l."""
-    roller = Roller(7.5, Film(3.0, 1.49, 1.33, 0.22), radians(0.5))
-    cells = SheetGyroid(3.0)
+class Cells:
+    """Gyroids without an end: one of as many columns as layers, again and again."""
+
+    def __init__(self, across: int, along: float) -> None:
+        cells, stretched = SheetGyroid(THICK), THICK / (across * along)
+        grid = WebGrid((across, across, across), (along, THICK / across, THICK / across))
+        self.one = tile(lambda *place: cells(stretched * place[0], *place[1:]), grid)
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        while True:
+            yield self.one
+
+
+def web(length: float, iterations: int, core: float, device: str | None, across: int | None) -> Stream:
+    """The paper's film on its roller: 79 µm a pose, a window of 55 mm.
+
+    Of 38 layers, 32 slices and cells that drift along l; or, ``across`` layers and slices, of cubes to a hundredth.
+    """
+    roller = Roller(7.5, Film(THICK, 1.49, 1.33, 0.22), radians(0.5))
+    cells = SheetGyroid(THICK)
 
     def drifting(l: np.ndarray, rho: np.ndarray, z: np.ndarray) -> np.ndarray:  # noqa: E741 - the web's axis
         return cells(l + 2.0 * np.sin(l / 17.0), rho, z)
 
-    pitch = (roller.advance, 3.0 / 38, PITCH)
-    beam = Beam((262, 32), PITCH)
+    if across:
+        fine = THICK / across
+        along = (
+            2.0 * roller.advance / max(round(2.0 * roller.advance / fine), 1)
+        )  # columns a pose, twice: a whole number
+        beam, section = Beam((ceil(262 * PITCH / fine), across), fine), (across, across)
+        tiles, pitch = Cells(across, along), (along, fine, fine)
+    else:
+        beam, section = Beam((262, ROWS), PITCH), (38, ROWS)
+        tiles, pitch = drifting, (roller.advance, THICK / 38, PITCH)
     return Stream(
-        drifting, roller, beam, length=length, section=(38, 32), pitch=pitch, iterations=iterations, core=core,
-        device=device,
+        tiles, roller, beam, length=length, section=section, pitch=pitch,
+        iterations=iterations, core=core, device=device,
     )  # fmt: skip
 
 
-def measure(length: float, iterations: int, core: float, device: str | None) -> dict[str, object]:
+def measure(length: float, iterations: int, core: float, device: str | None, across: int | None) -> dict[str, object]:
     """Solve and prove one web in a folder that is thrown away."""
     with tempfile.TemporaryDirectory() as place:
+        started = time.perf_counter()
+        job = web(length, iterations, core, device, across)
+        memory = open_device(job.device).ledger
         began, busy = time.perf_counter(), time.process_time()
-        job = web(length, iterations, core, device)
-        folder = job.write(
-            Path(place) / "web.vam", progress=lambda done, of: print(f"  {done} of {of}", file=sys.stderr)
-        )
+        ends: list[float] = []
+
+        def told(done: int, of: int | None) -> None:
+            ends.append(time.perf_counter() - began)
+            print(f"  {done} of {of} in {ends[-1]:.1f} s", file=sys.stderr, flush=True)
+
+        folder = job.write(Path(place) / "web.vam", progress=told)
         solved, worked = time.perf_counter() - began, time.process_time() - busy
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        on_device = memory.peak
+        job = None
+        proving = time.perf_counter()
         proof = prove_web(folder, device=device)
         return {
-            "length_mm": length, "iterations": iterations, "device": str(job.device), "frames": folder.frames,
-            "window_columns": job.layout.window, "rays": 262, "segments": len(folder.segments),
-            "seconds": round(solved, 1), "processor_seconds": round(worked, 1), "peak_mib": round(peak, 1),
+            "length_mm": length, "iterations": iterations, "device": str(proof.device), "frames": folder.frames,
+            "section": list(proof.grid.shape[1:]), "window_columns": folder.details["layout"]["window"],
+            "rays": proof.beam.pixels[0], "segments": len(folder.segments), "ready_seconds": round(began - started, 1),
+            "seconds": round(solved, 1), "seconds_at": [round(each, 1) for each in ends],
+            "processor_seconds": round(worked, 1), "peak_mib": round(peak, 1),
+            "peak_on_device_mib": round(on_device / 2**20, 1), "proof_seconds": round(time.perf_counter() - proving, 1),
             "peak_with_proof_mib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
-            "iou": proof.iou, "threshold": proof.threshold,
+            "iou": proof.iou, "window": proof.window, "threshold": proof.threshold,
         }  # fmt: skip
 
 
@@ -71,20 +112,23 @@ def main() -> None:
     parser.add_argument("--lengths", type=float, nargs="+", default=[60.0, 600.0])
     parser.add_argument("--iterations", type=int, default=100)
     parser.add_argument("--core", type=float, default=2.0)
-    parser.add_argument("--limit", type=float, default=2.0, help="GiB of address space the system allows")
+    parser.add_argument("--limit", type=float, default=2.0, help="GiB of address space the system allows; 0 for any")
+    parser.add_argument("--across", type=int, help="layers, and slices; cubes of a film's thickness over as many")
     parser.add_argument("--device")
     parser.add_argument("--record", type=Path)
     parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.one:
-        resource.setrlimit(resource.RLIMIT_AS, (int(given.limit * 2**30),) * 2)
-        print(json.dumps(measure(given.lengths[0], given.iterations, given.core, given.device)))
+        if most := int(given.limit * 2**30):
+            resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        print(json.dumps(measure(given.lengths[0], given.iterations, given.core, given.device, given.across)))
         return
     found = []
     for length in given.lengths:
         command = [sys.executable, __file__, "--one", "--lengths", str(length), "--core", str(given.core)]
         command += ["--limit", str(given.limit), "--iterations", str(given.iterations)]
         command += ["--device", given.device] if given.device else []
+        command += ["--across", str(given.across)] if given.across else []
         done = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
         found.append(done | {"limit_gib": given.limit, "machine": machine()})
         print(json.dumps(done, indent=1))

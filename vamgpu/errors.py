@@ -193,6 +193,10 @@ class MemoryNotice(UserWarning):
     """A method shrank its working memory to fit the device."""
 
 
+class ClusterWarning(UserWarning):
+    """A run lost a worker and goes on without what that one had done since a plan was kept."""
+
+
 class SliceWarning(UserWarning):
     """A stack of slices, or what is asked of it, is usable but likely not what was meant."""
 

@@ -53,6 +53,30 @@ def test_solve_writes_beside_the_file_and_overwrites_only_when_told(
     assert main([*command, "--overwrite"]) == 0
 
 
+@pytest.mark.slow
+def test_memory_is_told_the_device_and_leaves_out_what_is_larger(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from vamgpu.jobs.demo import JOB
+
+    if not any(name.startswith("opencl") for name in vamgpu.devices()):
+        pytest.skip("fields in files need a processor through OpenCL")
+    (tmp_path / "part.toml").write_text(JOB, encoding="utf-8")
+    given = {key: value for key, value in SMALL.items() if key != "solve.device"}
+    settings = [word for key, value in given.items() for word in ("--set", f"{key}={value}")]
+    assert main(["solve", str(tmp_path / "part.toml"), *settings, "--memory", "1.5GB"]) == 0
+    manifest = json.loads((tmp_path / "part.vam" / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["inputs"]["job"]["solve"]["device"].endswith("@500000000B")
+    prove = ["prove", str(tmp_path / "part.vam"), "--memory", "1.5GB"]
+    monkeypatch.setattr("vamgpu.printing.report.BYTES_A_VOXEL", 10**9)
+    assert main(prove) == 0
+    assert "no report" in capsys.readouterr().out and not (tmp_path / "part.html").exists()
+    monkeypatch.undo()
+    assert main(prove) == 0 and (tmp_path / "part.html").exists()
+    assert main([*prove[:2], "--memory", "much"]) == 1
+    assert "expected more than 1 GB" in capsys.readouterr().err
+
+
 def test_errors_are_one_clear_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "part.toml").write_text('[target]\npitch = 3\nshape = "boat"\nheight = "9 mm"\n', encoding="utf-8")
     assert main(["solve", str(tmp_path / "part.toml")]) == 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from typing import Any
 
 import kernel_examples as examples
@@ -131,6 +133,10 @@ def test_names_of_several_devices() -> None:
         three.upload(np.ones((2, 3, 4))).native()
 
 
+def _full(*_: Any) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
 def test_fields_beyond_the_memory_lie_in_files(
     opencl_name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
 ) -> None:
@@ -152,7 +158,77 @@ def test_fields_beyond_the_memory_lie_in_files(
     monkeypatch.setenv("TMPDIR", str(tmp_path / "nowhere"))
     with pytest.raises(OutOfMemory, match="set TMPDIR"):
         vam.open_device(f"{opencl_name}@1B").empty((4, 4, 4))
+    if hasattr(os, "posix_fallocate"):
+        monkeypatch.setenv("TMPDIR", str(tmp_path))
+        monkeypatch.setattr(os, "posix_fallocate", _full)
+        with pytest.raises(OutOfMemory, match="No space left.*set TMPDIR"):
+            vam.open_device(f"{opencl_name}@1B").empty((4, 4, 4))
     with pytest.raises(DeviceError, match="expected a processor through OpenCL"):
         vam.open_device("numpy@1GB")
     with pytest.raises(DeviceError, match="a size of memory"):
         vam.open_device(f"{opencl_name}@much")
+
+
+@pytest.mark.parametrize("kind", ["numpy", "opencl", "warp:cpu"])
+def test_borders_pass_from_member_to_member_where_one_library_knows_both(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two devices with queues of their own: nothing is read to the host, and no border comes before it was computed."""
+    if kind == "opencl":
+        from vamgpu.backend.opencl_platforms import context_of
+
+        name = next(name for name in vam.devices() if name.startswith("opencl"))
+        members: list[Device] = [OpenclDevice(name, context_of(name)) for _ in range(2)]
+    elif kind == "warp:cpu":
+        from vamgpu.backend.warp import WarpDevice
+
+        members = [WarpDevice(kind, "cpu") for _ in range(2)]
+    else:
+        members = [NumpyDevice() for _ in range(2)]
+    two = SlabDevice("two", members)
+    target, A = lit(two)
+    _, alone = lit(members[0])
+    light = np.random.default_rng(1).random(A.range.shape).astype(np.float32)
+    here, there = two.upload(light), members[0].upload(light)
+    dose, other = A.T(here), alone.T(there)
+    brought = list[int]()
+    fetch = type(members[0])._fetch
+    monkeypatch.setattr(type(members[0]), "_fetch", lambda *given: brought.append(1) or fetch(*given))
+    for _ in range(8):
+        for operator, sent, got in ((A, here, dose), (alone, there, other)):
+            operator.T(sent, out=got)
+            operator(got, out=sent)
+    loaded = type(members[0])._load
+    monkeypatch.setattr(type(members[0]), "_load", lambda *given: pytest.fail("read to the host"))
+    A.T(here, out=dose)
+    monkeypatch.setattr(type(members[0]), "_load", loaded)
+    alone.T(there, out=other)
+    assert len(brought) >= 16
+    expected = other.numpy()
+    np.testing.assert_allclose(dose.numpy(), expected, rtol=1e-4, atol=1e-5 * expected.max())
+
+
+def test_devices_of_other_libraries_pass_borders_through_the_host(opencl_name: str) -> None:
+    from vamgpu.backend.opencl_platforms import all_devices
+
+    pocl = next((name for name in all_devices() if name != opencl_name), None)
+    if pocl is None:
+        pytest.skip("one OpenCL platform is here")
+    target, A = lit(f"{opencl_name}+{pocl}")
+    _, alone = lit(opencl_name)
+    light = np.random.default_rng(1).random(A.range.shape).astype(np.float32)
+    expected = alone.T(light)
+    np.testing.assert_allclose(A.T(light), expected, rtol=1e-4, atol=1e-5 * expected.max())
+
+
+def test_scenarios_stay_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run at all corners puts the slices of each among those of all, on the members that keep them."""
+    met: list[str] = []
+    run = SlabDevice._run_whole
+    monkeypatch.setattr(
+        SlabDevice, "_run_whole", lambda self, kernel, bound: met.append(kernel.name) or run(self, kernel, bound)
+    )
+    target, A = lit(THREE)
+    tolerances = vam.Tolerances(axis=0.1, spread=(0.15, 0.3))
+    vam.optimize(A, target, iterations=3, tolerances=tolerances, progress=False)
+    assert not {"put_slices", "resample", "copy_slices"} & set(met)

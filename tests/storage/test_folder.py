@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import random
+import subprocess
+import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +21,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage import folder as module
 from vamgpu.storage.arrays import shard_length
+from vamgpu.storage.atomic import clear
 from vamgpu.storage.folder import Entry, Folder, write_folder
 
 FRAMES = np.random.default_rng(0).integers(0, 256, (7, 30, 40), np.uint8)
@@ -210,3 +216,40 @@ def test_arrays_of_another_shape_are_found(tmp_path: Path) -> None:
     (other.path / "frames").rename(job.path / "frames")
     with pytest.raises(StorageError, match="its manifest says uint8"):
         job.array("frames")
+
+
+def test_all_of_a_job_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A power cut loses what was not brought to the disk, names of files among it."""
+    settled, moved = set[int](), list[set[int]]()
+    fsync, replace = os.fsync, os.replace
+    monkeypatch.setattr(os, "fsync", lambda handle: settled.add(os.fstat(handle).st_ino) or fsync(handle))
+    monkeypatch.setattr(os, "replace", lambda *names: moved.append(set(settled)) or replace(*names))
+    job = write(tmp_path / "a.vam", np.zeros((700, 3, 4), np.uint8)).path
+    every = [path for path in job.rglob("*") if path.name != "zarr.json" or path.parent != job]
+    assert len(every) > 8
+    assert {path.stat().st_ino for path in every} <= moved[-1]
+    assert {job.stat().st_ino, tmp_path.stat().st_ino} <= settled
+
+
+@pytest.mark.slow
+def test_a_writer_killed_at_any_moment_loses_nothing_it_confirmed(tmp_path: Path) -> None:
+    """It writes jobs over one another, and tells when each is there."""
+    program = (
+        "import sys, numpy as np; from pathlib import Path; from vamgpu.storage.folder import Entry, write_folder\n"
+        "for k in range(10**6):\n"
+        "    values = Entry(np.full((40, 200, 200), k, np.int32), ('a', 'b', 'c'))\n"
+        "    write_folder(Path(sys.argv[1]), {'x': values}, inputs={}, details={}, device='', overwrite=True)\n"
+        "    print(k, flush=True)\n"
+    )
+    chance, place = random.Random(3), tmp_path / "job.vam"
+    for _ in range(12):
+        with subprocess.Popen([sys.executable, "-c", program, str(place)], stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            lines = [process.stdout.readline() for _ in range(chance.randint(1, 4))]
+            time.sleep(chance.uniform(0.0, 0.1))
+            process.kill()
+            told = int([*lines, *process.stdout.read().splitlines()][-1])
+        clear(place)
+        found = np.unique(Folder.open(place).array("x"))
+        assert len(found) == 1 and found[0] >= told
+        assert [path.name for path in tmp_path.iterdir()] == ["job.vam"]

@@ -15,11 +15,11 @@ DECODERS = {
     "vamgpu/storage/zipped.py": {"ZipFile"},
     "vamgpu/storage/images.py": {"Image.open", "OpenEXR.File"},
     "vamgpu/storage/films.py": {"av.open"},  # of an open file
-    "vamgpu/storage/atomic.py": {"os.open"},  # folders, for their locks
+    "vamgpu/storage/atomic.py": {"os.open"},  # for locks and fsync
     "vamgpu/targets/mesh.py": {"trimesh.load_scene"},  # of bytes
     "vamgpu/curethrough/images.py": {"Image.open"},  # of bytes
     "vamgpu/reports/style.py": {"Image.open"},  # of bytes that were drawn here
-    "vamgpu/webs/store.py": {"zarr.open_array", "open"},  # to write; for fsync
+    "vamgpu/webs/store.py": {"zarr.open_array"},  # to write
     # what comes with the library, the system or a process of its own
     "vamgpu/reports/page.py": {"read_text"},
     "kernels/catalog.py": {"read_text", "json.loads"},

@@ -9,10 +9,12 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
+from full_disk import files_of_at_most
 from slanted import WINDOW, part, stream, tiled
 
 from vamgpu.errors import StorageError
@@ -81,6 +83,22 @@ def interrupted(place: Path, segments: int) -> WebFolder:
 
 
 @pytest.mark.slow
+def test_a_full_disk_loses_no_segment_that_was_counted(tmp_path: Path) -> None:
+    job = stream(tiled(part(6 * WINDOW)), core=1.0, iterations=2)
+    alone, place, limits = job.write(tmp_path / "alone.vam"), tmp_path / "web.vam", ExitStack()
+
+    def fill(done: int, _: int | None) -> None:
+        if done == 3:
+            limits.enter_context(files_of_at_most(200))
+
+    with pytest.raises(StorageError, match="beyond what the system allows"), limits:
+        job.write(place, progress=fill)
+    kept = WebFolder.open(place)
+    assert len(kept.segments) == 3
+    kept.verify()
+    assert contents(job.write(place)) == contents(alone)
+
+
 def test_frames_half_written_are_never_counted(tmp_path: Path) -> None:
     """What a run leaves that dies after it wrote frames, and before it counted them."""
     alone = stream(tiled(part(8 * WINDOW)), core=1.0).write(tmp_path / "alone.vam")

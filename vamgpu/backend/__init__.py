@@ -16,13 +16,16 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import DeviceError
+from vamgpu.errors import BadInput, DeviceError
 from vamgpu.quantity import bytes_of
 
 if TYPE_CHECKING:
     from vamgpu.backend.device import Device
 
-__all__ = ["DeviceArray", "default_device", "devices", "open_device"]
+__all__ = ["DeviceArray", "default_device", "devices", "open_device", "within"]
+
+BESIDE = 1_000_000_000
+"""Bytes of private memory that a job needs beside its fields; 0.9 GB was the most that was measured."""
 
 
 @cache
@@ -68,6 +71,31 @@ def open_device(name: str | Device | None = None) -> Device:
             f"got {name!r} for a device; expected a name, one of {', '.join(devices())}, or an open device"
         )
     return name
+
+
+def within(device: str | None, memory: str) -> str:
+    """Name of a device whose fields leave a process within so much private memory.
+
+    Args:
+        device: A processor through OpenCL, by name; None takes the best one.
+        memory: Of the process, such as ``8GB``; `BESIDE` of it is for all that is no field.
+
+    Returns:
+        The name, such as ``opencl:pocl:0@7000000000B``.
+
+    Raises:
+        BadInput: The memory is no size, or too small; or there is no such processor.
+    """
+    size = bytes_of(memory)
+    if size is None or size <= BESIDE:
+        raise BadInput(f"got {memory!r} of memory; expected more than {BESIDE / 1e9:g} GB, such as 8GB")
+    if device is None:
+        device = next((name for name in devices() if name in _opencl_names()[1]), None)
+        if device is None:
+            raise BadInput(
+                "fields in files need a processor through OpenCL, and none works here; `vam doctor` says why"
+            )
+    return f"{device.partition('@')[0]}@{size - BESIDE}B"
 
 
 @cache

@@ -111,6 +111,13 @@ class Device(ABC):
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
         """Run a kernel on handles and scalars that already fit its declaration."""
 
+    def _fetch(self, handle: Any, other: Device, source: Any) -> bool:
+        """Copy memory of another device into a handle of as many bytes; False where that takes the host.
+
+        Whatever either device is told to do after that happens after it.
+        """
+        return False
+
     def flush(self) -> None:
         """Begin what was launched, where a driver would wait for more."""
         return
@@ -357,6 +364,14 @@ class Device(ABC):
         The array must neither change nor go before `synchronize` returns.
         """
         return self.upload(values, table=True)
+
+    def room(self, shape: tuple[int, ...]) -> np.ndarray:
+        """An array of float32 for `settle`; in a file where fields may be, too."""
+        return np.empty(shape, np.float32)
+
+    def settle(self, values: np.ndarray) -> DeviceArray:
+        """A table of an array of `room` that nobody else has: the array itself where device and host share memory."""
+        return self.table(values)
 
     def lend(self, values: np.ndarray) -> DeviceArray | None:
         """A table to write that is the NumPy array itself; None where device and host share no memory.

@@ -44,6 +44,12 @@ class NumpyDevice(Device):
     def _read(self, handle: np.ndarray, stored: np.ndarray, first: int = 0) -> None:
         stored.reshape(-1)[...] = handle.reshape(-1)[first : first + stored.size]
 
+    def _fetch(self, handle: np.ndarray, other: Device, source: Any) -> bool:
+        if not isinstance(other, NumpyDevice):
+            return False
+        handle[...] = source
+        return True
+
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
         kernel.definition(**bound)
 

@@ -9,6 +9,7 @@ import warnings
 import weakref
 from collections.abc import Callable
 from functools import lru_cache
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ from vamgpu.backend.device import Device, from_host
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Table, Tiling
 
+SMALL_TABLE = 1 << 24
+"""Bytes up to which a table stays in memory, whatever that may hold."""
 VECTOR = 64
 """Bytes of the widest vectors that kernels load."""
 MOST_TOGETHER = 64
@@ -30,6 +33,21 @@ takes groups of thousands, which overflow it."""
 def _release(queue: cl.CommandQueue, values: Any) -> None:
     """Let host memory go once no kernel that was launched works on it any more."""
     queue.finish()
+
+
+def _mapped(nbytes: int) -> tuple[np.ndarray, mmap.mmap]:
+    """Memory that is a nameless file, whose pages the system brings and takes. Raises `OutOfMemory`."""
+    folder = os.environ.get("TMPDIR") or ("/var/tmp" if os.path.isdir("/var/tmp") else None)  # /tmp may be memory
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            whole = -(-nbytes // mmap.PAGESIZE) * mmap.PAGESIZE
+            if hasattr(os, "posix_fallocate"):  # else a disk that gets full later kills the process
+                os.posix_fallocate(file.fileno(), 0, whole)
+            file.truncate(whole)
+            mapped = mmap.mmap(file.fileno(), 0)
+    except OSError as error:
+        raise OutOfMemory(f"no file of {nbytes} bytes in {folder}: {error}; set TMPDIR to a larger disk") from error
+    return np.frombuffer(mapped, np.uint8), mapped
 
 
 def _divisor(count: int) -> int:
@@ -49,7 +67,7 @@ class OpenclDevice(Device):
         self.is_gpu: bool = bool(device.type & cl.device_type.GPU)
         self.context = context
         self.memory = memory
-        """Bytes that fields take of memory before further ones are kept in files; None for any number."""
+        """Bytes that arrays take of memory before further ones are kept in files; None for any number."""
         self.queue: cl.CommandQueue = cl.CommandQueue(context)
         self._device = device
         self._is_nvidia = device.platform.name.startswith("NVIDIA")
@@ -77,24 +95,24 @@ class OpenclDevice(Device):
                 "use a coarser grid or fewer angles"
             )
         try:
-            if lanes and self.memory is not None and self.ledger.allocated + nbytes > self.memory:
+            beyond = self.memory is not None and self.ledger.allocated + nbytes > self.memory
+            if beyond and (lanes or nbytes > SMALL_TABLE):
                 return self._in_file(nbytes)
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(nbytes, 4))
         except cl.Error as error:
             raise OutOfMemory(f"{self.name} has no {nbytes} bytes left for {shape} of {dtype}: {error}") from error
 
     def _in_file(self, nbytes: int) -> cl.Buffer:
-        """Memory that is a nameless file, whose pages the system brings and takes; it goes with the buffer."""
-        folder = os.environ.get("TMPDIR") or ("/var/tmp" if os.path.isdir("/var/tmp") else None)  # /tmp may be memory
-        try:
-            with tempfile.TemporaryFile(dir=folder) as file:
-                file.truncate(-(-nbytes // mmap.PAGESIZE) * mmap.PAGESIZE)
-                mapped = mmap.mmap(file.fileno(), 0)
-        except OSError as error:
-            raise OutOfMemory(f"no file of {nbytes} bytes in {folder}: {error}; set TMPDIR to a larger disk") from error
-        pages = np.frombuffer(mapped, np.uint8)
+        """Memory that is a nameless file; it goes with the buffer."""
+        pages, mapped = _mapped(nbytes)
         weakref.finalize(pages, _release, self.queue, mapped).atexit = False
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=pages)
+
+    def room(self, shape: tuple[int, ...]) -> np.ndarray:
+        nbytes = 4 * prod(shape)
+        if self.memory is None or nbytes <= SMALL_TABLE:
+            return super().room(shape)
+        return _mapped(nbytes)[0][:nbytes].view(np.float32).reshape(shape)
 
     def borrow(self, values: np.ndarray) -> DeviceArray:
         if self.is_gpu or not values.flags.c_contiguous or not values.nbytes:
@@ -113,6 +131,9 @@ class OpenclDevice(Device):
             return None
         return self.borrow(values)
 
+    def settle(self, values: np.ndarray) -> DeviceArray:
+        return super().settle(values) if self.is_gpu else self.adopt(values)
+
     def _write(self, handle: Any, stored: np.ndarray, first: int = 0) -> None:
         if isinstance(handle, cl.SVM):
             self.queue.finish()
@@ -129,6 +150,16 @@ class OpenclDevice(Device):
                 cl.enqueue_copy(self.queue, stored, handle, src_offset=first * stored.itemsize)
             except cl.MemoryError as error:  # drivers may defer an allocation until it is first used
                 raise OutOfMemory(f"{self.name} ran out of memory: {error}") from error
+
+    def _fetch(self, handle: Any, other: Device, source: Any) -> bool:
+        if not isinstance(other, OpenclDevice) or other.context != self.context or isinstance(source, cl.SVM):
+            return False
+        ready = cl.enqueue_marker(other.queue)
+        other.queue.flush()
+        done = cl.enqueue_copy(self.queue, handle, source, wait_for=[ready])
+        self.queue.flush()
+        cl.enqueue_barrier(other.queue, wait_for=[done])
+        return True
 
     def compile(self, kernel: Kernel, lanes: int, *, cached: bool = True) -> cl.Kernel:
         """The sibling of a kernel compiled for a layout of ``lanes``; not cached, it tells its arguments everywhere."""

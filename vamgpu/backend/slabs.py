@@ -103,7 +103,7 @@ class SlabDevice(Device):
     members: tuple[Device, ...]
 
     def __init__(self, name: str, members: Sequence[Device]) -> None:
-        if len({(type(member), member.is_gpu) for member in members}) != 1:
+        if len({(type(member), member.is_gpu, member.real) for member in members}) != 1:
             raise DeviceError(
                 f"{name!r} is {', '.join(map(str, members)) or 'no device'}; expected devices of one kind, which cut "
                 "their work alike"
@@ -179,6 +179,8 @@ class SlabDevice(Device):
             self._run_whole(kernel, bound)
         elif not kernel.reach:
             self._run_apart(kernel, bound, sizes)
+        elif isinstance(kernel.arguments.get(kernel.reach), Scalar):
+            self._run_placed(kernel, bound, sizes)
         elif kernel.reach in kernel.arguments:
             self._run_band(kernel, bound, sizes)
         else:
@@ -241,13 +243,30 @@ class SlabDevice(Device):
                 self.members[k].flush()
         self._done(spanned, bound[source])
 
+    def _run_placed(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int]) -> None:
+        """Every member computes those of its own slices that another field comes to lie on, from a first one on."""
+        over: Any = kernel.arguments[kernel.over]
+        (source,) = (n for n, spec in kernel.arguments.items() if isinstance(spec, Field) and spec.axes != over.axes)
+        cuts, first, height = self.cuts(sizes[over.axes[2]]), int(bound[kernel.reach]), _height(bound[source])
+        spans = [(min(max(begin - first, 0), height), min(max(end - first, 0), height)) for begin, end in cuts]
+        spanned = self._spanned(bound[source], spans)
+        shares = {n: self._shares(kernel.arguments[n], v, {over.axes[2]: cuts}) for n, v in bound.items()}
+        for k, ((begin, _), (low, high)) in enumerate(zip(cuts, spans, strict=True)):
+            if low < high:
+                given = {n: spanned[k] if v is bound[source] else shares[n][k] for n, v in bound.items()}
+                self.members[k].launch(kernel, **{**given, kernel.reach: first + low - begin})
+                self.members[k].flush()
+        self._done(spanned, bound[source])
+
     def _bring(self, piece: DeviceArray, begin: int, end: int, first: int, wide: DeviceArray) -> None:
         """Copy slices of a piece to a field, perhaps another member's, that begins with the piece's slice ``first``."""
         if piece.device is wide.device:
             return _copy(piece, first, wide)
         strips = [self._scratch(array.device, (*piece.shape[:2], end - begin)) for array in (piece, wide)]
         _copy(piece, begin, strips[0])
-        wide.device._store(strips[1], piece.device._load(strips[0]))
+        piece.device.flush()
+        if not wide.device._fetch(strips[1].handle, piece.device, strips[0].handle):
+            wide.device._store(strips[1], piece.device._load(strips[0]))
         _copy(strips[1], first - begin, wide)
         self._keep(*strips)
 

@@ -104,6 +104,18 @@ class WarpDevice(Device):
             wp.copy(seen, handle, src_offset=first, count=count)
         self.synchronize()
 
+    def _fetch(self, handle: wp.array, other: Device, source: Any) -> bool:
+        if not isinstance(other, WarpDevice) or other._device.is_cuda != self._device.is_cuda:
+            return False
+        if self._device.is_cuda:
+            if other._device != self._device and wp.is_peer_access_supported(self._device, other._device):
+                wp.set_peer_access_enabled(other._device, self._device, True)
+            self._device.stream.wait_stream(other._device.stream)
+        wp.copy(handle, source)
+        if self._device.is_cuda:
+            other._device.stream.wait_stream(self._device.stream)
+        return True
+
     @staticmethod
     def _host_view(handle: wp.array, stored: np.ndarray, first: int) -> tuple[wp.array, int, int]:
         """Host memory, and first element and count as the handle counts them."""

@@ -60,7 +60,7 @@ def demo(
 def solve(
     job: Path, *, out: Path | None = None, start: Path | None = None, rig: Path | None = None,
     settings: Settings = None, overwrite: Overwrite = False,
-    pareto: Annotated[bool, Parameter(negative="")] = False,
+    pareto: Annotated[bool, Parameter(negative="")] = False, memory: str | None = None, cluster: str | None = None,
 ) -> None:  # fmt: skip
     """Find light for a TOML job file and write it to a job folder, or go on with one that was stopped by Ctrl-C.
 
@@ -70,24 +70,34 @@ def solve(
         start: folder of a plan whose light is the first guess, of as many angles and pixels, whatever else has changed
         rig: the TOML file of the rig that will print it, whose measured point spread counts where the job has none
         pareto: find the widest windows of shorter and shorter exposures too, by the lamp and resin of [print]
+        memory: what the process may take, such as 8GB; fields beyond it lie in files, in the folder TMPDIR
+        cluster: whose workers share the slices of a vial, or the segments of a web: local:4 for four processes of this
+            machine, tcp://host:8786 for a Dask cluster that sees the same files
     """
+    from vamgpu.backend import within
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.read import read_job
     from vamgpu.jobs.run import solve as run
-    from vamgpu.jobs.web import is_web
+    from vamgpu.jobs.web import is_web, read_web
 
     if rig is not None:
         settings = [*(settings or ()), *_measured(job, rig, settings)]
+    if memory is not None:
+        read = read_web if is_web(job) else read_job
+        device = within(read(job, settings or ()).file.solve.device, memory)
+        settings = [*(settings or ()), f"solve.device={device}"]
     if is_web(job):
         if start is not None:
             raise BadInput(f"{str(job)!r} is a web, which goes on with its own folder; leave --start out")
         if pareto:
             raise BadInput(f"{str(job)!r} is a web, which moves as fast as its limits allow; leave --pareto out")
-        return _solve_web(job, out, settings, overwrite)
+        return _solve_web(job, out, settings, overwrite, cluster)
     place = out if out is not None else job.with_suffix(".vam")
     wanted, screen = read_job(job, settings or ()), console()
     with shown(screen) as progress:
-        folder = run(wanted, place, overwrite=overwrite, start=start, pareto=pareto, progress=progress)
+        folder = run(
+            wanted, place, overwrite=overwrite, start=start, pareto=pareto, cluster=cluster, progress=progress
+        )  # fmt: skip
     if pareto:
         sheet = Table("exposure", "window", "dose outside over inside")
         for point in folder.manifest.inputs["pareto"]:
@@ -129,7 +139,7 @@ def prove(
     job: Path, /, *, report: Path | None = None, device: str | None = None,
     bound: Annotated[bool, Parameter(negative="")] = False,
     tolerances: Annotated[bool, Parameter(negative="")] = False,
-    printed: Annotated[list[Path] | None, Parameter(name="--job", negative="")] = None,
+    printed: Annotated[list[Path] | None, Parameter(name="--job", negative="")] = None, memory: str | None = None,
 ) -> None:  # fmt: skip
     """Simulate a written job from its frames alone, or what a run has really shown, and draw a report.
 
@@ -140,13 +150,20 @@ def prove(
         bound: find the widest window that any light can have too, by 1500 projector evaluations
         tolerances: prove it at every corner of the job's [tolerances] too, with one threshold for all
         printed: folder of a job that a run printed, where it was moved since; one for each that was
+        memory: what the proof may take, such as 8GB; fields beyond it lie in files, in the folder TMPDIR, and a report
+            that takes more is left out
     """
+    from vamgpu.backend import within
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.run import prove as run
     from vamgpu.jobs.web import is_web_folder
+    from vamgpu.printing.report import report_bytes
+    from vamgpu.quantity import bytes_of
     from vamgpu.storage.atomic import named, page_path
+    from vamgpu.storage.memory import size
 
     job = named(job)
+    device = device if memory is None else within(device, memory)
     place = page_path(report or job.with_suffix(".html"))
     if bound and ((job / "run.json").is_file() or is_web_folder(job)):
         raise BadInput(f"--bound is for the job of a vial, and {str(job)!r} is none; leave it out")
@@ -161,10 +178,16 @@ def prove(
     screen = console()
     with shown(screen) as progress:
         proven = run(job, device, evaluations=1500.0 if bound else 0.0, tolerances=tolerances, progress=progress)
-        progress("report", 0.0)
-        page = proven.report(place)
+        needs = report_bytes(proven.proof)
+        fits = memory is None or needs <= (bytes_of(memory) or 0)
+        if fits:
+            progress("report", 0.0)
+            proven.report(place)
     _scores(screen, proven)
-    screen.print(f"report  [bold]{_path(page.resolve())}[/]")
+    if fits:
+        screen.print(f"report  [bold]{_path(place.resolve())}[/]")
+    else:
+        screen.print(f"[yellow]note[/]  no report, which takes {size(needs)} of memory; leave --memory out to draw it")
 
 
 def _prove_run(run: Path, place: Path, device: str | None, printed: Sequence[Path]) -> None:
@@ -480,14 +503,17 @@ def _demo_web(out: Path, settings: list[str] | None) -> None:
     screen.print(f"report  [bold]{_path(done.report.resolve())}[/]")
 
 
-def _solve_web(job: Path, out: Path | None, settings: list[str] | None, overwrite: bool) -> None:
+def _solve_web(
+    job: Path, out: Path | None, settings: list[str] | None, overwrite: bool, cluster: str | None
+) -> None:  # fmt: skip
     """Solve a web, or go on with one that was interrupted."""
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.web import read_web, solve_web
 
     wanted, screen = read_web(job, settings or ()), console()
     with shown(screen) as progress:
-        folder = solve_web(wanted, out or job.with_suffix(".vam"), overwrite=overwrite, progress=progress)
+        place = out or job.with_suffix(".vam")
+        folder = solve_web(wanted, place, overwrite=overwrite, cluster=cluster, progress=progress)
     screen.print(f"wrote [bold]{_path(folder.path)}[/]; prove it with: vam prove {_path(folder.path)}")
 
 

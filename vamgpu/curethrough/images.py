@@ -119,7 +119,15 @@ def _damaged(name: str, error: Exception) -> SliceError:
 
 
 def encode(levels: np.ndarray, ending: str) -> bytes:
-    """uint8 [y, x] as an 8-bit gray picture; ``ending``: .png, .tif or .tiff."""
+    """A picture of 8 bits, in gray.
+
+    Args:
+        levels: Gray levels, uint8 [y, x].
+        ending: .png, .tif or .tiff.
+
+    Returns:
+        The bytes of its file.
+    """
     return _png(levels) if ending.lower() == ".png" else _tiff(levels)
 
 
@@ -134,7 +142,14 @@ def _png(levels: np.ndarray) -> bytes:
 
 
 def encode_bits(lit: np.ndarray) -> bytes:
-    """Booleans [y, x] as a PNG of 1 bit a pixel."""
+    """A PNG of 1 bit a pixel.
+
+    Args:
+        lit: Whether each pixel is white, [y, x].
+
+    Returns:
+        The bytes of its file.
+    """
     rows, columns = lit.shape
     lines = np.zeros((rows, 1 - (-columns // 8)), np.uint8)
     lines[:, 1:] = np.packbits(lit, axis=1)
@@ -147,7 +162,14 @@ def _written(head: bytes, lines: np.ndarray) -> bytes:
 
 
 def deflated(data: np.ndarray) -> bytes:
-    """Contiguous bytes as zlib packs runs of like ones: of differences it makes less, and faster, than a search."""
+    """Bytes packed by zlib as runs of like ones: of differences it makes less, and faster, than a search.
+
+    Args:
+        data: Contiguous bytes [any axes].
+
+    Returns:
+        The packed bytes.
+    """
     packer = zlib.compressobj(1, strategy=zlib.Z_RLE)
     return packer.compress(data) + packer.flush()  # type: ignore[arg-type]
 

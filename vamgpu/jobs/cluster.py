@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import vamgpu
-from vamgpu.errors import BadInput, DeviceError
+from vamgpu.backend.remote import DeviceLost, RemoteDevice, Served
+from vamgpu.errors import BadInput, DeviceError, VamError
+
+if TYPE_CHECKING:
+    from vamgpu.backend.slabs import SlabDevice
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
 TRIES = 100
 """How often a task is begun anew whose worker died."""
+AHEAD = 3
+"""Tasks for each worker that are begun before the first result of them is taken, where results are taken in order."""
+LOOK = 5.0
+"""Seconds after which a worker that does not answer is looked for."""
+RETURN = 5.0
+"""Seconds that a worker which was lost gets to come back before another one takes its slab."""
 PATIENCE = 60.0
 """Seconds that workers get to come up."""
 
@@ -30,7 +41,8 @@ def workers(where: str | None, device: str | None = None) -> Iterator[Callable[.
 
     Yields:
         A function of a function and a sequence of its arguments, which gives results as they come. Both, and what is
-        found, travel to other processes and back.
+        found, travel to other processes and back. Given ``ordered=True`` it gives them in the order of the arguments,
+        and begins no task that is many ahead of the one whose result is next.
 
     Raises:
         BadInput: ``where`` is no such address.
@@ -38,12 +50,12 @@ def workers(where: str | None, device: str | None = None) -> Iterator[Callable[.
             message names it.
     """
     if where is None:
-        yield lambda function, items: map(function, items)
+        yield lambda function, items, ordered=False: map(function, items)  # noqa: ARG005 - they come in order
         return
     client = _client(where)
     try:
         _refuse_unlike(client, device)
-        yield lambda function, items: _results(client, function, items)
+        yield lambda function, items, ordered=False: _results(client, function, items, ordered=ordered)
     finally:
         client.close()
         if client.cluster is not None:
@@ -68,6 +80,88 @@ def _client(where: str) -> Any:
             return Client(LocalCluster(n_workers=int(rest), **processes), timeout=PATIENCE)
     except (OSError, TimeoutError, ValueError) as error:
         raise DeviceError(f"no cluster answers at {where!r}: {error}; start its scheduler, or take local:4") from error
+
+
+@contextmanager
+def slabs(where: str, device: str | None = None) -> Iterator[Callable[[], SlabDevice]]:
+    """The workers of a cluster as one device, which cuts every field along z; see `vamgpu.backend.slabs`.
+
+    Args:
+        where: As for `workers`; a slab for each worker that is there.
+        device: That every worker must have; None takes the best one of each.
+
+    Yields:
+        A function that makes the device; and makes it anew, of as many slabs, on the workers that are left once one was
+        lost (`DeviceLost`) and all that was kept there with it.
+
+    Raises:
+        BadInput: ``where`` is no such address.
+        DeviceError: As `workers`.
+    """
+    from vamgpu.backend.slabs import SlabDevice
+
+    client = _client(where)
+    try:
+        _refuse_unlike(client, device)
+        count = len(client.nthreads())
+        lost: list[Any] = []
+
+        def made() -> SlabDevice:
+            lost.clear()
+            members = [_remote(client, device, number, count) for number in range(count)]
+            lost.extend(members)
+            return SlabDevice(f"{device or 'best'} on {where}", members)
+
+        yield made
+    finally:
+        client.close()
+        if client.cluster is not None:
+            client.cluster.close()
+
+
+def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteDevice:
+    """A device of a worker, one of ``count``; of another one where fewer are left. Raises `DeviceLost`."""
+    until = time.monotonic() + PATIENCE
+    while True:
+        try:
+            left = sorted(client.nthreads())
+            if len(left) < count and time.monotonic() < until - PATIENCE + RETURN:
+                time.sleep(0.1)  # a worker that is begun anew takes a moment
+                continue
+            client.wait_for_workers(1, timeout=PATIENCE)
+            left = sorted(client.nthreads())
+            where = [left[number % len(left)]]
+            future = client.submit(Served, device, actor=True, workers=where, pure=False, allow_other_workers=False)
+            actor = future.result(timeout=PATIENCE)
+            facts = actor.facts().result(timeout=PATIENCE)
+            break
+        except VamError:
+            raise
+        except Exception as error:  # noqa: BLE001 - a worker that dies breaks whatever is under way
+            if time.monotonic() > until:
+                raise DeviceLost(f"no worker takes slab {number}: {type(error).__name__}: {error}") from error
+
+    def send(orders: list[Any]) -> Callable[[], list[Any]]:
+        try:
+            answers = actor.act(orders)
+        except Exception as error:  # noqa: BLE001 - as above
+            raise DeviceLost(f"the worker {where[0]} is gone: {error}") from error
+
+        def wait() -> list[Any]:
+            while True:
+                try:
+                    return answers.result(timeout=LOOK)
+                except VamError:
+                    raise
+                except TimeoutError:
+                    if future.status not in ("finished", "pending") or where[0] not in client.nthreads():
+                        raise DeviceLost(f"the worker {where[0]} is gone") from None
+                except Exception as error:  # noqa: BLE001 - as above
+                    raise DeviceLost(f"the worker {where[0]} is gone: {type(error).__name__}: {error}") from error
+
+        return wait
+
+    return RemoteDevice(f"slab {number} at {where[0]}", facts, send)
 
 
 def about(device: str | None) -> tuple[str, str]:
@@ -97,12 +191,45 @@ def _refuse_unlike(client: Any, device: str | None) -> None:
             raise DeviceError(f"worker {worker} cannot compute: {complaint}")
 
 
-def _results(client: Any, function: Callable[[Item], Found], items: Sequence[Item]) -> Iterator[Found]:
+def _results(
+    client: Any, function: Callable[[Item], Found], items: Sequence[Item], *, ordered: bool = False
+) -> Iterator[Found]:
     from distributed import as_completed
+    from distributed.scheduler import KilledWorker
 
-    futures = client.map(function, items, pure=False, retries=TRIES)
+    numbers: dict[Any, int] = {}
+    deaths, waiting, first, begun = [0] * len(items), dict[int, Found](), 0, 0
+    done = as_completed()
+
+    def begin(number: int) -> None:
+        future = client.submit(function, items[number], pure=False, retries=TRIES)
+        numbers[future] = number
+        done.add(future)
+
     try:
-        for _, found in as_completed(futures, with_results=True):
-            yield found
+        while numbers or begun < len(items):
+            most = first + AHEAD * max(len(client.nthreads()), 1) if ordered else len(items)
+            while begun < min(most, len(items)):
+                begin(begun)
+                begun += 1
+            future = next(done)
+            number = numbers.pop(future)
+            try:
+                found = future.result()
+            except KilledWorker:  # a scheduler that was not begun here allows fewer deaths
+                deaths[number] += 1
+                if deaths[number] > TRIES:
+                    raise
+                begin(number)
+                continue
+            del future
+            if not ordered:
+                yield found
+                continue
+            waiting[number] = found
+            while first in waiting:
+                yield waiting.pop(first)
+                first += 1
     finally:
-        client.cancel(futures)
+        if client.status == "running":
+            client.cancel(list(numbers))

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+import time
 import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from inspect import signature
+from itertools import count
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +19,8 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, Cancelled, JobError, MeshWarning, OutOfMemory, StorageError
+from vamgpu.backend.remote import DeviceLost
+from vamgpu.errors import BadInput, Cancelled, ClusterWarning, JobError, MeshWarning, OutOfMemory, StorageError
 from vamgpu.jobs.build import packing_of, projection_of, target_of, with_diffusion
 from vamgpu.jobs.read import Job
 from vamgpu.methods.saved import (
@@ -41,6 +45,10 @@ if TYPE_CHECKING:
     from vamgpu.printing.pack import Solved
     from vamgpu.printing.proof import Proof
 
+CHECKPOINT = 300.0
+"""Seconds of a run on a cluster after which its plan is kept: so much is lost with a worker, at most."""
+TRIES = 100
+"""How often a run goes on after workers were lost."""
 BLOCK = 1 << 26
 """Bytes of a target that are hashed at once."""
 StageProgress = Callable[[str, float], None]
@@ -80,7 +88,7 @@ def _quietly(stage: str, share: float) -> None:
 
 def solve(
     job: Job, path: str | Path, *, overwrite: bool = False, start: str | Path | None = None, pareto: bool = False,
-    progress: StageProgress = _quietly,
+    cluster: str | None = None, progress: StageProgress = _quietly,
 ) -> Folder:  # fmt: skip
     """Find the light of a job, and write its folder, or go on with one that was interrupted.
 
@@ -93,6 +101,8 @@ def solve(
         start: Folder of a plan whose light is the first guess, of as many angles and pixels. Where method and geometry
             are those of the job, and the run was interrupted, it goes on as if it never had been.
         pareto: Find the windows of shorter exposures too, and keep them for the report.
+        cluster: As `vamgpu.jobs.cluster.slabs` takes it: its workers are then one device, and a run goes on from the
+            last plan that was kept when one is lost. None for the job's own device.
         progress: Is told the stage and its share that is done.
 
     Returns:
@@ -102,18 +112,59 @@ def solve(
         BadInput: A value of the job is out of range.
         MeshError: The mesh cannot be used.
         TargetTooLarge: The part reaches beyond the grid.
-        DeviceError: The device is not there, or its memory is used up.
+        DeviceError: The device is not there, or its memory is used up; or as `vamgpu.jobs.cluster.slabs`.
         StorageError: The folder cannot be written.
         Cancelled: On Ctrl-C; the folder holds the plan that was reached.
     """
-    from vamgpu.printing.folder import save_frames
-    from vamgpu.printing.pack import pack
-
     file, place = job.file, Path(path)
     for taken in (place, second(place)) if file.colors is not None else (place,):
         _refuse_taken(taken, overwrite)
     method = file.method or _method(file.solve.method)
-    device = open_device(file.solve.device)
+    if cluster is None:
+        device = open_device(file.solve.device)
+        return _solve(job, method, place, device, overwrite=overwrite, start=start, pareto=pareto, progress=progress)
+    from vamgpu.jobs.cluster import slabs
+
+    with slabs(cluster, file.solve.device) as made:
+        for tried in count():
+            due = _Due(CHECKPOINT if file.colors is None else inf)
+            try:
+                begun = {"overwrite": overwrite and not tried, "start": None if is_interrupted(place) else start}
+                return _solve(job, method, place, made(), pareto=pareto, progress=progress, due=due, **begun)
+            except DeviceLost as error:
+                if tried >= TRIES:
+                    raise
+                warnings.warn(f"{error}; going on from the plan that was kept last", ClusterWarning, stacklevel=2)
+            except Cancelled:
+                if not due.came:
+                    raise
+    raise AssertionError("counted to the end")
+
+
+@dataclass
+class _Due:
+    """Whether it is time to keep a plan, so many seconds after the first iteration was begun."""
+
+    period: float
+    came: bool = False
+    begun: float | None = None
+
+    def __call__(self) -> bool:
+        if self.begun is None:
+            self.begun = time.monotonic()
+        self.came = time.monotonic() - self.begun > self.period
+        return self.came
+
+
+def _solve(
+    job: Job, method: Any, place: Path, device: Device, *, overwrite: bool, start: str | Path | None, pareto: bool,
+    progress: StageProgress, due: Callable[[], bool] | None = None,
+) -> Folder:  # fmt: skip
+    """`solve` on a device."""
+    from vamgpu.printing.folder import save_frames
+    from vamgpu.printing.pack import pack
+
+    file = job.file
     packing = packing_of(file.frames, job.folder)
     progress("voxels", 0.0)
     target = target_of(job, device)
@@ -126,7 +177,7 @@ def solve(
     else:
         try:
             begun = start if start is not None or overwrite or not is_interrupted(place) else place
-            lights = [_one(job, method, target, device, progress, begun)]
+            lights = [_one(job, method, target, device, progress, begun, due)]
         except Cancelled as error:
             if not os.path.lexists(place) or is_interrupted(place):
                 _keep(error, place, inputs)
@@ -170,7 +221,8 @@ def is_interrupted(path: str | Path) -> bool:
 
 
 def _one(
-    job: Job, method: Any, target: Target, device: Device, progress: StageProgress, begun: str | Path | None
+    job: Job, method: Any, target: Target, device: Device, progress: StageProgress, begun: str | Path | None,
+    due: Callable[[], bool] | None = None,
 ) -> Plan:  # fmt: skip
     """The light of a job, found anew or from the light of an earlier plan on."""
     from vamgpu.methods import optimize
@@ -188,7 +240,7 @@ def _one(
     lamp = {} if file.solve.exposure_limit is None else {"exposure_limit": file.solve.exposure_limit, **_lamp(job)}
     plan = optimize(
         solved, target, method=method, iterations=limit, tolerance=file.solve.tolerance,
-        evaluations=file.solve.evaluations, tolerances=file.tolerances, progress=_share(progress, limit),
+        evaluations=file.solve.evaluations, tolerances=file.tolerances, progress=_share(progress, limit), cancel=due,
         **_onward(begun, solved, target, method, file.tolerances, lamp), **lamp,
     )  # fmt: skip
     return replace(plan, operator=A)

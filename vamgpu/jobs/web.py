@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from pydantic import model_validator
 
-from vamgpu.errors import JobError, StorageError
+from vamgpu.errors import JobError, StorageError, VamError
+from vamgpu.jobs.cluster import workers
 from vamgpu.jobs.limits import Lens, Roll, WebResinSection
 from vamgpu.jobs.read import CheckedJob, read_text
 from vamgpu.jobs.run import StageProgress, _quietly
@@ -23,6 +25,7 @@ from vamgpu.schema.section import Misplaced, Named, Section
 from vamgpu.storage.numpy_files import map_npy
 from vamgpu.storage.reading import is_file, parse_toml
 from vamgpu.webs.display import Display
+from vamgpu.webs.segment import Segment
 from vamgpu.webs.store import RECORD, WebFolder
 from vamgpu.webs.stream import Stream
 
@@ -230,14 +233,17 @@ def _lattice(section: WebTarget) -> Any:
 
 
 def solve_web(
-    job: WebJob, path: str | Path, *, overwrite: bool = False, progress: StageProgress = _quietly
-) -> WebFolder:
+    job: WebJob, path: str | Path, *, overwrite: bool = False, cluster: str | None = None,
+    progress: StageProgress = _quietly,
+) -> WebFolder:  # fmt: skip
     """Write the frames of a web to a folder, or go on with one that was interrupted.
 
     Args:
         job: The job.
         path: The folder to write.
         overwrite: Replace a folder that stands there.
+        cluster: As `vamgpu.jobs.cluster.workers` takes it: segments are then solved by its workers, who must see the
+            job's files at the same place; None for this process.
         progress: Is told the stage and its share that is done.
 
     Returns:
@@ -247,15 +253,60 @@ def solve_web(
         BadInput: A value of the job is out of range.
         TileError: The lattice does not fit its tile.
         MeshError: The mesh cannot be used.
-        DeviceError: The device is not there, or its memory is used up.
+        DeviceError: The device is not there, or its memory is used up; or as `vamgpu.jobs.cluster.workers`.
         StorageError: The folder cannot be written.
     """
     progress("voxels", 0.0)
     stream = stream_of(job)
+
+    def told(done: int, of: int | None) -> None:
+        progress("light", done / of if of else 0.0)
+
     progress("light", 0.0)
-    return stream.write(
-        path, overwrite=overwrite, progress=lambda done, of: progress("light", done / of if of else 0.0)
-    )
+    if cluster is None:
+        return stream.write(path, overwrite=overwrite, progress=told)
+    with workers(cluster, job.file.solve.device) as each:
+
+        def spread(numbers: range, scale: float | None) -> Iterator[Segment]:
+            left = list(numbers)
+            if scale is None and left:  # the first segment tells how bright a full-on pixel is
+                for segment in each(_segment, [_Task(job, left.pop(0), None)]):
+                    scale = _found(segment).scale
+                    yield segment
+            for segment in each(_segment, [_Task(job, number, scale) for number in left], ordered=True):
+                yield _found(segment)
+
+        return stream.write(path, overwrite=overwrite, progress=told, spread=spread)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What a worker is given."""
+
+    job: WebJob
+    number: int
+    scale: float | None
+
+
+def _found(segment: Segment | VamError) -> Segment:
+    if isinstance(segment, VamError):
+        raise segment
+    return segment
+
+
+def _segment(task: _Task) -> Segment | VamError:
+    """Solve a segment; what is wrong with it is its answer, for no worker does it better."""
+    global _latest  # noqa: PLW0603 - a worker solves segments of one job, one after the other
+    try:
+        if _latest is None or _latest[0] != task.job:
+            _latest = task.job, stream_of(task.job)
+        return _latest[1].alone(task.number, task.scale)
+    except VamError as error:
+        return error
+
+
+_latest: tuple[WebJob, Stream] | None = None
+"""The job that this process solved a segment of, and its stream: making that takes longer than some segments."""
 
 
 def contrasts(

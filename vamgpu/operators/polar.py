@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from itertools import groupby
 from math import ceil, pi
 
@@ -167,9 +167,25 @@ def pose_on_rings(
         of the squares is the pitch where there are some.
     """
     for belt in grid.belts:
+        yield _Seen.of(grid, belt, beam, vessel, square).cells()
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """How a beam sees parts of cells: columns of their middles, light, sides; ``parts`` a cell each way."""
+
+    beam: Beam
+    column: np.ndarray
+    strength: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    parts: int
+
+    @classmethod
+    def of(cls, grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, square: float | None) -> _Seen:
+        """Of a belt; arguments as for `pose_on_rings`."""
         if square is not None:
-            yield _in_squares(grid, belt, beam, vessel, square)
-            continue
+            return cls._of_squares(grid, belt, beam, vessel, square)
         count = PARTS * grid.angles * belt.samples
         rho = (np.arange(PARTS * belt.rings) + 0.5)[:, None] / PARTS + belt.begin
         psi = FULL_TURN / count * (np.arange(count) - 0.5 * (PARTS - 1))
@@ -180,54 +196,66 @@ def pose_on_rings(
         b = 0.5 * np.abs(np.roll(column, -1, axis=1) - np.roll(column, 1, axis=1))
         lit = np.hypot(across, along) <= vessel.lit_radius
         strength = weight * lit * (rho / _middle(rho)) * grid.pitch**2 / beam.pitch / PARTS**2
-        yield _in_cells(column, strength, a, b, beam, (belt.rings, count // PARTS, beam.pixels[0]))
+        return cls(beam, column, strength, a, b, PARTS)
 
+    @classmethod
+    def _of_squares(cls, grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: float) -> _Seen:
+        """Squares about the middles of a belt's cells."""
+        count = grid.angles * belt.samples
+        rho = (np.arange(belt.begin, belt.stop) + 0.5)[:, None] * grid.pitch
+        psi = FULL_TURN / count * np.arange(count)
 
-def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: float) -> np.ndarray:
-    """Shares of columns in squares about the middles of a belt's cells."""
-    count = grid.angles * belt.samples
-    rho = (np.arange(belt.begin, belt.stop) + 0.5)[:, None] * grid.pitch
-    psi = FULL_TURN / count * np.arange(count)
+        def column(outward: float, onward: float) -> tuple[np.ndarray, np.ndarray]:
+            across = (rho + outward) * np.sin(psi) + onward * np.cos(psi)
+            along = -(rho + outward) * np.cos(psi) + onward * np.sin(psi)
+            u, weight = vessel.illuminate(across, along)
+            return u / beam.pitch, weight
 
-    def column(outward: float, onward: float) -> tuple[np.ndarray, np.ndarray]:
-        across = (rho + outward) * np.sin(psi) + onward * np.cos(psi)
-        along = -(rho + outward) * np.cos(psi) + onward * np.sin(psi)
-        u, weight = vessel.illuminate(across, along)
-        return u / beam.pitch, weight
+        middle, weight = column(0.0, 0.0)
+        a, b = (
+            np.abs(column(*way)[0] - column(*(-step for step in way))[0])
+            for way in ((0.5 * side, 0.0), (0.0, 0.5 * side))
+        )
+        first = middle + 0.5 * (beam.pixels[0] - 1)
+        return cls(beam, first, weight * (rho <= vessel.lit_radius) * side**2 / beam.pitch, a, b, 1)
 
-    middle, weight = column(0.0, 0.0)
-    a, b = (
-        np.abs(column(*way)[0] - column(*(-step for step in way))[0]) for way in ((0.5 * side, 0.0), (0.0, 0.5 * side))
-    )
-    lit = rho <= vessel.lit_radius
-    first = middle + 0.5 * (beam.pixels[0] - 1)
-    return _in_cells(first, weight * lit * side**2 / beam.pitch, a, b, beam, (belt.rings, count, beam.pixels[0]), 1)
+    def rings(self, first: int) -> _Seen:
+        """`ROWS` of the rings."""
+        own = slice(self.parts * first, self.parts * (first + ROWS))
+        return replace(self, **{name: getattr(self, name)[own] for name in ("column", "strength", "a", "b")})
+
+    @cached_property
+    def _reach(self) -> np.ndarray:
+        return half_support(*sides(self.a, self.b, self.beam.sigma), self.beam.fill**0.5, self.beam.sigma)
+
+    @property
+    def last(self) -> int:
+        """The last column that may light a cell; −1 where none does."""
+        ends = np.floor(self.column + self._reach)[self.strength > 0.0]
+        return min(int(ends.max(initial=-1)), self.beam.pixels[0] - 1)
+
+    def cells(self) -> np.ndarray:
+        """Shares of columns in parts of cells, added up by cell, (rings, cells of a ring, columns)."""
+        columns, parts = self.beam.pixels[0], self.parts
+        rings, cells = self.column.shape
+        found = np.zeros((rings // parts, cells // parts, columns))
+        first = np.ceil(self.column - self._reach).astype(int)
+        ring, cell = np.arange(found.shape[0])[:, None], np.arange(found.shape[1])
+        for tap in range(int(np.floor(2.0 * self._reach.max())) + 1):
+            at = first + tap
+            value = self.strength * share(self.column - at, self.a, self.b, self.beam.fill**0.5, self.beam.sigma)
+            value *= (at >= 0) & (at < columns)
+            at = np.clip(at, 0, columns - 1)
+            for i in range(parts):
+                for j in range(parts):
+                    part = (slice(i, None, parts), slice(j, None, parts))
+                    found[ring, cell, at[part]] += value[part]
+        return found
 
 
 def _middle(rho: np.ndarray) -> np.ndarray:
     """Middle of the ring that each part lies in."""
     return np.floor(rho) + 0.5
-
-
-def _in_cells(
-    column: np.ndarray, strength: np.ndarray, a: np.ndarray, b: np.ndarray, beam: Beam, shape: tuple[int, int, int],
-    parts: int = PARTS,
-) -> np.ndarray:  # fmt: skip
-    """Shares of columns in parts of cells, added up by cell."""
-    fill, sigma = beam.fill**0.5, beam.sigma
-    reach = half_support(*sides(a, b, sigma), fill, sigma)
-    first = np.ceil(column - reach).astype(int)
-    found = np.zeros(shape)
-    ring, cell = np.arange(shape[0])[:, None], np.arange(shape[1])
-    for tap in range(int(np.floor(2.0 * reach.max())) + 1):
-        at = first + tap
-        value = strength * share(column - at, a, b, fill, sigma) * ((at >= 0) & (at < shape[2]))
-        at = np.clip(at, 0, shape[2] - 1)
-        for i in range(parts):
-            for j in range(parts):
-                part = (slice(i, None, parts), slice(j, None, parts))
-                found[ring, cell, at[part]] += value[part]
-    return found
 
 
 @dataclass(frozen=True)
@@ -241,39 +269,52 @@ class RingTable:
 
 
 def ring_table(
-    grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None = None, faint: float = 0.0
+    grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None = None, faint: float = 0.0,
+    room: Callable[[tuple[int, ...]], np.ndarray] = partial(np.empty, dtype=np.float32), mirrored: bool = True,
 ) -> RingTable:  # fmt: skip
     """The products of each angular frequency, from the light of one pose; arguments as for `pose_on_rings`.
 
     faint: share of the greatest entry up to which those of a tile at neighboring frequencies count as none.
+    room: makes the array of the entries, which may be most of what memory holds.
+    mirrored: whether columns are taken to mirror each other; where they turn out not to, they are not.
     """
     from scipy.fft import rfft
 
-    spectra = [rfft(pose, axis=1, workers=-1) / pose.shape[1] for pose in pose_on_rings(grid, beam, vessel, square)]
-    most = max(float(np.abs(each).max()) for each in spectra)
+    columns, turns = beam.pixels[0], grid.angles
+    middle = columns // 2 if mirrored else 0
+    seen = [_Seen.of(grid, belt, beam, vessel, square) for belt in grid.belts]
+    wide = [
+        [-(-max(own.rings(ring).last + 1 - middle, 0) // ROWS) * ROWS for ring in range(0, belt.rings, ROWS)]
+        for belt, own in zip(grid.belts, seen, strict=True)
+    ]
+    pairs = np.concatenate([own * belt.samples for belt, own in zip(grid.belts, wide, strict=True)]).astype(int)
+    first = np.cumsum(np.concatenate([[0], 2 * ROWS * pairs]))
+    entries = room((turns // 2 + 1, int(first[-1])))
+    greatest, mates, off = np.zeros((len(pairs), turns // 2 + 1)), np.zeros(len(pairs), int), 0.0
+    for belt, own in zip(grid.belts, seen, strict=True):
+        for ring in range(0, belt.rings, ROWS):
+            pose = own.rings(ring).cells()
+            spectrum = rfft(pose, axis=1, workers=-1, overwrite_x=True) / pose.shape[1]
+            if mirrored:
+                off = max(off, float(np.abs(spectrum - spectrum[..., ::-1].conj()).max()))
+            for j in range(belt.samples):
+                tile = (belt.cell + j * belt.rings + ring) // ROWS
+                mates[tile] = (belt.cell + (belt.samples - 1 - j) * belt.rings + ring) // ROWS
+                rows = _harmonics(spectrum[..., middle:], turns, j, belt.samples)
+                greatest[tile] = np.abs(rows).max(axis=(1, 2))
+                held = rows[..., : pairs[tile]].swapaxes(1, 2)
+                block = np.zeros((len(rows), pairs[tile], 2, ROWS), np.float32)
+                block[:, : held.shape[1], 0], block[:, : held.shape[1], 1] = np.real(held), np.imag(held)
+                entries[:, first[tile] : first[tile + 1]] = block.reshape(len(rows), -1)
+    most = greatest.max(initial=0.0)
     if most == 0.0:
         raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
-    mirrored = all(np.abs(each - each[..., ::-1].conj()).max() <= ALIKE * most for each in spectra)
-    columns, turns = beam.pixels[0], grid.angles
-    blocks, tiles = [], []
-    start = 0
-    for belt, spectrum in zip(grid.belts, spectra, strict=True):
-        near = spectrum[..., columns // 2 :] if mirrored else spectrum
-        for j in range(belt.samples):
-            rows = _harmonics(near, turns, j, belt.samples)
-            for ring in range(0, belt.rings, ROWS):
-                own = rows[:, ring : ring + ROWS]
-                lit = np.flatnonzero(np.abs(own).max(axis=(0, 1)) > 0.0)
-                pairs = -(-(int(lit[-1]) + 1) // ROWS) * ROWS if lit.size else 0
-                block = np.zeros((len(own), pairs, 2, ROWS), np.float32)
-                held = own[..., :pairs].swapaxes(1, 2)
-                block[:, : held.shape[1], 0], block[:, : held.shape[1], 1] = np.real(held), np.imag(held)
-                mate = (belt.cell + (belt.samples - 1 - j) * belt.rings + ring) // ROWS
-                tiles.append((start, pairs, mate, *_dark(np.abs(own).max(axis=(1, 2)) <= faint * most)))
-                blocks.append(block.reshape(len(own), -1))
-                start += blocks[-1].shape[1]
+    if off > ALIKE * most:
+        return ring_table(grid, beam, vessel, square, faint, room, mirrored=False)
+    dark = [_dark(each <= faint * most) for each in greatest]
+    tiles = np.column_stack([first[:-1], pairs, mates, np.array(dark).reshape(-1, 2)])
     half = -(-((columns + 1) // 2 if mirrored else columns) // ROWS) * ROWS
-    return RingTable(np.concatenate(blocks, axis=1).ravel(), np.array(tiles), half, mirrored)
+    return RingTable(entries.ravel(), tiles, half, mirrored)
 
 
 def _dark(vanish: np.ndarray) -> tuple[int, int]:

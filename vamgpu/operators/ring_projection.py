@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from math import ceil
 from typing import Any, final, overload
@@ -15,11 +16,13 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, Vessel, positive
 from vamgpu.kernels.gather import gather_rows
+from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.spectrum import ONE_SUM, ROWS
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_means import BLOCK
+from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
 from vamgpu.operators.spectral import SpectralProjection, passes
 from vamgpu.operators.traced import WHOLE, SparseEntries
@@ -29,6 +32,10 @@ WIDTH = 0.55
 by 0.006 at 0.65, by 0.002 at 0.55, by 0.001 at 0.5."""
 FAINT = 1e-4
 """Share of the greatest entry of the table that counts as none: a fifth to a third of the products."""
+AT_ONCE = {False: 1 << 30, True: 1 << 33}
+"""Bytes of the fields it works in, on processors and on GPUs."""
+THICK = 64
+"""Slices that a strip has a multiple of: those of the widest lanes, which share each entry of the table."""
 TAPS = np.arange(-1, 3)
 """Samples about a place that a cubic polynomial goes through."""
 
@@ -41,7 +48,8 @@ class RingProjection(LinearOperator):
     greatest (root mean square; 0.02 anywhere): the mean over voxels about points of rings 0.55 voxels wide,
     interpolated by cubic polynomials to the voxels within the cylinder that every angle lights. Voxels beyond it count
     as unlit. Its transpose is exact. Prints are judged by rays of their own, as those of ``direct``. The fields that it
-    works in are kept: three on rings, each 2.6 times a volume and more, and three of light.
+    works in are kept: three on rings, each 2.6 times a volume and more, and three of light; of as many slices at once
+    as keep them below a gigabyte on processors, eight on GPUs.
 
     Args:
         grid: Voxels of the volume, an even number along z.
@@ -85,10 +93,16 @@ class RingProjection(LinearOperator):
         self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
-        self._spectral = SpectralProjection(self.rings, beam, vessel, self.device, square=grid.pitch, faint=FAINT)
+        self._strips, slices = _strips(self.rings, beam, self.device)
+        some = replace(self.rings, slices=slices)
+        self._spectral = SpectralProjection(some, beam, vessel, self.device, square=grid.pitch, faint=FAINT)
+        pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": beam.fill**0.5, "sigma": beam.sigma}
+        self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device, **pixel)
         found = _interpolated(self.rings, grid)
         self._to_voxels = found.table(self.device, grid.shape[:2], BLOCK)
         self._to_rings = found.transposed().table(self.device, self.rings.shape[:2], BLOCK)
+        if getattr(self.device, "memory", None) is not None:
+            self._take_memory()
 
     @classmethod
     def of(cls, A: Projection, width: float = WIDTH) -> RingProjection:
@@ -136,14 +150,61 @@ class RingProjection(LinearOperator):
         return f"RingProjection({self.grid!r}, {self.beam!r}, {self.motion!r}{vessel}, device={self.device.name!r})"
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        on_rings = self._spectral._work("samples", self.rings.shape)
-        self.device.launch(gather_rows, source=x, **self._to_rings, out=on_rings)
-        self._spectral.forward(on_rings, out)
+        rows = out if self._rows.same else self._spectral._work("rows", self._slices)
+        for first in self._strips:
+            on_rings = self._spectral._work("samples", self._spectral.grid.shape)
+            self.device.launch(gather_rows, source=self._cut("voxels", x, first), **self._to_rings, out=on_rings)
+            light = self._strip("light", rows)
+            self._spectral.gather(on_rings, light)
+            self._put(light, first, rows)
+        if rows is not out:
+            self._rows.from_slices(rows, out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        on_rings = self._spectral._work("samples", self.rings.shape)
-        self._spectral.transposed(y, on_rings)
-        self.device.launch(gather_rows, source=on_rings, **self._to_voxels, out=out)
+        rows = y
+        if not self._rows.same:
+            rows = self._spectral._work("rows", self._slices)
+            self._rows.to_slices(y, rows)
+        for first in self._strips:
+            on_rings = self._spectral._work("samples", self._spectral.grid.shape)
+            self._spectral.light(self._cut("light", rows, first), on_rings)
+            dose = self._strip("voxels", out)
+            self.device.launch(gather_rows, source=on_rings, **self._to_voxels, out=dose)
+            self._put(dose, first, out)
+
+    def _take_memory(self) -> None:
+        """Have what is worked in all the time before anything else is, which may then have to lie in files."""
+        slices, (angles, columns, _) = self._spectral.grid.slices, self.range.shape
+        work = self._spectral._work
+        for name in ("samples", "rings 0", "rings 1"):
+            work(name, self._spectral.grid.shape)
+        for name in ("folded 0", "folded 1"):
+            work(name, self._spectral._folded)
+        if len(self._strips) > 1:
+            work("light", (angles, columns, slices))
+            work("voxels", (*self.grid.shape[:2], slices))
+
+    @property
+    def _slices(self) -> tuple[int, int, int]:
+        """Shape of light of as many rows as there are slices."""
+        return (*self.range.shape[:2], self.grid.shape[2])
+
+    def _strip(self, name: str, of: DeviceArray) -> DeviceArray:
+        """A field for the slices of a field that are worked on at once; the field itself where those are all."""
+        alone = len(self._strips) == 1
+        return of if alone else self._spectral._work(name, (*of.shape[:2], self._spectral.grid.slices))
+
+    def _cut(self, name: str, source: DeviceArray, first: int) -> DeviceArray:
+        """Slices of a field from ``first`` on; what lies beyond its last one is left as it was."""
+        strip = self._strip(name, source)
+        if strip is not source:
+            self.device.launch(copy_slices, source=source, first=first, lanes=source, field=strip)
+        return strip
+
+    def _put(self, strip: DeviceArray, first: int, field: DeviceArray) -> None:
+        """Bring what `_cut` takes to where it is from."""
+        if strip is not field:
+            self.device.launch(copy_slices, source=strip, first=-first, lanes=strip, field=field)
 
 
 @overload
@@ -197,6 +258,18 @@ def _rings(grid: Grid, angles: int, width: float) -> PolarGrid:
     """Rings out to beyond the taps of the outermost voxel that every angle lights."""
     count = ceil(0.5 * (min(grid.shape[:2]) - 1) / width + TAPS[-1] + 0.5)
     return PolarGrid(-(-count // ROWS) * ROWS, grid.shape[2], width * grid.pitch, angles, grid.pitch)
+
+
+def _strips(rings: PolarGrid, beam: Beam, device: Device) -> tuple[range, int]:
+    """First slices of the strips that are worked on one after the other, and how many slices a strip has."""
+    angles, cells, slices = rings.shape
+    each = 4 * angles * (3 * cells + 3 * beam.pixels[0])
+    most = AT_ONCE[getattr(device, "is_gpu", False)] * len(getattr(device, "members", ".")) // each
+    if slices <= max(most, THICK):
+        return range(1), slices
+    count = -(-slices // max(most // THICK * THICK, THICK))
+    strip = -(-slices // (count * THICK)) * THICK
+    return range(0, slices, strip), strip
 
 
 def _fitting(rings: PolarGrid, grid: Grid, motion: Turntable) -> PolarGrid:

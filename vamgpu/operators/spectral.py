@@ -72,11 +72,11 @@ class SpectralProjection(LinearOperator):
         self.device: Device = open_device(device)
         self._held = local()
         self._rows = self._resampler(0.0)
-        table = ring_table(grid, beam, vessel or OpenAir(), square, faint)
+        table = ring_table(grid, beam, vessel or OpenAir(), square, faint, self.device.room)
         self._folded = (grid.angles, table.pairs * (2 if table.mirrored else 1), grid.slices)
         upload = self.device.table
         self._entries = {
-            "entries": upload(table.entries),
+            "entries": self.device.settle(table.entries),
             "tiles": upload(table.tiles, "int32"),
             "mirrored": int(table.mirrored),
         }
@@ -129,21 +129,30 @@ class SpectralProjection(LinearOperator):
         ]
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        rows = out if self._rows.same else self._work("rows", (*self.range.shape[:2], self.grid.slices))
+        self.gather(x, rows)
+        if rows is not out:
+            self._rows.from_slices(rows, out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        rows = y
+        if not self._rows.same:
+            rows = self._work("rows", (*self.range.shape[:2], self.grid.slices))
+            self._rows.to_slices(y, rows)
+        self.light(rows, out)
+
+    def gather(self, x: DeviceArray, rows: DeviceArray) -> None:
+        """What slices of a volume send to columns, [angle, r, slice]."""
         launch, work = self.device.launch, self._work
         spectrum = self._from_rings.run(-1.0, x, lambda number: work(f"rings {number}", x.shape))
         folded = work("folded 0", self._folded)
         launch(gather_rings, spectrum=spectrum, **self._entries, folded=folded)
         folded = self._of_light.run(1.0, folded, lambda number: work(f"folded {1 - number}", self._folded))
-        rows = out if self._rows.same else work("rows", (*self.range.shape[:2], self.grid.slices))
         launch(unfold_columns, folded=folded, mirrored=self._entries["mirrored"], sinogram=rows)
-        if rows is not out:
-            self._rows.from_slices(rows, out)
 
-    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        launch, work, rows = self.device.launch, self._work, y
-        if not self._rows.same:
-            rows = work("rows", (*self.range.shape[:2], self.grid.slices))
-            self._rows.to_slices(y, rows)
+    def light(self, rows: DeviceArray, out: DeviceArray) -> None:
+        """The dose of columns in slices, the transpose of `gather`."""
+        launch, work = self.device.launch, self._work
         folded = work("folded 0", self._folded)
         launch(fold_columns, sinogram=rows, mirrored=self._entries["mirrored"], folded=folded)
         folded = self._of_light.run(-1.0, folded, lambda number: work(f"folded {1 - number}", self._folded))

@@ -311,7 +311,7 @@ class _Film:
         return image
 
 
-LOSSLESS = _Film("gray", FULL_RANGE, 0, {"qp": "0", "preset": "fast"})
+LOSSLESS = _Film("gray", FULL_RANGE, 0, {"qp": "0", "preset": "ultrafast"})  # a fifth more bytes, 17 times as fast
 PLAYERS = _Film("yuv420p", LIMITED_RANGE, 2, {"crf": "4", "preset": "medium", "profile": "high", "bf": "0"})
 
 FORMATS: dict[str, Callable[[_Shown, Path], None]] = {

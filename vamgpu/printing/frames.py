@@ -196,7 +196,7 @@ class Frames:
             last: The one after the last; None for all that there are.
 
         Returns:
-            uint8 [angle, row, column]: 0 to 255, or 0 and 1 where ``bits`` is 1.
+            Levels, uint8 (frames, rows, columns): 0 to 255, or 0 and 1 where ``bits`` is 1.
         """
         images = self.images.part(first, self.shape[0] if last is None else last)
         return images if self.bits == 8 else np.unpackbits(images, axis=-1, count=self.columns)
@@ -209,7 +209,7 @@ class Frames:
             last: The one after the last; None for all that there are.
 
         Returns:
-            uint8 [angle, row, column] from 0 to 255 at either bit depth.
+            Levels from 0 to 255 at either bit depth, uint8 (frames, rows, columns).
         """
         levels = self.levels(first, last)
         return levels if self.bits == 8 else levels * np.uint8(255)

@@ -125,6 +125,7 @@ def replacing(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
         draft = workshop / place.name
         yield draft
         _move(draft, place, workshop)
+        settle(place.parent)
     except OSError as error:
         if isinstance(error, StorageError):
             raise
@@ -133,6 +134,25 @@ def replacing(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
         shutil.rmtree(workshop, ignore_errors=True)
         if lock is not None:
             os.close(lock)
+
+
+def settle(*places: Path) -> None:
+    """Bring files, or the names in folders, to the disk, so that they are there after the power was cut.
+
+    Args:
+        places: Files and folders. Systems that cannot open folders keep names as they like.
+
+    Raises:
+        OSError: As the system does.
+    """
+    for place in places:
+        if place.is_dir() and not hasattr(os, "O_DIRECTORY"):
+            continue
+        handle = os.open(place, os.O_RDONLY if place.is_dir() else os.O_RDWR)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def clear(path: str | Path) -> None:

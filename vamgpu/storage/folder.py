@@ -15,12 +15,14 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage.arrays import read, read_one, read_parts, write
-from vamgpu.storage.atomic import as_path, explained, replacing
+from vamgpu.storage.atomic import as_path, explained, replacing, settle
 from vamgpu.storage.manifest import ArrayRecord, Manifest
 from vamgpu.storage.ngff import Image, describe
 from vamgpu.storage.reading import is_file, read_text
 
 MANIFEST = "manifest.json"
+HEADER = "zarr.json"
+"""What Zarr calls the file that says what an array is; it leaves bringing that to the disk to the system."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +32,7 @@ class Streamed:
     Args:
         shape: Of all.
         dtype: Of all.
-        part: Makes the entries of the first axis from one to before another.
+        part: Makes the entries of the first axis from one to before another, [entry, …].
     """
 
     shape: tuple[int, ...]
@@ -224,6 +226,7 @@ def write_folder(
             file.write(manifest.to_json())
             file.flush()
             os.fsync(file.fileno())
+        settle(*draft.rglob(HEADER), *(one for one in draft.rglob("*") if one.is_dir()), draft)
     return Folder.open(place)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage.arrays import Layout, create
-from vamgpu.storage.atomic import explained, replacing
+from vamgpu.storage.atomic import explained, replacing, settle
 from vamgpu.storage.folder import digest
 from vamgpu.storage.manifest import plain
 from vamgpu.storage.reading import is_file, parse_json, read_text
@@ -180,6 +180,7 @@ class WebFolder:
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(draft, file)
+        settle(self.path)
 
 
 def _segment(entry: Mapping[str, Any]) -> SegmentRecord:
@@ -214,8 +215,8 @@ def _write(place: Path, name: str, span: tuple[int, int], values: np.ndarray) ->
         part = values[max(number * each - span[0], 0) : (number + 1) * each - span[0]]
         if not path.exists() and not part.any():
             continue  # darkness alone makes no file; should one be lost, its digest tells
-        with open(path, "rb") as file:
-            os.fsync(file.fileno())
+        settle(path, path.parent, path.parent.parent, path.parent.parent.parent)
+    settle(place / name / "zarr.json", place / name)
 
 
 def _remove(folder: Path) -> None:

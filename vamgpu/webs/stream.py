@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,10 @@ QUANTILE = 0.9999
 
 Progress = Callable[[int, int | None], None]
 """Called after each segment with the segments done and their total (None where it is unknown)."""
+
+
+Spread = Callable[[range, float | None], Iterable[Segment]]
+"""Segments of a range of numbers in order, by the scale that is known; the first one tells it where none is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +139,7 @@ class Stream:
         priced, how = _priced(self.method, self.iterations)
         solver = PricedSolver if priced else Solver
         self.solver: Solver | PricedSolver = solver(self.layout, self.grid, self.beam, self.light, how, self.device)
+        self._reader: tuple[Columns, int] | None = None
 
     def __iter__(self) -> Iterator[Segment]:
         """Segments in order, from the first."""
@@ -164,30 +169,84 @@ class Stream:
         Raises:
             TileError: The tiles break off, do not fit, or differ from ``before``.
         """
-        columns, scale = Columns(self.tiles, self.grid, self.length), scale or self.scale
-        number, past = first, past or Past(np.zeros((0, *self.beam.pixels[::-1]), np.uint8))
+        columns, scale = self._columns(), scale or self.scale
+        number, past = first, past or self._nothing
         if given is not None and isinstance(self.solver, PricedSolver):
             raise BadInput(f"a web by {self.method!r} cannot be replanned; expected a loss that is a sum over voxels")
         if before is not None:
             self._check_same(columns, first, before)
         while True:
-            began = time.perf_counter()
-            origin = self.layout.origin(number)
-            fractions = columns.take(origin, origin + self.layout.columns)
-            start, stop = self.layout.owned(number, columns.end)
-            if stop <= start:
+            segment, past = self._next(columns, number, scale, past, given)
+            if segment is None:
                 return
-            light, outcome, past = self._solve(fractions, number, columns.end, scale, past, given)
-            here = slice(self.layout.overlap, self.layout.overlap + stop - start)
-            scale = scale or self._first_scale(light, here)
-            images = self._pack(light, scale)[here].copy()
-            past = Past(np.concatenate([past.frames, images])[-self.layout.overlap :], past.levels)
-            low, high = (edge - origin for edge in self.layout.printed(number, columns.end))
-            last = columns.end is not None and stop == self.layout.frames(columns.end)
-            yield self._segment(number, start, images, fractions[low:high], scale, outcome, began, last, past.levels)
-            if last:
+            yield segment
+            if segment.last:
                 return
-            number += 1
+            number, scale = number + 1, segment.scale
+
+    def alone(self, number: int, scale: float | None = None) -> Segment:
+        """One segment without those before it; for segments that do not depend on them.
+
+        Segments are asked for in any order, though tiles are read anew for one that comes before the last one.
+
+        Args:
+            number: Of the segment.
+            scale: That of the segment 0, relative to the light's unit; by default the stream's, or what it needs.
+
+        Returns:
+            The segment.
+
+        Raises:
+            BadInput: The web ends before it, its tiles can be read once only, or the method maximizes the window, whose
+                segments go on from those before.
+            TileError: As for `segments`.
+        """
+        if reason := self.against_alone():
+            raise BadInput(f"segments cannot be solved alone: {reason}")
+        if self._reader is None or self._reader[1] > number:
+            self._reader = self._columns(), number
+        columns = self._reader[0]
+        self._reader = columns, number
+        segment, _ = self._next(columns, number, scale or self.scale, self._nothing, None)
+        if segment is None:
+            raise BadInput(f"got segment {number}; expected one below {self.total}")
+        return segment
+
+    def against_alone(self) -> str:
+        """Why segments cannot be solved each for itself, or nothing."""
+        if isinstance(self.solver, PricedSolver):
+            return (f"{self.method!r} maximizes the window, and a segment goes on from the one before; expected a loss "
+                    "that is a sum over voxels, such as the method bclp")  # fmt: skip
+        if self.total is None or isinstance(self.tiles, Iterator):
+            return "the web has no length, or its tiles come once only"
+        return ""
+
+    def _columns(self) -> Columns:
+        return Columns(self.tiles, self.grid, self.length)
+
+    @property
+    def _nothing(self) -> Past:
+        return Past(np.zeros((0, *self.beam.pixels[::-1]), np.uint8))
+
+    def _next(
+        self, columns: Columns, number: int, scale: float | None, past: Past, given: Callable[[int], Given] | None
+    ) -> tuple[Segment | None, Past]:  # fmt: skip
+        """A segment, and what it leaves to the next one; None beyond the end."""
+        began = time.perf_counter()
+        origin = self.layout.origin(number)
+        fractions = columns.take(origin, origin + self.layout.columns)
+        start, stop = self.layout.owned(number, columns.end)
+        if stop <= start:
+            return None, past
+        light, outcome, past = self._solve(fractions, number, columns.end, scale, past, given)
+        here = slice(self.layout.overlap, self.layout.overlap + stop - start)
+        scale = scale or self._first_scale(light, here)
+        images = self._pack(light, scale)[here].copy()
+        past = Past(np.concatenate([past.frames, images])[-self.layout.overlap :], past.levels)
+        low, high = (edge - origin for edge in self.layout.printed(number, columns.end))
+        last = columns.end is not None and stop == self.layout.frames(columns.end)
+        fractions = fractions[low:high]
+        return self._segment(number, start, images, fractions, scale, outcome, began, last, past.levels), past
 
     def _check_same(self, columns: Columns, number: int, before: np.ndarray) -> None:
         """Refuse tiles that are not those the segment before ``number`` was made from."""
@@ -249,8 +308,9 @@ class Stream:
     # ---- to a folder -----------------------------------------------------------------------------------------
     @renamed_arguments(told="progress")
     def write(
-        self, path: str | Path, *, resume: bool = True, overwrite: bool = False, progress: Progress | None = None
-    ) -> WebFolder:
+        self, path: str | Path, *, resume: bool = True, overwrite: bool = False, progress: Progress | None = None,
+        spread: Spread | None = None,
+    ) -> WebFolder:  # fmt: skip
         """Write every segment to a folder as soon as it is decided. A killed run leaves a folder of whole segments
         only.
 
@@ -259,6 +319,7 @@ class Stream:
             resume: Go on where an interrupted run of the same stream stopped; tiles are read again from the beginning.
             overwrite: Begin anew.
             progress: Called after each segment.
+            spread: Solves segments elsewhere, each as `alone` does; see `Spread`. None solves them here.
 
         Returns:
             The folder.
@@ -277,7 +338,16 @@ class Stream:
             levels = folder.details["frames"].get("levels")
             frames = folder.read("frames", max(0, folder.frames - self.layout.overlap), folder.frames)
             past = Past(frames, None if levels is None else (float(levels[0]), float(levels[1])))
-        for segment in self.segments(len(folder.segments), known, before, past=past):
+        first = len(folder.segments)
+        if spread is not None and (reason := self.against_alone()):
+            raise BadInput(f"segments cannot be spread over workers: {reason}")
+        if spread is None:
+            found = self.segments(first, known, before, past=past)
+        else:
+            if before is not None:
+                self._check_same(self._columns(), first, before)
+            found = spread(range(first, self.total or first), known or self.scale)
+        for segment in found:
             if not folder.segments:
                 folder.details["frames"]["scale"] = segment.scale
                 if segment.levels is not None:

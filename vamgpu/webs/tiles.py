@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from math import ceil
 from typing import TYPE_CHECKING, Any, cast
@@ -40,7 +41,7 @@ class Columns:
         self._read = 0
         if isinstance(source, np.ndarray) and self.limit is not None and len(source) < self.limit:
             raise self._short(len(source), "an array longer along l")  # known before anything is written
-        self._held = np.zeros((0, *grid.shape[1:]), np.float32)
+        self._held: deque[np.ndarray] = deque()
         self._first = 0
         self._ended = False
 
@@ -57,9 +58,12 @@ class Columns:
         while not self._ended and self._read <= stop:  # one more than asked tells whether it ends
             self._advance(start)
         out = np.zeros((stop - start, *self.grid.shape[1:]), np.float32)
-        low, high = max(start, self._first), min(stop, self._first + len(self._held))
-        if low < high:
-            out[low - start : high - start] = self._held[low - self._first : high - self._first]
+        first = self._first
+        for held in self._held:
+            low, high = max(start, first), min(stop, first + len(held))
+            if low < high:
+                out[low - start : high - start] = held[low - first : high - first]
+            first += len(held)
         return out
 
     def _advance(self, start: int) -> None:
@@ -75,9 +79,9 @@ class Columns:
         if self.limit is not None:
             columns = columns[: self.limit - self._read]
         self._read += len(columns)
-        gone = min(max(0, start - self._first), len(self._held))
-        self._held = np.concatenate([self._held[gone:], columns])
-        self._first += gone
+        self._held.append(columns)
+        while self._held and self._first + len(self._held[0]) <= start:
+            self._first += len(self._held.popleft())
 
     def _end_early(self) -> None:
         if self.limit is not None or self._read == 0:

@@ -1,0 +1,118 @@
+"""Jobs on a cluster of processes: the bytes of one process alone, whoever is killed."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vamgpu.errors import ClusterWarning
+from vamgpu.jobs import cluster, run
+from vamgpu.jobs.demo import JOB, WEB_JOB
+from vamgpu.jobs.read import Job
+from vamgpu.jobs.run import solve
+from vamgpu.jobs.web import parse_web, solve_web
+from vamgpu.storage.folder import Folder
+from vamgpu.webs.store import WebFolder
+
+WEB = [
+    "web.length=180 mm", "beam.pitch=400 um", "beam.height=1.2 mm", "roller.step=3 deg", "solve.iterations=4",
+    "solve.core=0.5", "solve.overlap=0.5", "solve.device=numpy",
+]  # fmt: skip
+
+
+@contextmanager
+def killing(monkeypatch: pytest.MonkeyPatch, kills: int, pause: tuple[float, float]) -> Iterator[list[set[int]]]:
+    """Kill processes of a local cluster at random moments; what was alive each time."""
+    alive: list[set[int]] = []
+    refuse, over = cluster._refuse_unlike, threading.Event()
+
+    def kill(client: Any) -> None:
+        chance = random.Random(1)
+        while len(alive) < kills and not over.wait(chance.uniform(*pause)):
+            working = {nanny.pid for nanny in client.cluster.workers.values() if nanny.pid}
+            if working:
+                alive.append(working)
+                os.kill(chance.choice(sorted(working)), signal.SIGKILL)
+
+    def looked(client: Any, device: str | None) -> None:
+        refuse(client, device)
+        threading.Thread(target=kill, args=(client,), daemon=True).start()
+
+    monkeypatch.setattr(cluster, "_refuse_unlike", looked)
+    try:
+        yield alive
+    finally:
+        over.set()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_segments_of_a_web_are_those_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job, told = parse_web(WEB_JOB, WEB), list[float]()
+    began = time.perf_counter()
+    alone = solve_web(job, tmp_path / "alone")
+    print("alone", time.perf_counter() - began, len(alone.segments))
+    with killing(monkeypatch, 20, (0.1, 0.6)) as alive:
+        shared = solve_web(job, tmp_path / "shared", cluster="local:2", progress=lambda _, share: told.append(share))
+    assert len(alone.segments) > 6 and shared.complete
+    assert [one.sha256 for one in shared.segments] == [one.sha256 for one in alone.segments]
+    assert shared.details == alone.details
+    assert told == sorted(told) and told[-1] == 1.0
+    assert len(alive) >= 3 and len(set().union(*alive)) > 2  # dead ones were replaced
+    shared.verify()
+
+
+@pytest.mark.slow
+def test_a_web_goes_on_with_what_a_cluster_left(tmp_path: Path) -> None:
+    job = parse_web(WEB_JOB, WEB)
+    alone = solve_web(job, tmp_path / "alone")
+
+    def stop(_: str, share: float) -> None:
+        if share > 0.3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve_web(job, tmp_path / "web", cluster="local:2", progress=stop)
+    begun = len(WebFolder.open(tmp_path / "web").segments)
+    assert 0 < begun < len(alone.segments)
+    found = solve_web(job, tmp_path / "web", cluster="local:2")
+    assert [one.sha256 for one in found.segments] == [one.sha256 for one in alone.segments]
+
+
+VIAL = ["target.pitch=0.5 mm", "beam.pitch=0.5 mm", "beam.pixels=[36, 28]", "turntable.angles=24", "solve.device=numpy"]
+"""A job of some seconds."""
+
+
+def light_of(path: Path) -> np.ndarray:
+    return Folder.open(path).array("frames")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_slabs_on_workers_find_the_light_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To rounding that of one device, and bit by bit that of a cluster where nobody was killed."""
+    job = Job.parse(JOB, [*VIAL, "solve.iterations=30"])
+    began = time.perf_counter()
+    alone = light_of(solve(job, tmp_path / "alone").path)
+    print("alone", time.perf_counter() - began)
+    began = time.perf_counter()
+    whole = light_of(solve(job, tmp_path / "whole", cluster="local:2").path)
+    print("cluster", time.perf_counter() - began)
+    np.testing.assert_allclose(whole, alone, rtol=1e-6, atol=1e-6 * alone.max())
+    monkeypatch.setattr(run, "CHECKPOINT", 2.0)
+    with killing(monkeypatch, 4, (3.0, 9.0)) as alive, pytest.warns(ClusterWarning, match="gone.*kept last"):
+        found = light_of(solve(job, tmp_path / "killed", cluster="local:2").path)
+    print("kills", len(alive), time.perf_counter() - began)
+    assert len(alive) >= 2 and len(set().union(*alive)) > 2
+    np.testing.assert_array_equal(found, whole)
+    assert not run.is_interrupted(tmp_path / "killed")
