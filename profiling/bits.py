@@ -1,4 +1,4 @@
-"""What frames of few bits leave of the process window: planned, and proved from the frames of each way to pack them.
+"""What frames of few bits leave of the process window: planned, proved of the light itself, and from its frames.
 
 A cross and a plate of holes, one slice of 64 × 64 voxels of 0.1 mm, and a boat 4.4 mm long, all in a vial; 60
 evaluations of the method that asks for thresholds, 200 of the one that seeks the widest window.
@@ -10,8 +10,9 @@ import argparse
 import time
 import warnings
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from common import HERE, machine, write_record
@@ -26,6 +27,18 @@ METHODS = {"window": 60, "widest": 200}
 WAYS: dict[str, dict[str, Any]] = {"8 bits": {"bits": 8}, "1 bit, round": {"bits": 1}} | {
     f"1 bit, {how}": {"bits": 1, "dither": how} for how in ("error-diffusion", "fit")
 }
+
+
+@dataclass(frozen=True)
+class Unrounded:
+    """The light of a plan, for a proof beside those of frames."""
+
+    sinogram: Any
+    scale: float
+    motion: Any = None
+
+    def irradiance(self, device: Any) -> Any:
+        return self.sinogram
 
 
 def parts(device: str) -> Iterator[tuple[str, vam.Grid, Any, tuple[str, ...]]]:
@@ -48,6 +61,7 @@ def rows(device: str, angles: list[int]) -> Iterator[dict[str, Any]]:
             for method in methods:
                 plan = vam.optimize(A, target, method, evaluations=METHODS[method], progress=False)
                 row: dict[str, Any] = {"part": name, "angles": count, "method": method, "planned": plan.window}
+                row["unrounded"] = vam.simulate(A, cast(Any, Unrounded(plan.sinogram, 1.0)), target).scores.window
                 for way, how in WAYS.items():
                     began = time.perf_counter()
                     frames = vam.pack(plan, **how)
@@ -64,7 +78,7 @@ def main() -> None:
     parser.add_argument("--label", default="cpu")
     given = parser.parse_args()
     warnings.simplefilter("ignore", PackWarning)
-    names = ["part", "angles", "method", "planned", *WAYS, "fit takes"]
+    names = ["part", "angles", "method", "planned", "unrounded", *WAYS, "fit takes"]
     print("| " + " | ".join(names) + " |\n|" + "---|" * len(names))
     found = []
     for row in rows(given.device, given.angles):

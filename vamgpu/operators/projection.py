@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
-from math import sqrt
 from typing import Literal, final
 
 import numpy as np
@@ -82,8 +81,7 @@ class Projection(LinearOperator):
         if footprint == "joseph":
             self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device)
         else:
-            pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
-            self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device, **pixel)
+            self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
             self._light, self._gather = self._tables()
 
     def __repr__(self) -> str:
@@ -168,7 +166,7 @@ class Projection(LinearOperator):
             raise BadInput(f"got {self.motion} angles; expected angles that are lit as long")
         some, poses = copy(self), self.motion.poses[list(chosen)]
         for kept in ("_slices", "_transpose"):
-            some.__dict__.pop(kept, None)
+            vars(some).pop(kept, None)
         some.motion = Turntable(poses)
         some.range = SinogramSpace(self.beam, some.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         some._dwell = Dwell(some.motion, self.device)

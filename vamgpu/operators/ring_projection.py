@@ -96,8 +96,7 @@ class RingProjection(LinearOperator):
         self._strips, slices = _strips(self.rings, beam, self.device)
         some = replace(self.rings, slices=slices)
         self._spectral = SpectralProjection(some, beam, vessel, self.device, square=grid.pitch, faint=FAINT)
-        pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": beam.fill**0.5, "sigma": beam.sigma}
-        self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device, **pixel)
+        self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
         found = _interpolated(self.rings, grid)
         self._to_voxels = found.table(self.device, grid.shape[:2], BLOCK)
         self._to_rings = found.transposed().table(self.device, self.rings.shape[:2], BLOCK)
@@ -137,7 +136,7 @@ class RingProjection(LinearOperator):
         """
         other = copy(self)
         other._transpose = None
-        other._spectral = self._spectral.raised(height)
+        other._rows = RowResampler.of(self.beam, self.grid.shape[2], self.grid.pitch, self.device, height)
         return other
 
     @cached_property

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.geometry import Beam
 from vamgpu.kernels.footprint import FAR, TAIL, THINNEST
 from vamgpu.kernels.resample import resample
 
@@ -45,6 +48,23 @@ class RowResampler:
         matrix = ratio * _mean(position[:, None] - np.arange(rows), ratio, fill, sigma)
         self.weights = matrix
         self._to_slices, self._from_slices = (banded(device, m) for m in (matrix, matrix.T))
+
+    @classmethod
+    def of(cls, beam: Beam, slices: int, pitch: float, device: Device, height: float = 0.0) -> RowResampler:
+        """That of a beam's pixels with their fill factor and point spread.
+
+        Args:
+            beam: The beam.
+            slices: Slices of the grid.
+            pitch: Their thickness [mm].
+            device: That holds the tables.
+            height: By which the light lies higher [mm].
+
+        Returns:
+            The resampler.
+        """
+        fill, sigma = (1.0, 0.0) if beam.flat else (sqrt(beam.fill), beam.sigma)
+        return cls(beam.pixels[1], beam.pitch, slices, pitch, device, fill, sigma, height / beam.pitch)
 
     def from_slices(self, source: DeviceArray, target: DeviceArray) -> None:
         """target [pose, r, row] from source [pose, r, slice]."""

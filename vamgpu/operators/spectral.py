@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from functools import cached_property
-from math import prod, sqrt
+from math import prod
 from threading import local
 from typing import final
 
@@ -71,7 +70,7 @@ class SpectralProjection(LinearOperator):
         self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
         self._held = local()
-        self._rows = self._resampler(0.0)
+        self._rows = RowResampler.of(beam, grid.slices, grid.slice_pitch, self.device)
         table = ring_table(grid, beam, vessel or OpenAir(), square, faint, self.device.room)
         self._folded = (grid.angles, table.pairs * (2 if table.mirrored else 1), grid.slices)
         upload = self.device.table
@@ -84,27 +83,6 @@ class SpectralProjection(LinearOperator):
     def __repr__(self) -> str:
         vessel = f", {self.vessel!r}" if self.vessel else ""
         return f"SpectralProjection({self.grid!r}, {self.beam!r}{vessel}, device={self.device.name!r})"
-
-    def raised(self, height: float) -> SpectralProjection:
-        """The same for light that lies higher; they share their tables, and the fields that they work in.
-
-        Args:
-            height: By which it does [mm].
-
-        Returns:
-            The operator.
-        """
-        other = copy(self)
-        other._transpose = None
-        other._rows = self._resampler(height)
-        return other
-
-    def _resampler(self, height: float) -> RowResampler:
-        grid, beam = self.grid, self.beam
-        pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
-        return RowResampler(
-            beam.pixels[1], beam.pitch, grid.slices, grid.slice_pitch, self.device, **pixel, raised=height / beam.pitch
-        )
 
     @cached_property
     def _of_light(self) -> _Passes:
