@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import local
 from typing import Any, final
 
 import numpy as np
@@ -45,7 +46,7 @@ class Delivering(Derived):
         self.domain, self.range, self.device = operator.domain, operator.range, operator.device
         inherit(self, operator)
         self.gain = gain if isinstance(gain, DeviceArray) else self.device.upload(gain)
-        self._shift = None
+        self._shift, self._held = None, local()
         if height or across:
             moves = np.tile(np.array([-across, height]) / self.beam.pitch, (self.range.shape[0], 1))
             self._shift = Shift(self.device, moves, self.beam.pixels, self.beam.pixels)
@@ -55,9 +56,9 @@ class Delivering(Derived):
         return f"Delivering({self.operator!r}, height={self.height:g}, across={self.across:g})"
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        weighted = self.device.empty(self.domain.shape)
+        weighted = self._work("weighted", self.domain.shape)
         self.device.launch(multiply, x=x, y=self.gain, out=weighted)
-        still = out if self._shift is None else self.device.empty(self.range.shape)
+        still = out if self._shift is None else self._work("light", self.range.shape)
         self.operator.forward(weighted, still)
         if self._shift is not None:
             self._shift.there(still, self._tapers, out)
@@ -65,7 +66,14 @@ class Delivering(Derived):
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         moved = y
         if self._shift is not None:
-            moved = self.device.empty(self.range.shape)
+            moved = self._work("light", self.range.shape)
             self._shift.back(y, self._tapers, moved)
         self.operator.transposed(moved, out)
         self.device.launch(multiply, x=out, y=self.gain, out=out)
+
+    def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
+        """A field to work in, kept: new memory costs several times what a pass over it does."""
+        held = vars(self._held)  # of each thread
+        if name not in held:
+            held[name] = self.device.empty(shape)
+        return held[name]

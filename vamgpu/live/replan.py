@@ -25,7 +25,8 @@ from vamgpu.methods.projector import Projector
 from vamgpu.methods.ramp import capped_ramp
 from vamgpu.methods.state import OptimizerState
 from vamgpu.methods.window import SPAN
-from vamgpu.metrics import score
+from vamgpu.metrics.histogram import above
+from vamgpu.metrics.parts import Parts
 from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.reductions import dot, extent, total
 from vamgpu.operators.space import require
@@ -263,10 +264,11 @@ class Replanner:
         gain = 1.0 if gain is None else dot(gain, gain) / prod(gain.shape)
         pace = Pace(1.0 / gain, soon=1.0, possible=True)
         channel = Channel(state, capped_ramp(state.operator, CAP, SPAN))
-        steps = minimize(DoseObjective(state, loss, pace, rest=given), (channel,), pace)
+        steps = minimize(DoseObjective(state, loss, pace, rest=given, windows=False), (channel,), pace)
         while state.affords(1.0 + 0.5) and next(steps, None) is not None:
-            capped(channel.light, turns * self.most)
-            capped(channel.ahead, turns * self.most)
+            for each in (channel.light, channel.ahead):
+                if extent(each)[1] > turns * self.most:
+                    capped(each, turns * self.most)
         steps.close()
         return state.memory.get("best", state.memory["light"])
 
@@ -285,5 +287,7 @@ class Replanner:
                     weight=(~lost).astype(np.float32))  # fmt: skip
 
     def _outlook(self, asked: _Asked, turns: int, dose: DeviceArray) -> Outlook:
-        overlap = score(dose, asked.target, threshold=self.threshold).iou
-        return Outlook(turns, asked.state.window(dose)[0], float(overlap))
+        assert self.threshold is not None
+        parts = Parts(dose, asked.target, 0.5, None)
+        (_, excess), (missing, printed) = above(parts, float(np.float32(self.threshold)))[0].tolist()
+        return Outlook(turns, asked.state.window(dose)[0], printed / (missing + printed + excess))
