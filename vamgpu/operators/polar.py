@@ -294,13 +294,14 @@ def ring_table(
     for belt, own in zip(grid.belts, seen, strict=True):
         for ring in range(0, belt.rings, ROWS):
             pose = own.rings(ring).cells()
-            spectrum = rfft(pose, axis=1, workers=-1, overwrite_x=True) / pose.shape[1]
             if mirrored:
-                off = max(off, float(np.abs(spectrum - spectrum[..., ::-1].conj()).max()))
+                image = pose[:, -np.arange(pose.shape[1]), ::-1]
+                off = max(off, float(np.abs(pose - image).mean(axis=1).max()))  # no frequency differs by more
+            spectrum = rfft(pose[..., middle:], axis=1, workers=-1) / pose.shape[1]
             for j in range(belt.samples):
                 tile = (belt.cell + j * belt.rings + ring) // ROWS
                 mates[tile] = (belt.cell + (belt.samples - 1 - j) * belt.rings + ring) // ROWS
-                rows = _harmonics(spectrum[..., middle:], turns, j, belt.samples)
+                rows = _harmonics(spectrum, turns, j, belt.samples)
                 greatest[tile] = np.abs(rows).max(axis=(1, 2))
                 held = rows[..., : pairs[tile]].swapaxes(1, 2)
                 block = np.zeros((len(rows), pairs[tile], 2, ROWS), np.float32)
