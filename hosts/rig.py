@@ -22,14 +22,7 @@ from vamgpu.hosts.live.link import LiveLink, LiveOrder, task_of
 from vamgpu.hosts.operator import attended, print_with_operator
 from vamgpu.hosts.plans import boundary, planned_versions, restored, swaps
 from vamgpu.hosts.players.approach import Origin
-from vamgpu.hosts.players.machines import (
-    CableFrames,
-    Machines,
-    SourceFrames,
-    StageMachines,
-    VideoMachines,
-    senses,
-)
+from vamgpu.hosts.players.machines import Machines, SourceFrames, StageMachines, VideoMachines, senses
 from vamgpu.hosts.players.player import Player
 from vamgpu.hosts.players.spinning import SpinningPlayer
 from vamgpu.hosts.players.stage_clocked import StageClockedPlayer
@@ -121,12 +114,8 @@ def player(
     """
     found = found or check(planned, machines, live=plans is not None)
     if planned.display is not None and isinstance(machines, VideoMachines):
-        frames = planned.jobs[0].frames
-        size = (planned.mirrors[0].rows, planned.mirrors[0].columns)
-        if plans is not None:
-            shown = SourceFrames(plans.sources[0], size)
-        else:
-            shown = SourceFrames(planned.sources()[0], size) if frames is None else CableFrames(frames, size)
+        sources = planned.sources() if plans is None else plans.sources
+        shown = SourceFrames(sources[0], (planned.mirrors[0].rows, planned.mirrors[0].columns))
         return SpinningPlayer(planned.schedule, planned.display, machines, shown, plans=plans)
     assert found is not None and not isinstance(machines, VideoMachines)
     if isinstance(machines, StageMachines):

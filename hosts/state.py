@@ -114,11 +114,15 @@ class PrintStates:
 
 @dataclass(frozen=True)
 class Estimated:
-    """A parameter of a print as it is estimated: its name, with its unit, its value, and one standard deviation."""
+    """A parameter of a print as it is estimated: its name, with its unit, its value, and one standard deviation.
+
+    usual: between which it was expected to lie before anything was seen; None where nobody knows.
+    """
 
     name: str
     value: float
     error: float
+    usual: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,69 +5,98 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 import vamgpu
+from vamgpu.kernels.camera import draw_noise
 from vamgpu.live import CuringResin, LiveLoop, LiveSetup, LiveState, SensorNoise, Turbidity
+from vamgpu.live.planes import by_planes
+from vamgpu.operators.compose import combine
+from vamgpu.operators.reductions import dot
 from vamgpu.optics.vial import Vial
 
 PLANNED, SHOWN = 16, 12
-OFF = np.array([0.85, 1.1, 0.05, 0.0, 0.04, 0.0])
+OPEN, NOISE = 800.0, SensorNoise(8.0, 0.0, 10)
+OFF = np.array([0.85, 1.1, 0.05, 0.0, 0.04, 0.0, 0.0])
 """What the machine does to the dose; of `vamgpu.live.estimate.NAMES`."""
 STAGES = ("see", "estimate", "replan")
 
 
-def case(n: int, angles: int, device: str, iterations: int, evaluations: float) -> tuple[LiveLoop, LiveState, Any]:
+def case(
+    n: int, angles: int, device: str, iterations: int, evaluations: float, columns: float
+) -> tuple[LiveLoop, LiveState, Callable[[int], np.ndarray]]:
     """A loop, its state before turn `SHOWN`, and the images of one or two turns later."""
-    pitch = 9.6 / n
+    pitch, pixel = 9.6 / n, max(1.5 / columns, 1.0) * 9.6 / n
     vial, red = (Vial(8.0, 0.5, 1.5, 1.5, 1.0, absorption=each) for each in (0.1, 0.0))
     setup = LiveSetup(
-        (n, n, n), pitch, (2 * n, n), pitch, angles, vial, red, 800.0, SensorNoise(8.0, 0.0, 10), CuringResin(),
+        (n, n, n), pitch, (round(columns * n), n), pixel, angles, vial, red, OPEN, NOISE, CuringResin(),
         Turbidity((0.0, 1.0), (0.0, 0.25)), 2.0, PLANNED, 2 * PLANNED, iterations, evaluations, device, 1,
     )  # fmt: skip
     A = setup.projection(vial)
-    x, y, z = np.meshgrid(*A.grid.axes(), indexing="ij", sparse=True)
-    part = ((np.hypot(x, y) < 3.0) & (np.hypot(x - 1.0, y) > 1.2) & (np.abs(z) < 4.0)).astype(np.float32)
-    light = np.asarray(A(part))
-    light *= 1.1 / PLANNED / np.asarray(A.T(light))[part > 0].mean()
+    x, y, z = A.grid.axes()
+    across = (np.hypot(x[:, None], y) < 3.0) & (np.hypot(x[:, None] - 1.0, y) > 1.2)
+    part = (across[..., None] & (np.abs(z) < 4.0)).astype(np.float32)
+    shone = A(A.device.upload(part))
+    combine(1.1 / PLANNED * float(part.sum()) / dot(shone, shone), shone, 0.0, shone, shone)  # (A p)·(A p) = p·(Aᵀ A p)
+    light = shone.numpy()
     loop = setup.loop(part, light)
-    camera, even = setup.camera(), np.asarray(loop.estimator.delivering(OFF).T(light))
+    camera, even = loop.tomograph.camera, loop.estimator.delivering(OFF).T(light)
+    noise, known = (camera.projection.device.empty(camera.projection.range.shape) for _ in range(2))
+    combine(0.0, noise, 0.0, noise, known, floor=NOISE.read**-2)
+    rows = camera.projection.device.table(np.arange(n), "int32")
 
     def frames(turns: int) -> np.ndarray:
-        conversion = setup.resin.conversion(turns * even + 0.2 * setup.resin.induction)
-        light = camera.transmitted(setup.turbidity.extinction_at(conversion).astype(np.float32))
-        return camera.noise.expose(light, turns)
+        def cured(even: np.ndarray) -> np.ndarray:
+            conversion = setup.resin.conversion(turns * even + 0.2 * setup.resin.induction)
+            return setup.turbidity.extinction_at(conversion).astype(np.float32)
+
+        def levels(light: np.ndarray) -> np.ndarray:
+            return np.clip(np.rint(light), 0, NOISE.brightest).astype(np.uint16).swapaxes(1, 2)
+
+        dark = camera.darkened(by_planes(cured, even))
+        noise.device.launch(draw_noise, weight=known, slices=rows, seed=turns, noise=noise)
+        combine(-OPEN, dark, 1.0, noise, dark)
+        return by_planes(lambda less: levels(OPEN + less), dark.numpy())
 
     state = replace(loop.start(), turn=SHOWN - 1, shown=(SHOWN - 1) * light, turns=PLANNED - SHOWN)
     return loop, state, frames
 
 
-def measured(n: int, angles: int, device: str, iterations: int, evaluations: float) -> dict[str, Any]:
+def measured(n: int, angles: int, device: str, iterations: int, evaluations: float, columns: float) -> dict[str, Any]:
     """One decision after another that is not counted: seconds by stage, and evaluations in a second of replanning."""
-    loop, state, frames = case(n, angles, device, iterations, evaluations)
+    began = time.perf_counter()
+    loop, state, frames = case(n, angles, device, iterations, evaluations, columns)
     images = [frames(turns) for turns in (SHOWN, SHOWN + 1)]
+    made = time.perf_counter() - began
     state, first = loop.decide(state, images[0])
     began = time.perf_counter()
     _, decision = loop.decide(state, images[1])
     seconds = time.perf_counter() - began
     assert decision.parameters, (first.reason, decision.reason)
     return {
-        "device": device, "size": n, "angles": angles, **decision.stages, "decision": seconds,
-        "first": sum(first.stages.values()), "rate": evaluations / decision.stages["replan"],
+        "device": device, "size": n, "angles": angles, "columns": round(columns * n), **decision.stages,
+        "decision": seconds,
+        "made": made, "first": sum(first.stages.values()), "rate": evaluations / decision.stages["replan"],
         "found": decision.parameters, "reason": decision.reason,
     }  # fmt: skip
 
 
 def table(rows: Sequence[dict[str, Any]], markdown: bool) -> str:
     """Rows as text, or as a table of Markdown."""
-    head = ["device", "voxels × angles", *(f"{name} [s]" for name in STAGES), "decision [s]", "evaluations a second"]
+    head = [
+        "device",
+        "voxels × angles × columns",
+        *(f"{name} [s]" for name in STAGES),
+        "decision [s]",
+        "evaluations a second",
+    ]
     cells = [
-        [row["device"], f"{row['size']}³ × {row['angles']}", *(f"{row[name]:.2f}" for name in (*STAGES, "decision")),
-         f"{row['rate']:.1f}"]
+        [row["device"], f"{row['size']}³ × {row['angles']} × {row['columns']}",
+         *(f"{row[name]:.2f}" for name in (*STAGES, "decision")), f"{row['rate']:.1f}"]
         for row in rows
     ]  # fmt: skip
     if markdown:
@@ -80,6 +109,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sizes", type=int, nargs="+", default=[64, 128, 256], help="voxels along an edge")
     parser.add_argument("--angles", type=int, default=180)
+    parser.add_argument("--columns", type=float, default=2.0, help="of beam and camera, over voxels across")
     parser.add_argument("--iterations", type=int, default=8, help="pairs of projections to see with")
     parser.add_argument("--evaluations", type=float, default=8.0, help="projector evaluations to replan with")
     parser.add_argument("--device", nargs="+", help="names; all here but numpy by default")
@@ -89,9 +119,11 @@ def main() -> None:
     load, rows = os.getloadavg()[0], []
     for device in devices:
         for n in given.sizes:
-            rows.append(measured(n, given.angles, device, given.iterations, given.evaluations))
-            found = ", ".join(f"{name} {v:.3g} ± {s:.2g}" for name, (v, s) in rows[-1]["found"].items())
-            print(f"{device}, {n}³: first {rows[-1]['first']:.2f} s, {found}; {rows[-1]['reason']}", flush=True)
+            row = measured(n, given.angles, device, given.iterations, given.evaluations, given.columns)
+            rows.append(row)
+            found = ", ".join(f"{name} {v:.3g} ± {s:.2g}" for name, (v, s) in row["found"].items())
+            made = f"made in {row['made']:.1f} s, first {row['first']:.2f} s"
+            print(f"{device}, {n}³: {made}, {found}; {row['reason']}", flush=True)
     print(f"load {load:.1f} before\n{table(rows, given.markdown)}")
 
 

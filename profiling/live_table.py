@@ -36,12 +36,40 @@ OFF = {
     "gain 10 % along z": Truth(along_z=0.05),
 }
 POLICIES = ("timer", "scatter stop", "live")
-KEY = ("generation", "off", "policy", "seed")
+
+
+def _gel(setup: LiveSetup, more: float) -> LiveSetup:
+    resin = setup.resin
+    return replace(setup, resin=replace(resin, solid=resin.induction - np.log(1.0 - more * resin.gel) / resin.rate))
+
+
+def _rate(setup: LiveSetup, more: float) -> LiveSetup:
+    return replace(setup, resin=replace(setup.resin, rate=more * setup.resin.rate))
+
+
+def _dark(setup: LiveSetup, more: float) -> LiveSetup:
+    return replace(setup, resin=replace(setup.resin, dark=more * setup.resin.dark))
+
+
+def _turbidity(setup: LiveSetup, more: float) -> LiveSetup:
+    told = setup.turbidity
+    return replace(setup, turbidity=replace(told, extinction=[more * each for each in told.extinction]))
+
+
+def _all(setup: LiveSetup, more: float) -> LiveSetup:
+    return _turbidity(_dark(_rate(_gel(setup, more), more), more), more)
+
+
+BELIEVED = {"gel point": _gel, "rate": _rate, "dark reaction": _dark, "turbidity": _turbidity, "all four": _all}
+"""What the loop may believe to be more than it is: the conversion that is solid; the rate of curing, where the dose
+that is solid was measured; the life of radicals; the extinction of cured resin."""
+KEY = ("generation", "off", "policy", "seed", "believed")
 RECORD = Path(__file__).parent / "records" / "live-cpu.json"
 OFTEN = 20.0
 """Seconds after which the record is written again."""
 
-Cell = tuple[int, str, str, int]
+Cell = tuple[int, str, str, int, str]
+"""Of `KEY`; what is believed as "gel point +10 %", "" for the truth."""
 
 
 class Bench:
@@ -69,7 +97,7 @@ class Bench:
         self.light, self.density = self.known["light"], self.known["density"]
         self.setup = replace(self.setup, resin=CuringResin(solid=self.known["solid"]))
         self.printer_like.cache_clear()
-        self.loop: LiveLoop = self.setup.loop(self.part, self.light)
+        self.believing = cache(self._believing)
         self._doses: dict[tuple[float, ...], np.ndarray] = {}
 
     def _calibrated(self) -> dict[str, Any]:
@@ -100,6 +128,18 @@ class Bench:
         printer.state[0] = truth.inhibitor * printer.resin.induction
         return printer
 
+    @property
+    def loop(self) -> LiveLoop:
+        """That believes the truth."""
+        return self.believing("")
+
+    def _believing(self, believed: str) -> LiveLoop:
+        setup = self.setup
+        if believed:
+            name, share = believed[:-2].rsplit(" ", 1)
+            setup = BELIEVED[name](setup, 1.0 + 0.01 * float(share))
+        return setup.loop(self.part, self.light)
+
     def dose(self, printer: VirtualPrinter) -> np.ndarray:
         """Of a turn of the plan."""
         truth = printer.truth
@@ -113,7 +153,7 @@ class Bench:
         stop.see(0.0, printer.aside().sum(axis=0))
         return stop
 
-    def ended(self, policy: str, printer: VirtualPrinter) -> float:
+    def ended(self, policy: str, printer: VirtualPrinter, believed: str = "") -> float:
         """Print until a policy ends it; the light used, in turns of the plan."""
         dose, spent = self.dose(printer), 0.0
         if policy == "timer":
@@ -126,11 +166,12 @@ class Bench:
                 printer.turn(dose)
                 stop.see(printer.turns, printer.aside().sum(axis=0))
             return float(printer.turns)
-        state, action = self.loop.start(), "keep"
+        loop = self.believing(believed)
+        state, action = loop.start(), "keep"
         while action != "stop":
             spent += float(state.light.mean() / self.light.mean())
             printer.turn(dose)
-            state, decision = self.loop.decide(state, printer.through())
+            state, decision = loop.decide(state, printer.through())
             action = decision.action
             if action == "swap":
                 dose = printer.dose(state.light)
@@ -148,10 +189,10 @@ class Bench:
 
     def printed(self, cell: Cell) -> dict[str, Any]:
         """A print and its end: overlap, window of conversion, RMS of the surfaces [mm], turns, and light in turns."""
-        generation, off, policy, seed = cell
+        generation, off, policy, seed, believed = cell
         began = time.perf_counter()
         printer = self.printer(replace(OFF[off], inhibitor=GENERATIONS[generation - 1] / GENERATIONS[0]), seed)
-        spent = self.ended(policy, printer)
+        spent = self.ended(policy, printer, believed)
         field, device, gel = printer.printed(), self.plan.device, self.setup.resin.gel
         scores = score(device.upload(field.astype(np.float32)), device.upload(self.part), threshold=gel)
         return dict(zip(KEY, cell, strict=True)) | {
@@ -178,15 +219,28 @@ def main() -> None:
     parser.add_argument("--generations", type=int, nargs="+", default=range(1, 6), choices=range(1, 6))
     parser.add_argument("--off", nargs="+", default=list(OFF), choices=list(OFF))
     parser.add_argument("--policies", nargs="+", default=list(POLICIES), choices=POLICIES)
+    parser.add_argument(
+        "--believed",
+        type=int,
+        nargs="+",
+        default=[],
+        metavar="PERCENT",
+        help="live only, of a loop that believes kinetics or turbidity to be more and less by these",
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes, each with its share of the cores")
     parser.add_argument("--device", default="", help="of all processes, e.g. warp:cuda:0; the usual one if left out")
-    parser.add_argument("--record", type=Path, default=RECORD)
+    parser.add_argument("--record", type=Path, help="by default live-cpu.json, or live-believed-cpu.json, in records")
     parser.add_argument("--more", action="store_true", help="go on with the prints that the record does not have")
     parser.add_argument("--markdown", action="store_true", help="print the table of the record, and make no print")
     given = parser.parse_args()
+    given.record = given.record or (RECORD.with_name("live-believed-cpu.json") if given.believed else RECORD)
     if given.markdown:
         print(told(json.loads(given.record.read_text())))
         return
+    beliefs = [""]
+    if given.believed:
+        given.policies = ["live"]
+        beliefs += [f"{name} {side * share:+d} %" for share in given.believed for name in BELIEVED for side in (1, -1)]
     bench = Bench(given.size, given.angles, given.device)
     record = {
         "machine": {"device": bench.plan.device.name, "jobs": given.jobs, "vamgpu": vamgpu.__version__},
@@ -195,13 +249,15 @@ def main() -> None:
     }  # fmt: skip
     if given.more and given.record.exists():
         record = json.loads(given.record.read_text())
-    there = {tuple(p[name] for name in KEY) for p in record["prints"]}
-    cells = [
-        (generation, off, policy, seed)
-        for seed, policy, generation, off in product(
-            range(given.seeds), reversed(given.policies), given.generations, given.off
-        )
-        if (generation, off, policy, seed) not in there and not (policy == "timer" and seed)
+    there: set[tuple[Any, ...]] = {tuple(p.get(name, "") for name in KEY) for p in record["prints"]}
+    cells: list[Cell] = [
+        (generation, off, policy, seed, believed)
+        for seed in range(given.seeds)
+        for policy in reversed(given.policies)
+        for generation in given.generations
+        for off in given.off
+        for believed in beliefs
+        if (generation, off, policy, seed, believed) not in there and not (policy == "timer" and seed)
     ]
     began = written = time.perf_counter()
     before = record["seconds"]
@@ -246,6 +302,31 @@ def _one(cell: Cell) -> dict[str, Any]:
 
 
 def told(record: dict[str, Any]) -> str:
+    """A record in Markdown."""
+    return _of_beliefs(record) if any(p.get("believed") for p in record["prints"]) else _of_policies(record)
+
+
+def _of_beliefs(record: dict[str, Any]) -> str:
+    """Of each belief and cell: least overlap and window, mean RMS of the surfaces, mean light."""
+    made: dict[str, dict[str, list[dict[str, Any]]]] = {}
+    for p in record["prints"]:
+        made.setdefault(p["believed"], {}).setdefault(f"{p['generation']}, {p['off']}", []).append(p)
+    cells = list(next(iter(made.values())))
+    lines = ["| believed | " + " | ".join(cells) + " |", "|---|" + "---|" * len(cells)]
+    for believed, some in made.items():
+        row = [_cell(some[cell])[0] for cell in cells]
+        lines.append(f"| {believed.replace('-', '−') or 'the truth'} | " + " | ".join(row) + " |")
+    return "\n".join(lines)
+
+
+def _cell(prints: list[dict[str, Any]]) -> tuple[str, float, float]:
+    """As text; the least overlap; the mean RMS [µm]."""
+    iou, window = (min(p[name] for p in prints) for name in ("iou", "window"))
+    rms, light = 1e3 * float(np.mean([p["rms_mm"] for p in prints])), np.mean([p["light"] for p in prints])
+    return f"{iou:.3f}, {window:.2f}, {rms:.0f}, {light:.1f}", iou, rms
+
+
+def _of_policies(record: dict[str, Any]) -> str:
     """In Markdown: of each cell the least overlap and window, the mean RMS of its seeds, and the mean light."""
     made: dict[tuple[int, str, str], list[dict[str, Any]]] = {}
     for p in record["prints"]:
@@ -259,9 +340,8 @@ def told(record: dict[str, Any]) -> str:
             if not some:
                 cells.append("")
                 continue
-            iou, window = (min(p[name] for p in some) for name in ("iou", "window"))
-            rms[policy], light = 1e3 * np.mean([p["rms_mm"] for p in some]), np.mean([p["light"] for p in some])
-            cells.append(f"{iou:.3f}, {window:.2f}, {rms[policy]:.0f}, {light:.1f}")
+            text, iou, rms[policy] = _cell(some)
+            cells.append(text)
             if policy == "live":
                 full, kept = full + 1, kept + (iou >= 0.995)
         if off != next(iter(OFF)) and {"live", "scatter stop"} <= rms.keys():

@@ -21,11 +21,13 @@ class Example:
 
     sizes: of its named axes; 0 where the device decides.  given: tables and scalars by name, or a function of the
     device and the arguments before it; what is not given is random.  combine: how partial results add up, by name.
+    below: what random fields, from 0 to 1 without, are lowered by.
     """
 
     sizes: dict[str, int]
     given: dict[str, Any] = field(default_factory=dict)
     combine: dict[str, Callable[[np.ndarray], Any]] = field(default_factory=dict)
+    below: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def _array(
     device: Device, spec: Field | Table, shape: tuple[int, ...], name: str, example: Example, rng: np.random.Generator
 ) -> DeviceArray:
     if isinstance(spec, Field):
-        return _field(device, rng.random(shape).astype(np.float32))
+        return _field(device, (rng.random(shape) - example.below).astype(np.float32))
     if name in example.given:
         return device.table(np.asarray(example.given[name]), spec.dtype)
     if spec.writes:
@@ -594,6 +596,8 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "correct_by_difference": lambda n: _elementwise(
         n, scale=1.1, low=0.3, high=0.9, gain_outside=1.0, gain_inside=0.5, reach=0.4 * n
     ),
+    "price_flips": lambda n: Example(_array_sizes(n), {"least": 0.2, "most": 0.4, "leak": 0.1, "step": 0.1}, below=0.5),
+    "flip_pixels": lambda n: Example(_array_sizes(n), below=0.5),
     "filter_rows": lambda n: _filtered(n, floor=0.0),
     "filtered_step": lambda n: _filtered(n, step=0.3, momentum=0.8),
     "band_loss": _band,

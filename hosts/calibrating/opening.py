@@ -131,6 +131,8 @@ def rehearsal(
 
 
 HIGHEST = 100.0  # frequency up to which the truth is looked at [1/mm]
+Truth = tuple[dict[str, Any], list[tuple[str, str]]]
+"""Of emulated optics: numbers of a result's table, and lines for people."""
 
 
 def compared(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> CalibrationResult:
@@ -140,24 +142,18 @@ def compared(found: CalibrationResult, optics: Any, machines: CalibrationMachine
     return replace(found, lines=(*found.lines, *lines), tables={**found.tables, "emulated": truth})
 
 
-def _focus(
-    found: CalibrationResult, optics: Any, machines: CalibrationMachines
-) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+def _focus(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> Truth:
     power = -optics.middle / optics.slope
     truth = {"slope_mm_dpt": optics.slope, "axis_dpt": power}
     return truth, [("emulated", f"{optics.slope:.3f} mm/dpt, {power:.4f} dpt at the middle")]
 
 
-def _axis(
-    found: CalibrationResult, optics: Any, machines: CalibrationMachines
-) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+def _axis(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> Truth:
     truth = {"column": optics.axis, "radius_columns": optics.radius}
     return truth, [("emulated", f"column {optics.axis:.3f}, radius {optics.radius:.3f} columns")]
 
 
-def _gray(
-    found: CalibrationResult, optics: Any, machines: CalibrationMachines
-) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+def _gray(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> Truth:
     lit = round(1e6 * machines.screens[0].period)
     curve = found.tables["gray"]
     light = np.array([optics.gray(level, lit) for level in curve["levels"]])
@@ -166,27 +162,21 @@ def _gray(
     return truth, [("emulated", f"black {100 * truth['black']:.3f} %, largest error of a level {100 * off:.2g} %")]
 
 
-def _flat(
-    found: CalibrationResult, optics: Any, machines: CalibrationMachines
-) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+def _flat(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> Truth:
     true = optics.flat() / optics.flat().max()
     off = float(np.abs(found.readings["flat_0"] - true).max())
     truth = {"dimmest": float(true.min()), "largest_error": off}
     return truth, [("emulated", f"dimmest {100 * true.min():.2f} %, largest error of a mirror {100 * off:.2g} %")]
 
 
-def _runout(
-    found: CalibrationResult, optics: Any, machines: CalibrationMachines
-) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+def _runout(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> Truth:
     truth = {"column": optics.axis, "lean": optics.lean, "across": optics.across, "tilt": optics.wobble}
     out, wobble = (float(np.hypot(*each)) for each in (optics.across, optics.wobble))
     edge = 0.5 * optics.mirrors[0]
     return truth, [("emulated", f"column {optics.axis:.3f}, pin {out:.3f}, wobble {edge * wobble:.3f} columns")]
 
 
-def _mtf(
-    found: CalibrationResult, optics: Any, machines: CalibrationMachines
-) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+def _mtf(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> Truth:
     frequency = np.linspace(0.0, HIGHEST, 20001)
     places = found.numbers["positions_mm"]
     powers = found.numbers["powers_dpt"] or [0.0] * len(places)

@@ -85,11 +85,6 @@ def numbers_of(found: Runout, shape: tuple[int, int], projector: int) -> dict[st
     }  # fmt: skip
 
 
-def runout_of(numbers: dict[str, Any]) -> Runout:
-    """From what the store keeps. Raises `KeyError`, `TypeError`, `ValueError` for numbers that are garbled."""
-    return Runout.read(numbers)
-
-
 def _found(
     found: Runout, readings: dict[str, np.ndarray], shape: tuple[int, int], projector: int
 ) -> CalibrationResult:  # fmt: skip

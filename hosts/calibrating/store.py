@@ -15,7 +15,6 @@ from vamgpu.calibration.runout import Runout
 from vamgpu.errors import BadInput, JobError, StorageError
 from vamgpu.geometry import Turntable
 from vamgpu.hosts.calibrating.report import CalibrationResult, read, save
-from vamgpu.hosts.calibrating.runout import runout_of
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.guarantees import driver_of
 from vamgpu.printing.frames import Frames
@@ -205,7 +204,7 @@ def calibration_of(rig: RigConfig, now: datetime | None = None) -> MachineCalibr
 
 def _runout(found: Calibration, numbers: Mapping[str, Any]) -> MeasuredRunout:
     try:
-        return MeasuredRunout(runout_of(dict(numbers)), int(numbers["projector"]), int(numbers["columns"]))
+        return MeasuredRunout(Runout.read(numbers), int(numbers["projector"]), int(numbers["columns"]))
     except (KeyError, TypeError, ValueError) as error:
         raise StorageError(f"{str(found.path)!r} garbles its numbers: {error}; measure the runout again") from error
 

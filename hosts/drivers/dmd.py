@@ -125,15 +125,6 @@ class Dmd(Closing):
         self.call("AlpProjHalt")
         self.call("AlpDevHalt")
 
-    def float_mirrors(self) -> None:
-        """Let the mirrors go to rest, which they should be in while nothing is printed."""
-        self.halt()
-        self.call("AlpDevControl", alp.DMD_MODE, alp.DMD_FLOAT)
-
-    def wake_mirrors(self) -> None:
-        """Bring the mirrors back from rest."""
-        self.call("AlpDevControl", alp.DMD_MODE, alp.DMD_RESUME)
-
     def close(self) -> None:
         """Halt, rest the mirrors and let go of the device; more than once does no harm."""
         if not self._open:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Self
 
-from vamgpu.errors import BadInput, DeviceError, DeviceRefused, ProtocolError, WrongDevice
+from vamgpu.errors import DeviceError, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 from vamgpu.hosts.protocols import optotune as ld4
 from vamgpu.hosts.run_all import Closing
@@ -60,15 +60,10 @@ class LensDriver(Closing):
         self.full_current_ma = int.from_bytes(self.ask(ld4.GET_FULL_CURRENT), "big") / 100
         log.info("lens driver: firmware %s %s, %.2f mA", self.firmware, self.version, self.full_current_ma)
 
-    def ask(self, request: ld4.Request, wear_memory: bool = False) -> bytes:
-        """Send a request that is answered, and return what the answer carries.
-
-        Requests that wear the driver's memory are refused unless ``wear_memory``; all are while streaming.
-        """
+    def ask(self, request: ld4.Request) -> bytes:
+        """Send a request that is answered, and return what the answer carries; `DeviceError` while streaming."""
         if self._streaming:
             raise DeviceError("the lens driver cannot be asked while it streams; ask before or after the print")
-        if request.writes_memory and not wear_memory:
-            raise BadInput(f"{request.payload!r} wears the driver's memory; pass wear_memory=True if that is meant")
         with self._wire.lock:
             self._wire.send(request.frame)
             received = b""
@@ -86,7 +81,7 @@ class LensDriver(Closing):
     def focal_power_mode(self, low_celsius: float = 20.0, high_celsius: float = 45.0) -> ld4.PowerRange:
         """Set the temperature window, then the focal power mode; the range [1/m] the driver guarantees."""
         self._power_range(ld4.set_window(low_celsius, high_celsius))
-        found = self._power_range(ld4.set_mode(ld4.Mode.FOCAL_POWER))
+        found = self._power_range(ld4.FOCAL_POWER_MODE)
         self._power_mode = True
         return found
 
@@ -99,20 +94,11 @@ class LensDriver(Closing):
             raise DeviceRefused(f"the lens driver cannot hold a focal power: {causes}", f"S{found.status}")
         return found
 
-    def current_mode(self) -> None:
-        """Set the mode of plain current."""
-        self.ask(ld4.set_mode(ld4.Mode.CURRENT))
-        self._power_mode = False
-
     def set_power(self, diopters: float) -> None:
         """Set the focal power [1/m]; returns when the bytes are with the port, not when the lens has settled."""
         if not self._power_mode:
             raise DeviceError("the lens driver obeys focal powers in focal power mode only; call focal_power_mode()")
         self._wire.send(ld4.set_power(diopters, self.firmware).frame)
-
-    def set_current(self, current_ma: float) -> None:
-        """Set the current [mA]."""
-        self._wire.send(ld4.set_current(ld4.current_code(current_ma, self.full_current_ma)).frame)
 
     def code(self, diopters: float) -> int:
         """The code of a focal power [1/m], for a controller that sends it by itself."""

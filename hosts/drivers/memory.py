@@ -95,7 +95,7 @@ class MirrorMemory:
         self._spare: deque[_Held] = deque()
         for home, count, frames in ((self._free, sequences, length), (self._spare, spares, 1)):
             home.extend(_Held(dmd.sequence(frames, bits, timing), home) for _ in range(count))
-        self._all = (*self._free, *self._spare)
+        self._all: tuple[_Held, ...] = (*self._free, *self._spare)
         self._queue: deque[tuple[_Held, int]] = deque()  # and how many of its frames are shown
         self.queued: int = 0
         self._turns = FairLock()

@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
 from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, DeviceRefused, WrongDevice
+from vamgpu.hosts.drivers.stages import wait_for_rest
 from vamgpu.hosts.run_all import Closing
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -141,12 +143,8 @@ class MicroManagerStage(_Device):
 
     def wait(self) -> None:
         """Return when the axis rests; DeviceError if it does not within the stage's patience."""
-        waited = 0.0
-        while self._call("deviceBusy", self.label, lost=DeviceLost):
-            if waited > self._patience:
-                raise DeviceError(f"{self.label} still moves after {self._patience} s; check what it should do")
-            self._pause(0.02)
-            waited += 0.02
+        busy = partial(self._call, "deviceBusy", self.label, lost=DeviceLost)
+        wait_for_rest(busy, self._patience, self._pause, self.label)
 
     def stop(self) -> None:
         """Begin to come to rest."""
@@ -166,7 +164,11 @@ class MicroManagerCamera(_Device):
 
     def __init__(self, core: Any, label: str, owned: bool = False) -> None:
         super().__init__(core, label, "CameraDevice", owned)
-        self._call("setCameraDevice", label)
+        try:
+            self._call("setCameraDevice", label)
+        except BaseException:
+            self._let_go()
+            raise
 
     @classmethod
     def open(cls, configuration: str | Path, label: str) -> Self:

@@ -32,7 +32,6 @@ class SlotLayout:
 
 TWO_OF_8 = SlotLayout((1, 0), 8)
 THREE_OF_7 = SlotLayout((1, 0, 2), 7)
-ONE_OF_8 = SlotLayout((1,), 8)
 ONE_GRAY = SlotLayout((1,), 8, gray=True)
 
 
@@ -55,20 +54,6 @@ def compose(frames: list[np.ndarray], layout: SlotLayout) -> np.ndarray:
             levels = (frame.astype(np.uint16) * top + 127) // 255
             video_frame[..., channel] = levels << (8 - layout.bits)
     return np.repeat(video_frame[..., layout.channels], 3, axis=2) if layout.gray else video_frame
-
-
-def plane_walk(shape: tuple[int, int]) -> list[np.ndarray]:
-    """Frames ``[row, column, 3]`` that light one of the 24 bit planes each: green, red, blue, and low bits first.
-
-    On a screen of the right setting, 24 equal flashes follow one another; a dead or doubled plane shows at once.
-    """
-    video_frames = []
-    for channel in (1, 0, 2):
-        for bit in range(8):
-            video_frame = np.zeros((*shape, 3), np.uint8)
-            video_frame[..., channel] = 1 << bit
-            video_frames.append(video_frame)
-    return video_frames
 
 
 log: logging.Logger = logging.getLogger(__name__)

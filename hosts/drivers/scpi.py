@@ -1,8 +1,7 @@
-"""Instruments that speak SCPI, as text in lines: photodiode meters, and supplies of LED and laser."""
+"""Instruments that speak SCPI, as text in lines: photodiode meters."""
 
 from __future__ import annotations
 
-import logging
 import math
 from typing import Self
 
@@ -10,7 +9,6 @@ from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, Wr
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 from vamgpu.hosts.run_all import Closing
 
-log: logging.Logger = logging.getLogger(__name__)
 MILLI = 1000.0
 
 
@@ -101,47 +99,3 @@ class PowerMeter(Instrument):
     def power_mw(self) -> float:
         """The optical power now [mW]."""
         return self.number("MEAS:POW?") * MILLI
-
-
-class LampSupply(Instrument):
-    """A supply that drives an LED or laser by a current [mA], never above ``greatest_ma``."""
-
-    def __init__(self, wire: Wire, greatest_ma: float, maker: str | None = None) -> None:
-        self.greatest_ma = greatest_ma
-        super().__init__(wire, maker)
-        self.off()
-
-    @classmethod
-    def open(
-        cls, url: str, greatest_ma: float, maker: str | None = None, baud: int = 115200, timeout_s: float = 1.0
-    ) -> Self:
-        """Open the supply at an address; its output is off after."""
-        return cls(open_wire(url, "the lamp's supply", baud, timeout_s), greatest_ma, maker)
-
-    def drive(self, fraction: float) -> None:
-        """Set the current as a fraction of the greatest."""
-        if not 0 <= fraction <= 1:
-            raise BadInput(f"a lamp cannot be driven at {fraction} of its greatest current; give 0..1")
-        self.tell(f"SOUR:CURR {fraction * self.greatest_ma / MILLI:.6f}")
-        self.check()
-
-    def on(self) -> None:
-        """Output on."""
-        self.tell("OUTP ON")
-        self.check()
-
-    def off(self) -> None:
-        """Output off; sent without waiting for anything."""
-        self.tell("OUTP OFF")
-
-    def is_on(self) -> bool:
-        """Whether the output is on."""
-        return self.ask("OUTP?").upper() in ("1", "ON")
-
-    def close(self) -> None:
-        """Output off, and let go of the port."""
-        try:
-            self.off()
-        except DeviceLost as error:
-            log.warning("closing the lamp: %s", error)
-        super().close()

@@ -32,13 +32,17 @@ class Stage(Protocol):
 
 
 log: logging.Logger = logging.getLogger(__name__)
+POLL = 0.02  # between two questions whether an axis moves [s]
 
 
-@runtime_checkable
-class Triggering(Protocol):
-    """A stage with an output that follows its position."""
-
-    def trigger_every(self, distance: float, output: int = 1) -> None: ...  # a rising edge each distance; 0 ends it
+def wait_for_rest(busy: Callable[[], bool], patience_s: float, pause: Callable[[float], None], name: str) -> None:
+    """Return when an axis rests. Raises `DeviceError` where it does not within its patience."""
+    waited = 0.0
+    while busy():
+        if waited > patience_s:
+            raise DeviceError(f"{name} still moves after {patience_s} s; check what it should do")
+        pause(POLL)
+        waited += POLL
 
 
 class ZaberLink(Protocol):
@@ -223,10 +227,6 @@ class ZaberStage(Closing):
     def _speed(self, speed: float) -> int:
         return round(speed * self.microsteps * zaber.SPEED_UNITS)
 
-    def true_speed(self, speed: float) -> float:
-        """The speed the device will run at when asked for one: whole numbers of its own unit."""
-        return self._speed(speed) / zaber.SPEED_UNITS / self.microsteps
-
     def busy(self) -> bool:
         """Whether the axis moves."""
         message = self._exchange("")
@@ -235,12 +235,7 @@ class ZaberStage(Closing):
 
     def wait(self) -> None:
         """Return when the axis rests; DeviceError if it does not within the stage's patience."""
-        waited = 0.0
-        while self.busy():
-            if waited > self._patience:
-                raise DeviceError(f"stage {self._device} still moves after {self._patience} s; check what it should do")
-            self._pause(0.02)
-            waited += 0.02
+        wait_for_rest(self.busy, self._patience, self._pause, f"stage {self._device}")
 
     def stop(self) -> None:
         """Begin to come to rest."""

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Self
 
 from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, WrongDevice
+from vamgpu.hosts.drivers.stages import wait_for_rest
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 from vamgpu.hosts.run_all import Closing
 
@@ -83,9 +84,8 @@ class ThorlabsStage(Closing):
             DeviceBusy: Another program uses the port.
             WrongDevice: What answers is no motion cube by Thorlabs.
         """
-        wire = open_wire(port, "the Thorlabs stage", 115200, timeout_s)
-        wire.port.rtscts = True  # type: ignore[attr-defined]  # cubes hold bytes back by that line
-        return cls(wire, counts, unit)
+        # cubes hold bytes back by RTS and CTS
+        return cls(open_wire(port, "the Thorlabs stage", 115200, timeout_s, rtscts=True), counts, unit)
 
     def _start(self) -> None:
         try:
@@ -174,12 +174,7 @@ class ThorlabsStage(Closing):
 
     def wait(self) -> None:
         """Return when the axis rests; DeviceError if it does not within the stage's patience."""
-        waited = 0.0
-        while self.busy():
-            if waited > self._patience:
-                raise DeviceError(f"the {self.kind} still moves after {self._patience} s; check what it should do")
-            self._pause(0.02)
-            waited += 0.02
+        wait_for_rest(self.busy, self._patience, self._pause, f"the {self.kind}")
 
     def stop(self) -> None:
         """Begin to come to rest."""

@@ -32,14 +32,39 @@ class Port(Protocol):
     def in_waiting(self) -> int: ...  # how many bytes have come in
 
 
-class UsbtmcPort:
+class _MessagePort:
+    """A port that gives whole messages; what of one is not asked for at once waits."""
+
+    _pending = b""
+
+    def _message(self) -> bytes:
+        """The next message; none where it does not come in time."""
+        raise NotImplementedError
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Receive from the message that is there, or the next."""
+        if not self._pending:
+            self._pending = self._message()
+        taken, self._pending = self._pending[:size], self._pending[size:]
+        return taken
+
+    def reset_input_buffer(self) -> None:
+        """Forget what has come in."""
+        self._pending = b""
+
+    @property
+    def in_waiting(self) -> int:
+        """How many bytes of the message are left."""
+        return len(self._pending)
+
+
+class UsbtmcPort(_MessagePort):
     """The kernel's character device of an instrument on USB, locked to one program: one message a read."""
 
     def __init__(self, path: str) -> None:
         import fcntl
 
         self._file = os.open(path, os.O_RDWR)
-        self._pending = b""
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -50,34 +75,20 @@ class UsbtmcPort:
         """Send one message."""
         return os.write(self._file, data)
 
-    def read(self, size: int = 1, /) -> bytes:
-        """Receive from the message that is there, or the next."""
-        if not self._pending:
-            self._pending = os.read(self._file, 4096)
-        taken, self._pending = self._pending[:size], self._pending[size:]
-        return taken
-
-    def reset_input_buffer(self) -> None:
-        """Forget what has come in."""
-        self._pending = b""
+    def _message(self) -> bytes:
+        return os.read(self._file, 4096)
 
     def close(self) -> None:
         """Let go of the instrument."""
         os.close(self._file)
 
-    @property
-    def in_waiting(self) -> int:
-        """How many bytes of the message are left."""
-        return len(self._pending)
 
-
-class VisaPort:
+class VisaPort(_MessagePort):
     """A message-based resource of PyVISA; one message a read."""
 
     def __init__(self, resource: Any, timeout_s: float) -> None:
         self._resource = resource
         resource.timeout = round(timeout_s * 1000)
-        self._pending = b""
 
     def write(self, data: bytes, /) -> int:
         """Send one message."""
@@ -86,33 +97,18 @@ class VisaPort:
         except _visa().errors.Error as error:
             raise OSError(errno.EIO, str(error)) from error
 
-    def read(self, size: int = 1, /) -> bytes:
-        """Receive from the message that is there, or the next."""
+    def _message(self) -> bytes:
         visa = _visa()
-        if not self._pending:
-            try:
-                self._pending = self._resource.read_raw()
-            except visa.errors.VisaIOError as error:
-                if error.error_code == visa.constants.StatusCode.error_timeout:
-                    return b""
-                raise OSError(errno.EIO, str(error)) from error
-            except visa.errors.Error as error:
-                raise OSError(errno.EIO, str(error)) from error
-        taken, self._pending = self._pending[:size], self._pending[size:]
-        return taken
-
-    def reset_input_buffer(self) -> None:
-        """Forget what has come in."""
-        self._pending = b""
+        try:
+            return self._resource.read_raw()
+        except visa.errors.Error as error:
+            if getattr(error, "error_code", None) == visa.constants.StatusCode.error_timeout:
+                return b""
+            raise OSError(errno.EIO, str(error)) from error
 
     def close(self) -> None:
         """Let go of the instrument."""
         self._resource.close()
-
-    @property
-    def in_waiting(self) -> int:
-        """How many bytes of the message are left."""
-        return len(self._pending)
 
 
 def _visa() -> Any:
@@ -222,10 +218,13 @@ class Wire(Closing):
         return DeviceLost(f"{self.name} is gone ({error}); check its plug and its power, then start again")
 
 
-def open_wire(url: str, name: str, baud: int = 115200, timeout_s: float = 0.25, lines_low: bool = False) -> Wire:
+def open_wire(
+    url: str, name: str, baud: int = 115200, timeout_s: float = 0.25, lines_low: bool = False, rtscts: bool = False
+) -> Wire:
     """Open the port of a machine.
 
-    ``timeout_s`` is how long a read waits; ``lines_low`` opens with the control lines RTS and DTR low.
+    ``timeout_s`` is how long a read waits; ``lines_low`` opens with the control lines RTS and DTR low, ``rtscts`` lets
+    them hold bytes back.
     Raises DeviceNotFound where nothing is at the address, DeviceBusy where another program holds it.
     """
     if "::" in url:
@@ -238,7 +237,7 @@ def open_wire(url: str, name: str, baud: int = 115200, timeout_s: float = 0.25, 
     serial = _pyserial()
     try:
         port = serial.serial_for_url(
-            url, do_not_open=True, baudrate=baud, timeout=timeout_s, write_timeout=2.0, exclusive=True
+            url, do_not_open=True, baudrate=baud, timeout=timeout_s, write_timeout=2.0, exclusive=True, rtscts=rtscts
         )
         if lines_low:
             port.rts = port.dtr = False

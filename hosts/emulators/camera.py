@@ -24,6 +24,7 @@ class Sensor:
     offset: int = 2
 
 
+@dataclass(eq=False)
 class EmulatedCamera:
     """Looks at a scene; ``blur`` is the standard deviation of its optics' spot [pixel], or a function of time of it.
 
@@ -33,23 +34,15 @@ class EmulatedCamera:
 
     clock: VirtualClock
     scene: Scene
-    sensor: Sensor
-    blur: float | Callable[[int], float]
-    samples: int
+    sensor: Sensor = Sensor()
+    blur: float | Callable[[int], float] = 0.0
+    samples: int = 4
+    seed: int = 0
 
-    def __init__(
-        self,
-        clock: VirtualClock,
-        scene: Scene,
-        sensor: Sensor = Sensor(),
-        blur: float | Callable[[int], float] = 0.0,
-        samples: int = 4,
-        seed: int = 0,
-    ) -> None:
-        self.clock, self.scene, self.sensor, self.blur, self.samples = clock, scene, sensor, blur, samples
+    def __post_init__(self) -> None:
         self.exposure_us: float = 10_000.0
         self.grabbed: int = 0
-        self._random = np.random.default_rng(seed)
+        self._random = np.random.default_rng(self.seed)
 
     def expose(self, exposure_us: float) -> None:
         """Set the time of exposure [us]."""

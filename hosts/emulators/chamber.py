@@ -94,9 +94,6 @@ class Chamber:
 
     def pose(self, now: int) -> float:
         """The pose that light goes to at a time [ns], turns running on."""
-        return self._pose(now)
-
-    def _pose(self, now: int) -> float:
         pose = self._position(now) - (self.first or 0.0) + MARGIN
         if self._begins is None:
             return pose
@@ -105,7 +102,7 @@ class Chamber:
         return turns * around + float(np.interp(rest, self._begins, np.arange(around + 1)))
 
     def _add(self, engine: int, mirrors: np.ndarray, start: int, end: int) -> None:
-        low, high = self._pose(start), self._pose(end)
+        low, high = self.pose(start), self.pose(end)
         cuts = [start, end]
         for edge in range(int(np.floor(min(low, high))) + 1, int(np.ceil(max(low, high)))):
             cuts.append(round(start + (edge - low) / (high - low) * (end - start)))
@@ -120,7 +117,7 @@ class Chamber:
         if plane is None:
             self.astray += seconds * float(mirrors.sum())
             return
-        pose = int(np.floor(self._pose((start + end) // 2)))
+        pose = int(np.floor(self.pose((start + end) // 2)))
         key = (engine, plane, pose if self.turn is None else pose % self.turn)
         if key not in self.light:
             self.light[key] = np.zeros(self.mirrors, np.float32)

@@ -1,20 +1,20 @@
 """The emulated controller of web, trigger, lens and light; also a process of its own on a pseudo terminal.
 
 ``python -m vamgpu.hosts.emulators.controller --link PATH --log FILE`` serves until it is ended. PATH becomes a link to
-the terminal; what it did is written to FILE, see `vamgpu.hosts.emulators.servers`. Check sums and limits are its own:
-one that is wrong in the driver's protocol is refused here.
+the terminal; what it did is written to FILE, see `vamgpu.hosts.emulators.servers`. Its limits are its own: one that is
+wrong in the driver's protocol is refused here.
 """
 
 from __future__ import annotations
 
 import argparse
 import re
-from binascii import crc_hqx
 from pathlib import Path
 
 from vamgpu.hosts.emulators.line import LineDevice
 from vamgpu.hosts.emulators.rows import MICRO, RAMP, RowPlayer
 from vamgpu.hosts.emulators.servers import serve
+from vamgpu.hosts.protocols.controller import line_check
 
 MILLI = 1_000_000
 LONGEST_LEASE_MS = 1000
@@ -30,11 +30,6 @@ ARGUMENTS = {
     "hello": 0, "lease": 1, "arm": 0, "disarm": 0, "power": 2, "light": 1, "mode": 1, "row": 6, "end": 1, "go": 1,
     "move": 1, "ramp": 1, "zero": 1, "stop": 0, "stat": 0, "encoder": 3, "index": 3, "home": 2,
 }  # fmt: skip
-
-
-def line_check(data: bytes) -> int:
-    """The lines' check sum, by the standard library's own code for it."""
-    return crc_hqx(data, 0xFFFF)
 
 
 class EmulatedController(RowPlayer, LineDevice):

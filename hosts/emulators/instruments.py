@@ -76,36 +76,3 @@ class EmulatedMeter(_ScpiDevice):
                 self.count = int(value)
                 return ""
         return None
-
-
-class EmulatedSupply(_ScpiDevice):
-    """A supply with a current [A] and an output; ``on_change(on, current, now)`` hears of changes."""
-
-    limit: float
-    current: float
-    output: bool
-
-    def __init__(self, limit_a: float = 1.0) -> None:
-        super().__init__("Emulated,SUPPLY,1001,1.0", 1000.0)
-        self.limit, self.current, self.output = limit_a, 0.0, False
-        self.on_change: Callable[[bool, float, int], None] | None = None
-
-    def act(self, words: list[str], now: int) -> str | None:
-        """Obey and answer."""
-        match words:
-            case ["SOUR:CURR", value]:
-                if float(value) > self.limit:
-                    self.errors.append('-222,"Data out of range"')
-                    return ""
-                self.current = float(value)
-            case ["OUTP", "ON" | "1"]:
-                self.output = True
-            case ["OUTP", "OFF" | "0"]:
-                self.output = False
-            case ["OUTP?"]:
-                return str(int(self.output))
-            case _:
-                return None
-        if self.on_change is not None:
-            self.on_change(self.output, self.current, now)
-        return ""

@@ -60,18 +60,16 @@ class LensDynamics:
 
 
 LENGTHS = {
-    b"H": 3, b"F": 3, b"J": 3, b"V": 3, b"X": 3, b"IR": 12, b"Aw": 6, b"Ar": 6,
-    b"CrMA": 8, b"CwMA": 8, b"CrUA": 8, b"CwUA": 8, b"CrLA": 8, b"CwLA": 8,
-    b"MwDA": 6, b"MwSA": 6, b"MwTA": 6, b"MwQA": 6, b"MwCA": 6, b"MwAA": 6, b"MMA": 5,
-    b"PwUA": 10, b"PwLA": 10, b"PwFA": 10, b"PwTA": 10, b"PwDA": 10, b"PrDA": 10,
-    b"TCA": 5, b"TA": 4, b"Sr": 4, b"GAA": 5, b"Ow": 6, b"Or": 6, b"Y": 7, b"Start": 5,
+    b"H": 3, b"V": 3, b"Aw": 6, b"Ar": 6, b"CrMA": 8, b"MwCA": 6, b"MMA": 5,
+    b"PwTA": 10, b"PwDA": 10, b"PrDA": 10, b"TCA": 5, b"TA": 4, b"Sr": 4, b"Start": 5,
 }  # fmt: skip
 """Bytes of each command with its check sum, by what it starts with."""
 LONGEST_NAME = max(map(len, LENGTHS))
 BEGINNINGS = {name[:size] for name in LENGTHS for size in range(1, len(name))}
-MODES = {b"MwDA": 1, b"MwSA": 2, b"MwTA": 3, b"MwQA": 4, b"MwCA": 5, b"MwAA": 6}
+CURRENT, FOCAL_POWER = 1, 5  # modes
 CRC_TABLE = [0, 0xCC01, 0xD801, 0x1400, 0xF001, 0x3C00, 0x2800, 0xE401]
 CRC_TABLE += [0xA001, 0x6C00, 0x7800, 0xB401, 0x5000, 0x9C01, 0x8801, 0x4400]
+FULL_MA, FULL_CODE = 292.84, 4095  # the full current, and its code
 PATIENCE = 20_000_000  # how long the driver waits for the rest of a command [ns]
 
 
@@ -84,6 +82,7 @@ def check_sum(data: bytes) -> int:
     return value
 
 
+@dataclass(eq=False)
 class EmulatedLens(LineDevice):
     """The driver's firmware and the lens behind it.
 
@@ -91,40 +90,25 @@ class EmulatedLens(LineDevice):
     as some units do, ``sensor`` False is a lens without a thermometer and memory.
     """
 
-    model: LensModel
-    firmware: str
-    sensor: bool
-    legacy: bool
-    stray: bool
-    mode: int
-    full_ma: float
-    current_code: int
-    power_code: int
-    memory_writes: int
-    handshakes: int
-    settings: int
+    model: LensModel = LensModel()
+    firmware: str = "A"
+    celsius: float = 25.0
+    baud: int = 115200
+    latency_us: float = 100.0
+    sensor: bool = True
+    legacy: bool = False
+    stray: bool = False
 
-    def __init__(
-        self,
-        model: LensModel = LensModel(),
-        firmware: str = "A",
-        celsius: float = 25.0,
-        baud: int = 115200,
-        latency_us: float = 100.0,
-        sensor: bool = True,
-        legacy: bool = False,
-        stray: bool = False,
-    ) -> None:
-        super().__init__(latency_us, round(10 * SECOND / baud))
-        self.model, self.firmware, self.sensor, self.legacy, self.stray = model, firmware, sensor, legacy, stray
-        self.celsius: float = celsius
-        self.mode, self.full_ma, self.current_code, self.power_code = 1, 292.84, 0, 0
-        self.limits: dict[str, int] = {"U": 4095, "L": -4095}
-        self.gain: int = 100
+    def __post_init__(self) -> None:
+        super().__init__(self.latency_us, round(10 * SECOND / self.baud))
+        self.mode: int = CURRENT
+        self.current_code: int = 0
+        self.power_code: int = 0
         self.window: tuple[float, float] | None = None
-        self.memory_writes = self.handshakes = self.settings = 0
+        self.handshakes: int = 0
+        self.settings: int = 0
         self.refused: list[int] = []
-        self._glass = LensDynamics(model)
+        self._glass = LensDynamics(self.model)
         self._heard = 0
 
     # the line
@@ -181,7 +165,7 @@ class EmulatedLens(LineDevice):
 
     def _handshake(self, now: int) -> None:
         self.handshakes += 1
-        self.mode, self.current_code, self.power_code = 1, 0, 0
+        self.mode, self.current_code, self.power_code = CURRENT, 0, 0
         self._obey(now)
         self._out.put(b"Ready\r\n", now)
         if self.stray:
@@ -190,53 +174,34 @@ class EmulatedLens(LineDevice):
     # the firmware
 
     def _act(self, name: bytes, data: bytes, now: int) -> None:
-        if name in (b"Aw", b"PwDA", b"PwUA", b"PwLA", b"PwFA"):
+        if name in (b"Aw", b"PwDA"):
             self._set(name, data, now)
-        elif name in MODES:
-            self._change_mode(name, now)
-        elif name[:2] in (b"Cr", b"Cw"):
-            self._answer(b"C" + name[2:] + self._limit(name, data), now)
+        elif name == b"MwCA":
+            self._hold_power(now)
         elif name == b"PwTA":
             high, low = struct.unpack(">hh", data)
             self.window = (low / 16, high / 16)
             self._answer(b"PT" + self._range(), now)
-        elif name == b"Ow":
-            self.gain = struct.unpack(">h", data)[0]
-            self._answer(b"Ow" + self._range(), now)
         else:
-            self._answer(self._report(name, data), now)
+            self._answer(self._report(name), now)
 
     def _set(self, name: bytes, data: bytes, now: int) -> None:
         """Settings are not answered."""
         self.settings += 1
         value = struct.unpack(">h", data[:2])[0]
         if name == b"Aw":
-            self.current_code = min(max(value, self.limits["L"]), self.limits["U"])
-        elif name == b"PwDA":
+            self.current_code = min(max(value, -FULL_CODE), FULL_CODE)
+        else:
             self.power_code = value
         self._obey(now)
 
-    def _change_mode(self, name: bytes, now: int) -> None:
-        if name == b"MwCA" and not self.sensor:
+    def _hold_power(self, now: int) -> None:
+        if not self.sensor:
             self._refuse(4, now)
             return
-        self.mode = MODES[name]
-        if name == b"MwCA":
-            self.power_code = round((0.0 + self._zero()) * 200)
+        self.mode, self.power_code = FOCAL_POWER, round(self._zero() * 200)
         self._obey(now)
-        self._answer(b"MCA" + self._range() if name == b"MwCA" else b"M" + name[2:], now)
-
-    def _limit(self, name: bytes, data: bytes) -> bytes:
-        if name[1:2] == b"w":
-            self.memory_writes += 1
-        which = chr(name[2])
-        if which == "M":
-            if name[1:2] == b"w":
-                self.full_ma = struct.unpack(">H", data)[0] / 100
-            return struct.pack(">H", round(self.full_ma * 100))
-        if name[1:2] == b"w":
-            self.limits[which] = struct.unpack(">h", data)[0]
-        return struct.pack(">h", self.limits[which])
+        self._answer(b"MCA" + self._range(), now)
 
     def _zero(self) -> float:
         return 5.0 if self.firmware == "A" else 0.0
@@ -253,35 +218,29 @@ class EmulatedLens(LineDevice):
         ends = (self.model.greatest, self.model.least)
         return struct.pack(">Bhh", self._status(), *(round((power + self._zero()) * 200) for power in ends))
 
-    def _report(self, name: bytes, data: bytes) -> bytes:
+    def _report(self, name: bytes) -> bytes:
         temperature = round(self.celsius * 16) if self.sensor else 4095
         reports = {
-            b"H": lambda: b"H" + self.firmware.encode(),
-            b"F": lambda: b"F\x01",
-            b"J": lambda: b"J\x00\x01\x02",
-            b"V": lambda: b"V" + struct.pack(">BBHH", 1, 9, 1000, 7),
-            b"X": lambda: b"XEMUL0001" if self.sensor else b"X" + bytes(8),
-            b"IR": lambda: b"IREMULATED",
-            b"Ar": lambda: b"A" + struct.pack(">h", self.current_code),
-            b"MMA": lambda: b"MMA" + bytes((self.mode,)),
-            b"PrDA": lambda: b"PD" + struct.pack(">hh", self.power_code, 0)[:2],
-            b"TCA": lambda: b"TCA" + struct.pack(">h", temperature),
-            b"TA": lambda: b"TA\x00" + struct.pack(">h", temperature),
-            b"Sr": lambda: b"S" + bytes((0, 0, 0, self._status())),
-            b"GAA": lambda: b"GAA\x00\x00",
-            b"Or": lambda: b"Or" + struct.pack(">H", self.gain),
-            b"Y": lambda: b"Y" + data[:2],
+            b"H": b"H" + self.firmware.encode(),
+            b"V": b"V" + struct.pack(">BBHH", 1, 9, 1000, 7),
+            b"CrMA": b"CMA" + struct.pack(">H", round(100 * FULL_MA)),
+            b"Ar": b"A" + struct.pack(">h", self.current_code),
+            b"MMA": b"MMA" + bytes((self.mode,)),
+            b"PrDA": b"PD" + struct.pack(">h", self.power_code),
+            b"TCA": b"TCA" + struct.pack(">h", temperature),
+            b"TA": b"TA\x00" + struct.pack(">h", temperature),
+            b"Sr": b"S" + bytes((0, 0, 0, self._status())),
         }
-        return reports[name]()
+        return reports[name]
 
     # the lens
 
     def _obey(self, now: int) -> None:
         """Ask of the lens what mode, codes and temperature make."""
-        if self.mode == 5:
+        if self.mode == FOCAL_POWER:
             wanted = min(max(self.power_code / 200 - self._zero(), self.model.least), self.model.greatest)
         else:
-            current = self.current_code * self.full_ma / 4095
+            current = self.current_code * FULL_MA / FULL_CODE
             drift = self.model.drift_per_celsius * (self.celsius - self.model.reference_celsius)
             wanted = self.model.offset + self.model.diopters_per_ma * current + drift
         self._glass.step(now, wanted)

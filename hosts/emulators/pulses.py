@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import ceil, floor
 
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.schedules.timing import SECOND
 
 
+@dataclass(eq=False)
 class EmulatedStepper:
     """Pulses and motor. off: how much quicker its clock is than the host's [ppm].  turn: pulses of a turn.
 
@@ -16,10 +18,9 @@ class EmulatedStepper:
 
     clock: VirtualClock
     turn: float
-    off: float
+    off: float = 0.0
 
-    def __init__(self, clock: VirtualClock, turn: float, off: float = 0.0) -> None:
-        self.clock, self.turn, self.off = clock, turn, off
+    def __post_init__(self) -> None:
         self.stalled: bool = False
         self._pieces: list[tuple[int, float, float]] = [(0, 0.0, 0.0)]
         self._asked = 0

@@ -14,7 +14,7 @@ from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.drivers.stepper import StepperStage
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.alp import EmulatedAlp
-from vamgpu.hosts.emulators.array import ArrayModel, DisplayedFrame
+from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.chamber import Chamber
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
@@ -28,47 +28,17 @@ from vamgpu.hosts.players.machines import MirrorMachines, StageMachines, VideoMa
 LENS_BAUD = 38400
 
 
-class EmulatedMirrorRig:
-    """The machines behind the drivers.
+class _TriggeredMirrors:
+    """Mirrors of each engine before a chamber. ``lose_triggers``: so many do not reach them."""
 
-    microsteps: of the motion, in a pose.  powers: of the focus planes [1/m].  clock: one that a program sets by
-    default; a `PacedClock` goes with the machine's own.
-    """
-
-    clock: VirtualClock
-    microsteps: float
-
-    def __init__(
-        self, microsteps: float, model: ArrayModel = ArrayModel(), engines: int = 1, powers: Sequence[float] = (),
-        clock: VirtualClock | None = None,
-    ) -> None:  # fmt: skip
-        self.clock, self.microsteps = clock or VirtualClock(), float(microsteps)
-        self.controller: EmulatedController = EmulatedController(channels=max(2, engines))
+    def __init__(self, clock: VirtualClock | None, model: ArrayModel, engines: int) -> None:
+        self.clock: VirtualClock = clock or VirtualClock()
         self.alps: list[EmulatedAlp] = [EmulatedAlp(self.clock, model) for _ in range(engines)]
-        self.lens: EmulatedLens | None = EmulatedLens(baud=LENS_BAUD) if len(powers) > 1 else None
-        self.faults: Faults = Faults()
         self.lose_triggers: int = 0
-        self.chamber: Chamber = Chamber(
-            lambda now: self.controller.web.position(now) / self.microsteps, (model.height, model.width), engines,
-            None if self.lens is None else self.lens.power, powers or (0.0,),
-        )  # fmt: skip
-        self._wire()
 
-    def _wire(self) -> None:
-        self.controller.on_trigger = self._trigger
-        self.controller.on_light = self.chamber.lamp
+    def _show_in(self, chamber: Chamber) -> None:
         for engine, alp in enumerate(self.alps):
-            alp.on_shown = self._shower(engine)
-        if self.lens is not None:
-            cable = Cable(self.lens, LENS_BAUD)
-            self.clock.attach(cable)
-            self.controller.on_lens = cable.send
-
-    def _shower(self, engine: int):  # noqa: ANN202
-        def show(shown: DisplayedFrame) -> None:
-            self.chamber.shown(engine, shown)
-
-        return show
+            alp.on_shown = partial(chamber.shown, engine)
 
     def _trigger(self, now: int) -> None:
         if self.lose_triggers:
@@ -76,6 +46,35 @@ class EmulatedMirrorRig:
             return
         for alp in self.alps:
             alp.trigger(now)
+
+
+class EmulatedMirrorRig(_TriggeredMirrors):
+    """The machines behind the drivers.
+
+    microsteps: of the motion, in a pose.  powers: of the focus planes [1/m].  clock: one that a program sets by
+    default; a `PacedClock` goes with the machine's own.
+    """
+
+    def __init__(
+        self, microsteps: float, model: ArrayModel = ArrayModel(), engines: int = 1, powers: Sequence[float] = (),
+        clock: VirtualClock | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(clock, model, engines)
+        self.microsteps: float = float(microsteps)
+        self.controller: EmulatedController = EmulatedController(channels=max(2, engines))
+        self.lens: EmulatedLens | None = EmulatedLens(baud=LENS_BAUD) if len(powers) > 1 else None
+        self.faults: Faults = Faults()
+        self.chamber: Chamber = Chamber(
+            lambda now: self.controller.web.position(now) / self.microsteps, (model.height, model.width), engines,
+            None if self.lens is None else self.lens.power, powers or (0.0,),
+        )  # fmt: skip
+        self._show_in(self.chamber)
+        self.controller.on_trigger = self._trigger
+        self.controller.on_light = self.chamber.lamp
+        if self.lens is not None:
+            cable = Cable(self.lens, LENS_BAUD)
+            self.clock.attach(cable)
+            self.controller.on_lens = cable.send
 
     def machines(self, microsteps_per_unit: float) -> MirrorMachines:
         """The drivers, opened as those of real machines are."""
@@ -162,37 +161,32 @@ class EmulatedVideoRig:
         return VideoMachines(self.clock, controller, stage, projector)
 
 
-class EmulatedStageRig:
+class EmulatedStageRig(_TriggeredMirrors):
     """Mirrors that a stage triggers, before a light that shines while the host's line is high.
 
     microsteps: of the motion, in a pose.  model: of the mirrors.  unit: of the stage.  lamp: whether the host has a
     line to the light; else it always shines, and mirrors at rest are the dark.
     """
 
-    clock: VirtualClock
-    microsteps: int
-    unit: str
-
     def __init__(
         self, microsteps: int, model: ArrayModel = ArrayModel(), engines: int = 1, unit: str = "deg",
         lamp: bool = True, controller: bool = False, clock: VirtualClock | None = None,
     ) -> None:  # fmt: skip
-        self.clock, self.microsteps, self.unit = clock or VirtualClock(), microsteps, unit
+        super().__init__(clock, model, engines)
+        self.microsteps = microsteps
+        self.unit = unit
         self.stage: EmulatedStage = EmulatedStage(rotary=True, acceleration=200_000.0)
-        self.alps: list[EmulatedAlp] = [EmulatedAlp(self.clock, model) for _ in range(engines)]
         self.controller: EmulatedController | None = (
             EmulatedController(channels=max(2, engines)) if controller else None
         )
         self.line: EmulatedLine | None = EmulatedLine(self._enabled) if lamp and not controller else None
-        self.lose_triggers: int = 0
         self.chamber: Chamber = Chamber(
             lambda now: self.stage.true_position(now) / self.microsteps, (model.height, model.width), engines,
             first=0.0,
         )  # fmt: skip
         self._channels = (1 << engines) - 1
+        self._show_in(self.chamber)
         self.stage.on_trigger = self._trigger
-        for engine, alp in enumerate(self.alps):
-            alp.on_shown = partial(self.chamber.shown, engine)
         if self.controller is not None:
             self.controller.on_light = self.chamber.lamp
         elif self.line is None:
@@ -200,13 +194,6 @@ class EmulatedStageRig:
 
     def _enabled(self, high: bool) -> None:
         self.chamber.lamp(self._channels if high else 0, self.clock.now())
-
-    def _trigger(self, now: int) -> None:
-        if self.lose_triggers:
-            self.lose_triggers -= 1
-            return
-        for alp in self.alps:
-            alp.trigger(now)
 
     def turn(self, speed: float) -> None:
         """Something other than the host drives the stage [poses/s]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,6 +24,7 @@ class LitSlot:
     end: int
 
 
+@dataclass(eq=False)
 class EmulatedScreen:
     """A window and the projector behind it.
 
@@ -35,41 +36,26 @@ class EmulatedScreen:
 
     clock: VirtualClock
     size: tuple[int, int]
-    order: str
-    bits: int
-    latency: int
-    share: float
-    repeated: int
-    video_frames: int
-    closed: bool
-    unplugged: bool
+    rate_hz: float = 60.0
+    order: str = "GR"
+    bits: int = 8
+    latency: int = 1
+    share: float = 1.0
+    on_slot: Callable[[LitSlot], None] | None = None
+    hitches: dict[int, int] = field(default_factory=dict)
 
-    def __init__(
-        self,
-        clock: VirtualClock,
-        size: tuple[int, int],
-        rate_hz: int = 60,
-        order: str = "GR",
-        bits: int = 8,
-        latency_refreshes: int = 1,
-        share: float = 1.0,
-    ) -> None:
-        self.clock, self.size, self._rate = clock, size, rate_hz
-        self.rate_hz: float = float(rate_hz)
-        self.order, self.bits, self.latency, self.share = order, bits, latency_refreshes, share
-        self.on_slot: Callable[[LitSlot], None] | None = None
-        self.repeated = self.video_frames = 0
-        self.hitches: dict[int, int] = {}
-        self._frame = np.zeros((*size, 3), np.uint8)
+    def __post_init__(self) -> None:
+        self._rate = round(self.rate_hz)
+        self.repeated: int = 0
+        self.video_frames: int = 0
+        self._frame = np.zeros((*self.size, 3), np.uint8)
         self._scanned: deque[tuple[int, np.ndarray, bool]] = deque()
-        self._refresh = self._next_refresh(clock.now())
-        self._slot = (self._refresh + latency_refreshes) * len(order)
+        self._refresh = self.clock.now() * self._rate // SECOND + 1
+        self._slot = (self._refresh + self.latency) * len(self.order)
         self._fresh = True
-        self.closed = self.unplugged = False
-        clock.attach(self)
-
-    def _next_refresh(self, now: int) -> int:
-        return now * self._rate // SECOND + 1
+        self.closed: bool = False
+        self.unplugged: bool = False
+        self.clock.attach(self)
 
     def refresh_time(self, refresh: int) -> int:
         """When a refresh is [ns]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from vamgpu.hosts.emulators.line import LineDevice
 from vamgpu.hosts.emulators.track import Track
@@ -10,38 +11,32 @@ from vamgpu.hosts.emulators.track import Track
 SPEED = 1.6384  # units of speed in a microstep a second
 
 
+@dataclass(eq=False)
 class EmulatedStage(LineDevice):
     """One axis in microsteps; ``track`` tells where it truly is, ``rotary`` has no end.
 
     ``scale`` makes the true position differ from the one reported, as a slipping belt does.
     """
 
-    limit: int
-    rotary: bool
-    device: int
-    scale: float
-    output: bool
-    edges: int
+    limit: int = 10_000_000
+    rotary: bool = False
+    acceleration: float = 2_000_000.0
+    device: int = 1
+    latency_us: float = 90.0
+    scale: float = 1.0
 
-    def __init__(
-        self,
-        limit: int = 10_000_000,
-        rotary: bool = False,
-        acceleration: float = 2_000_000.0,
-        device: int = 1,
-        latency_us: float = 90.0,
-        scale: float = 1.0,
-    ) -> None:
-        super().__init__(latency_us)
-        self.track: Track = Track(acceleration)
-        self.limit, self.rotary, self.device, self.scale = limit, rotary, device, scale
-        self.settings: dict[str, int] = {"maxspeed": 153600, "resolution": 64, "limit.max": limit}
+    def __post_init__(self) -> None:
+        super().__init__(self.latency_us)
+        self.track: Track = Track(self.acceleration)
+        self.settings: dict[str, int] = {"maxspeed": 153600, "resolution": 64, "limit.max": self.limit}
         self.settings |= {"deviceid": 50081, "system.serial": 42}
         self.homed: bool = False
         self.fault = ""
         self.rejected: list[str] = []
         self.on_trigger: Callable[[int], None] | None = None
-        self.output, self.edges, self._half = False, 0, 0
+        self.output: bool = False
+        self.edges: int = 0
+        self._half = 0
         self._next: float | None = None
         self._after = 0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 
 from vamgpu.hosts.emulators.line import LineDevice
 from vamgpu.hosts.emulators.track import Track
@@ -11,6 +12,7 @@ HEAD = 6
 CUBE, HOST = 0x50, 0x01
 
 
+@dataclass(eq=False)
 class EmulatedCube(LineDevice):
     """One axis in counts; ``track`` tells where it is. speed: units of its speed in a count a second.
 
@@ -18,24 +20,21 @@ class EmulatedCube(LineDevice):
     say that it moves [ns].
     """
 
-    track: Track
-    model: str
-    speed: float
-    stepper: bool
-    enabled: bool
-    homed: bool
+    model: str = "KDC101"
+    speed: float = 65536 * 2048 / 6e6
+    stepper: bool = False
+    acceleration: float = 1e6
+    latency_us: float = 500.0
+    slow: int = 0
 
-    def __init__(
-        self, model: str = "KDC101", speed: float = 65536 * 2048 / 6e6, stepper: bool = False,
-        acceleration: float = 1e6, latency_us: float = 500.0, slow: int = 0,
-    ) -> None:  # fmt: skip
-        super().__init__(latency_us)
-        self.track, self.model, self.speed, self.stepper = Track(acceleration), model, speed, stepper
-        self.profile: tuple[int, int, int] = (0, 1000, round(1e5 * speed))
-        self.enabled = self.homed = False
+    def __post_init__(self) -> None:
+        super().__init__(self.latency_us)
+        self.track: Track = Track(self.acceleration)
+        self.profile: tuple[int, int, int] = (0, 1000, round(1e5 * self.speed))
+        self.enabled: bool = False
+        self.homed: bool = False
         self.received: list[bytes] = []
         self._ends = self._began = 0
-        self.slow = slow
 
     def receive(self, data: bytes, now: int) -> None:
         """Take bytes."""

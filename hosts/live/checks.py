@@ -88,12 +88,23 @@ def _light(frames: Frames) -> float:
 def parameters(told: Any) -> tuple[Estimated, ...]:
     """Estimated parameters as a board shows them. Raises `BadInput`."""
     try:
-        found = tuple(Estimated(str(name), float(value), float(error)) for name, value, error in told)
+        found = tuple(_estimated(*each) for each in told)
     except (TypeError, ValueError) as error:
-        raise BadInput(f"those are no parameters: {error}; expected name, value and error of each") from error
-    if len(found) > MOST or not all(isfinite(each.value) and 0 <= each.error < np.inf for each in found):
-        raise BadInput(f"got parameters {found[:MOST]}; expected {MOST} at most, finite, and errors of 0 or more")
+        raise BadInput(f"those are no parameters: {error}; expected name, value and error of each, and the lowest and "
+                       "highest usual value where they are known") from error  # fmt: skip
+    numbers = [(each.value, each.error, *(each.usual or ())) for each in found]
+    right = all(each.error >= 0 and (each.usual is None or each.usual[0] < each.usual[1]) for each in found)
+    if len(found) > MOST or not all(map(isfinite, (number for each in numbers for number in each))) or not right:
+        raise BadInput(f"got parameters {found[:MOST]}; expected {MOST} at most, finite, errors of 0 or more, and "
+                       "usual values in order")  # fmt: skip
     return found
+
+
+def _estimated(name: Any, value: Any, error: Any, *usual: Any) -> Estimated:
+    if not usual:
+        return Estimated(str(name), float(value), float(error))
+    low, high = usual
+    return Estimated(str(name), float(value), float(error), (float(low), float(high)))
 
 
 def maps(told: Any) -> dict[str, np.ndarray]:

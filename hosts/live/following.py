@@ -17,6 +17,7 @@ import numpy as np
 from vamgpu.errors import BadInput
 from vamgpu.hosts.live.worker import Desk
 from vamgpu.live import Decision, LiveRecord, LiveSetup
+from vamgpu.live.estimate import NAMES
 from vamgpu.live.maps import cuts
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.folder import load_frames
@@ -30,17 +31,17 @@ SEEN = 0.6
 """Share of a turn whose images are looked at, more than a half of it; the rest is for planning and for the upload."""
 
 
-def light_of(frames: Frames, planned: int) -> np.ndarray:
-    """What frames shown in so many turns give in one of them, in the plan's units, [angle, r, z]."""
-    return (np.asarray(frames.irradiance().numpy(), float) / planned).astype(np.float32)
+def light_of(frames: Frames, planned: int, dose: float = 1.0) -> np.ndarray:
+    """What frames shown in so many turns give in one of them, in units of the resin's dose, [angle, r, z]."""
+    return (np.asarray(frames.irradiance().numpy(), float) * (dose / planned)).astype(np.float32)
 
 
-def levels_of(light: np.ndarray, frames: Frames, planned: int, operator: Projection) -> np.ndarray:
+def levels_of(light: np.ndarray, frames: Frames, planned: int, operator: Projection, dose: float = 1.0) -> np.ndarray:
     """Levels that show the light of a turn on the projector of a job's frames, [frame, row, column]."""
     if not light.any():
         return np.zeros(frames.shape, np.uint8)
     plan: Any = SimpleNamespace(
-        sinogram=operator.device.upload((planned * light).astype(np.float32)), operator=operator
+        sinogram=operator.device.upload((planned / dose * light).astype(np.float32)), operator=operator
     )  # fmt: skip
     placed = frames.settings
     return pack(
@@ -74,7 +75,7 @@ class Following:
         self._setup = LiveSetup.of(dict(task["settings"]))
         job = task["jobs"][0]
         self._frames = load_frames(job, "numpy")
-        light = light_of(self._frames, self._setup.planned)
+        light = light_of(self._frames, self._setup.planned, self._setup.dose)
         self._part = part = np.array(Folder.open(job).array("target"), np.float32)
         self._record = LiveRecord(Path(task["folder"]) / PLACE)
         self._loop = self._record.begin(self._setup, part, light)
@@ -140,15 +141,22 @@ class Following:
             light = decision.light if decision.turns else np.zeros_like(decision.light)
             if decision.action != "keep" or stop != self._stop:
                 self._propose(decision.version, light, begin, stop)
-        found = [(name, *pair) for name, pair in decision.parameters.items()]
-        if found:
-            ends = decision.turn + 1 + decision.turns
-            facts = (
-                ("inhibitor", decision.inhibitor),
-                ("estimated after turn", decision.turn),
-                ("expected stop [turn]", ends),
-            )
-            self._desk.estimate([*found, *((name, value, 0.0) for name, value in facts)], self._maps(decision))
+        if decision.parameters:
+            self._desk.estimate(self._found(decision), self._maps(decision))
+
+    def _found(self, decision: Decision) -> list[Any]:
+        """Parameters with their deviations, and two of the prior's on either side of what was planned; facts."""
+        prior, induction = self._loop.prior, self._setup.resin.induction
+        usual = [(mean - 2.0 * s, mean + 2.0 * s) for mean, s in zip(prior.mean, np.sqrt(np.diag(prior.covariance)),
+                                                                     strict=True)]  # fmt: skip
+        found = [(name, *pair, *usual[NAMES.index(name)]) for name, pair in decision.parameters.items()]
+        less, more = (1.0 - each / induction for each in usual[NAMES.index("head_start")])
+        error = decision.parameters["head_start"][1] / induction
+        facts = ("estimated after turn", decision.turn), ("expected stop [turn]", decision.turn + 1 + decision.turns)
+        return [
+            *found, ("inhibitor", decision.inhibitor, error, min(less, more), max(less, more)),
+            *((name, value, 0.0) for name, value in facts),
+        ]  # fmt: skip
 
     def _maps(self, decision: Decision) -> dict[str, np.ndarray]:
         drawn = {}
@@ -159,7 +167,8 @@ class Following:
         return drawn
 
     def _propose(self, version: int, light: np.ndarray, turn: int, stop: int) -> None:
-        levels = levels_of(light, self._frames, self._setup.planned, self._loop.estimator.operator)
+        setup, operator = self._setup, self._loop.estimator.operator
+        levels = levels_of(light, self._frames, setup.planned, operator, setup.dose)
         self._proposed.append((version, turn - 1, time.perf_counter()))
         self._desk.propose([levels], turn, stop)
         self._stop = stop

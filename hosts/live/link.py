@@ -120,7 +120,10 @@ class LiveLink:
         owing = self._owing
         if not (self._gone or self._silent or owing is None) and self._clock.now() - owing > self._patience:
             self._silent = True
-            self._tell("live silent", f"the planning process says nothing; turns go on as planned ({self._version()})")
+            self._tell(
+                "live silent",
+                f"the planning process says nothing; {self._plans.unit}s go on as planned ({self._version()})",
+            )
 
     def _put(self, message: dict[str, Any]) -> None:
         """What waits is bounded: the oldest image makes room, or the oldest message."""
@@ -200,7 +203,10 @@ class LiveLink:
             self._gone = True
             with self._ready:
                 self._ready.notify_all()
-            self._tell("live lost", f"the planning process is gone: {why}; turns go on as planned ({self._version()})")
+            self._tell(
+                "live lost",
+                f"the planning process is gone: {why}; {self._plans.unit}s go on as planned ({self._version()})",
+            )
 
     # ---- the line ----------------------------------------------------------------------------------------------
     def _serve(self, _: bytes) -> None:
@@ -257,7 +263,10 @@ class LiveLink:
                 self._gone = True
                 with self._ready:
                     self._ready.notify_all()
-                self._tell("live ended", f"the planning process has no more to do; the turns are {self._version()}")
+                self._tell(
+                    "live ended",
+                    f"the planning process has no more to do; the {self._plans.unit}s are {self._version()}",
+                )
             if "parameters" in told:
                 self._board.show(parameters=parameters(told["parameters"]))
             if "maps" in told:

@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.backend import open_device
 from vamgpu.errors import BadInput, JobError
+from vamgpu.geometry import positive
 from vamgpu.hosts.live.following import PLACE, light_of
 from vamgpu.hosts.live.link import LiveOrder
+from vamgpu.hosts.record import read_run
 from vamgpu.hosts.rig import carry_out, check, close, opened, plan, read_rig, rehearsal
 from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.hosts.rigs.rehearsing import curing
@@ -54,6 +57,7 @@ class Watched:
         state: In which it ended.
         folder: Of the run; `vamgpu.live.LiveRecord` reads ``live`` in it.
         decisions: After each turn, as recorded.
+        turns: That were lit.
         iou: Overlap of emulated resin with the part, proved by its own rays; None for real resin.
         conversion: Of emulated resin, [x, y, z]; None for real resin.
     """
@@ -61,11 +65,12 @@ class Watched:
     state: PrintState
     folder: Path
     decisions: tuple[dict[str, Any], ...]
+    turns: int
     iou: float | None = None
     conversion: np.ndarray | None = None
 
     def __str__(self) -> str:
-        rows = [f"{self.state.value} after {len(self.decisions) + 1} turns"]
+        rows = [f"{self.state.value} after {self.turns} turns"]
         for told in self.decisions:
             found = ", ".join(f"{name} {value:.3g} ± {error:.2g}" for name, (value, error) in
                               told["parameters"].items())  # fmt: skip
@@ -89,7 +94,7 @@ def live(
     """Print a vial while a camera watches it, and plan the rest of its light anew after every turn.
 
     Args:
-        job: The folder that `vam solve` wrote.
+        job: The folder that `vam solve` wrote: a round vial in even light, at even angles over a full turn.
         rig: The TOML file of the rig, which has a camera, or "emulated".
         camera: What the camera sees, and of which resin; the default is that of the emulated rig.
         every: Plan after every so many turns.
@@ -111,9 +116,14 @@ def live(
         StorageError: The job cannot be read, or the run folder exists.
         VamError: What ended the print; see `vamgpu.hosts.rig.carry_out`.
     """
-    turns, every = whole("turns", turns, 2), whole("every", every)
+    turns, every, seed = whole("turns", turns, 2), whole("every", every), whole("seed", seed, 0)
+    evaluations = positive("evaluations", evaluations)
     longest = whole("longest", 2 * turns if longest is None else longest, turns)
-    config, path, camera = read_rig(rig), Path(job), camera or RedCamera()
+    camera = RedCamera() if camera is None else camera
+    for name, value, kind in (("camera", camera, RedCamera), ("truth", truth or Truth(), Truth)):
+        if not isinstance(value, kind):
+            raise BadInput(f"{name} is {value!r}; expected a {kind.__name__}")
+    config, path = read_rig(rig), Path(job)
     planned = plan(path, config, turns=longest)
     if planned.kind != "vial":
         raise BadInput(f"{str(path)!r} is for {planned.kind}; expected the job of a vial")
@@ -122,15 +132,20 @@ def live(
     if not planned.rehearsed and config.setup.camera is None:
         raise JobError(f"the rig {config.setup.rig.name!r} has no camera to watch with; add a [[feedback]] with "
                        'driver = "camera" to its file')  # fmt: skip
-    frames, A = planned.jobs[0].frames, prove(path, "numpy").proof.operator
-    if frames is None or not isinstance(A, Projection) or not isinstance(A.vessel, Vial):
-        raise BadInput(f"{str(path)!r} is not for a round vial that turns in even light; expected such a job")
-    light = light_of(frames, turns)
+    frames, proof = planned.jobs[0].frames, prove(path, "numpy").proof
+    A = proof.operator
+    even = A.motion.is_even and A.motion.angles > 1
+    if frames is None or not isinstance(A, Projection) or not isinstance(A.vessel, Vial) or not even:
+        raise BadInput(f"{str(path)!r} is not for a round vial in even light, at two or more even angles over a full "
+                       f"turn; expected such a job, got {A!r}")  # fmt: skip
+    dose = camera.resin.solid / proof.scores.threshold  # each method has a unit of its own
+    light = light_of(frames, turns, dose)
     setup = LiveSetup(
         A.grid.shape, A.grid.pitch, A.beam.pixels, A.beam.pitch, A.motion.angles, A.vessel,
         camera.vial or replace(A.vessel, absorption=0.0), camera.open_field, camera.noise, camera.resin,
-        camera.turbidity, max(1.0, frames.scale / turns / float(light.max())), turns, longest,
-        evaluations=evaluations, ahead=1, every=every,
+        camera.turbidity, max(1.0, frames.scale * dose / turns / float(light.max())), turns, longest,
+        evaluations=evaluations, device=open_device().name, ahead=1, every=every, fill=A.beam.fill,
+        spread=A.beam.spread, dose=dose,
     )  # fmt: skip
     place = Path(folder) if folder is not None else path.with_suffix(".live")
     order = LiveOrder(FOLLOW, settings=asdict(setup), stop=turns, wait=WAIT) if watched else None
@@ -146,11 +161,18 @@ def _real(planned: PrintPlan, place: Path, order: LiveOrder | None, board: Board
         state, _ = carry_out(planned, machines, place, board, found, live=order)
     finally:
         close(machines)
-    return Watched(state, place, _decisions(place))
+    return Watched(state, place, _decisions(place), _turns(place, planned))
 
 
 def _decisions(place: Path) -> tuple[dict[str, Any], ...]:
     return tuple(LiveRecord(place / PLACE).decisions) if (place / PLACE).is_dir() else ()
+
+
+def _turns(place: Path, planned: PrintPlan) -> int:
+    """How many turns were lit, the last of them in part or in full."""
+    shown = read_run(place).shown
+    lit = shown["slot"][shown["frame"] >= 0]
+    return int(lit.max()) // planned.schedule.frames + 1 if lit.size else 0
 
 
 def _emulated(
@@ -163,12 +185,13 @@ def _emulated(
         dose = printer.dose(light)
         for _ in range(setup.planned):
             printer.turn(dose)
-        state = PrintState.COMPLETE
+        state, lit = PrintState.COMPLETE, setup.planned
     else:
         stand = rehearsal(planned)
-        seen = curing(planned, stand, printer, setup.planned)
+        seen = curing(planned, stand, printer, setup.planned / setup.dose)
         state, _ = carry_out(planned, stand.machines, place, board, live=order)
         seen.cure()
+        lit = _turns(place, planned)
     printed, device = printer.printed(), printer.plan.device
     overlap = score(device.upload(printed.astype(np.float32)), device.upload(part), threshold=setup.resin.gel).iou
-    return Watched(state, place, _decisions(place), float(overlap), printed)
+    return Watched(state, place, _decisions(place), lit, float(overlap), printed)

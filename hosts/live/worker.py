@@ -73,12 +73,15 @@ class Desk:
         self.tell({"version": {"print": self.task["print"], "levels": pieces, "turn": turn, "stop": stop}})
 
     def estimate(
-        self, parameters: Sequence[tuple[str, float, float]], maps: Mapping[str, np.ndarray] | None = None
+        self,
+        parameters: Sequence[tuple[str, float, float] | tuple[str, float, float, float, float]],
+        maps: Mapping[str, np.ndarray] | None = None,
     ) -> None:
         """Tell what is believed, for people.
 
         Args:
-            parameters: Name with its unit, value and standard deviation of each.
+            parameters: Name with its unit, value and standard deviation of each, and the lowest and the highest value
+                that was to be expected where they are known: the page draws a bar.
             maps: Pictures by name, uint8 [row, column, color]; those told before stay without it.
         """
         told: dict[str, Any] = {"parameters": [list(each) for each in parameters]}

@@ -25,7 +25,6 @@ from vamgpu.hosts.run_all import run_all
 from vamgpu.hosts.safety.light import Lamp, LampGate
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.printing.frames import Frames
 
 REST = 20_000  # least time from a frame's last light to the next trigger [ns]
 
@@ -189,26 +188,11 @@ class VideoFrames(Protocol):
     def frame(self, number: int) -> np.ndarray | None: ...
 
 
-class CableFrames:
-    """The frames of a job in the middle of a projector's frame of (rows, columns); all in the host's memory.
-
-    Raises `BadInput` for a job whose frames are larger.
-    """
-
-    def __init__(self, frames: Frames, size: tuple[int, int]) -> None:
-        rows, columns = size
-        self._place = MirrorArray(rows, columns, -(-columns // 8)).place(*frames.shape[1:])
-        self._levels, self._size = frames.gray_levels(), size
-
-    def frame(self, number: int) -> np.ndarray:
-        """See `VideoFrames`."""
-        full = np.zeros(self._size, np.uint8)
-        full[self._place] = self._levels[number]
-        return full
-
-
 class SourceFrames:
-    """The frames of a source in the middle of a projector's frame of (rows, columns); each is made when it is shown."""
+    """The frames of a source in the middle of a projector's frame of (rows, columns); each is made when it is shown.
+
+    Raises `BadInput` as it shows a frame that is larger.
+    """
 
     def __init__(self, source: FrameSource, size: tuple[int, int]) -> None:
         self._source, self._size = source, size

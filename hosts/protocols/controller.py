@@ -63,10 +63,10 @@ that as the board's maker describes, or take a board without it.
 
 from __future__ import annotations
 
+from binascii import crc_hqx
 from dataclasses import dataclass
 
 from vamgpu.errors import BadInput, ProtocolError
-from vamgpu.hosts.protocols.checks import crc16_ccitt
 
 NAME = "vam-controller"
 VERSION = 3
@@ -140,10 +140,15 @@ class Status:
         return self.position if self.measured is None else self.measured
 
 
+def line_check(data: bytes) -> int:
+    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; 0x29B1 for ``123456789``."""
+    return crc_hqx(data, 0xFFFF)
+
+
 def encode(*words: object) -> bytes:
     """The bytes of a line."""
     body = " ".join(str(word) for word in words)
-    line = f"{body}*{crc16_ccitt(body.encode('ascii')):04X}\n".encode("ascii")
+    line = f"{body}*{line_check(body.encode('ascii')):04X}\n".encode("ascii")
     if len(line) > LONGEST_LINE or "\n" in body or "*" in body:
         raise BadInput(f"{body!r} cannot be sent to the controller: too long, or holds * or a line end")
     return line
@@ -152,7 +157,7 @@ def encode(*words: object) -> bytes:
 def check(line: bytes) -> tuple[str, ...]:
     """The words of a line whose check sum is right; ProtocolError otherwise."""
     body, star, given = line.rstrip(b"\r\n").rpartition(b"*")
-    if not star or given != f"{crc16_ccitt(body):04X}".encode("ascii"):
+    if not star or given != f"{line_check(body):04X}".encode("ascii"):
         raise ProtocolError(f"{line!r} fails its check sum; check the cable and that no other program uses the port")
     return tuple(body.decode("ascii", "replace").split(" "))
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
-from vamgpu.hosts.protocols.checks import lrc
 
 SPEED_UNITS = 1.6384  # units of the device's speed in one microstep per second
+
+
+def lrc(data: bytes) -> int:
+    """The byte that brings the sum of all bytes to a multiple of 256."""
+    return -sum(data) & 0xFF
 
 
 @dataclass(frozen=True)

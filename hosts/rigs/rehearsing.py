@@ -57,13 +57,9 @@ class Rehearsal:
 
     def levels(self, planned: PrintPlan, engine: int = 0, turns: int | None = None) -> np.ndarray:
         """What `seen` tells, as levels uint8 [image, row, column]. Raises `BadInput`."""
-        frames, table = planned.jobs[engine].frames, planned.schedule
-        if frames is None:
-            raise BadInput(f"{planned.jobs[engine].path!r} is no vial's job; ask the dose monitor what resin saw of it")
-        images = frames.shape[0]
-        turns = turns or len(table) // images
-        share = self.shares(planned, engine) / turns
-        return np.rint(share * (255 if frames.bits == 8 else 1)).astype(np.uint8)
+        shares = self.shares(planned, engine)
+        turns = turns or len(planned.schedule) // len(shares)
+        return np.rint(shares / turns * (255 if planned.bits == 8 else 1)).astype(np.uint8)
 
     def shares(self, planned: PrintPlan, engine: int = 0) -> np.ndarray:
         """Light that the resin of a vial got so far, in full-on slots, [image, row, column]. Raises `BadInput`."""
@@ -119,14 +115,14 @@ def rehearsal(planned: PrintPlan, paced: bool = False) -> Rehearsal:
     return Rehearsal(machines, emulated, monitor)
 
 
-def curing(planned: PrintPlan, stand: Rehearsal, printer: VirtualPrinter, turns: int) -> Any:
+def curing(planned: PrintPlan, stand: Rehearsal, printer: VirtualPrinter, turns: float) -> Any:
     """Put curing resin behind an emulated print of one vial, and the camera that watches it before it.
 
     Args:
         planned: The plan.
         stand: Its emulated machines, whose camera this is from now on.
         printer: The resin and its camera.
-        turns: Of the plan; the light of each is a share of the frames' light.
+        turns: Of the plan, over the dose of a unit of its light; the light of each is a share of the frames' light.
 
     Returns:
         The camera, a `vamgpu.hosts.emulators.curing.CuringCamera`.

@@ -62,8 +62,8 @@ def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
         "printing-two": (DESK, vial | {"job": "visible.vam uv.vam", "others": (frame(1.3),)}),
         "live": (DESK, vial | {
             "preview": frame(0.4), "camera": frame(1.2) // 2 + 40, "plan": 3, "stop": 13, "parameters": (
-                Estimated("sensitivity", 0.812, 0.021), Estimated("absorption", 1.131, 0.042),
-                Estimated("across", 0.062, 0.008), Estimated("inhibitor", 0.735, 0.0),
+                Estimated("sensitivity", 0.812, 0.021, (0.6, 1.4)), Estimated("absorption", 1.131, 0.042, (0.8, 1.2)),
+                Estimated("across", 0.062, 0.008, (-0.1, 0.1)), Estimated("inhibitor", 0.735, 0.03, (0.38, 1.62)),
                 Estimated("estimated after turn", 9, 0.0), Estimated("expected stop [turn]", 13, 0.0),
             ), "maps": believed(),
         }),

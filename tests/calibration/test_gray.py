@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from vamgpu.calibration.gray import fit_gray, rising
+from vamgpu.calibration.gray import fit_gray
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.printing.gray import GrayCurve
 
@@ -46,17 +44,6 @@ def test_noise_that_makes_it_fall_is_smoothed() -> None:
     found = fit_gray(LEVELS, light, dark)
     assert (np.diff(found.intensity) >= 0).all() and 0.0 < found.moved < 0.15
     GrayCurve(found.levels, found.intensity)
-
-
-@given(st.lists(st.floats(-10, 10), min_size=1, max_size=30), st.integers(0, 1000))
-@settings(max_examples=60, deadline=None)
-def test_rising_values_are_a_projection(values: list[float], seed: int) -> None:
-    given_, weights = np.array(values), np.random.default_rng(seed).uniform(0.1, 2.0, len(values))
-    found = rising(given_, weights)
-    assert (np.diff(found) >= 0).all()
-    assert np.sum(weights * found) == pytest.approx(np.sum(weights * given_), abs=1e-9)
-    assert rising(found, weights) == pytest.approx(found)
-    assert np.sum(weights * (found - given_) * found) == pytest.approx(0.0, abs=1e-8)
 
 
 def test_readings_that_tell_no_curve_are_told() -> None:

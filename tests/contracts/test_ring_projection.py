@@ -78,6 +78,18 @@ def test_what_is_cubic_across_the_rings_is_met_everywhere_and_at_the_axis() -> N
     assert np.abs(found - across[:, None] + 0.0 * along)[near].max() <= 1e-3 * 0.1
 
 
+def test_light_that_lies_higher_lights_higher_slices() -> None:
+    grid, beam = vam.Grid((20, 20, 12), 0.05), vam.Beam((22, 16), 0.05)
+    R = vam.RingProjection.of(vam.Projection(grid, beam, TURN, VIAL, "numpy"), 0.75)
+    light = np.zeros(R.range.shape)
+    light[:, :, 5:9] = np.random.default_rng(0).random((1, 22, 4))
+    dose, higher = (np.asarray(each.T(light)) for each in (R, R.raised(2 * beam.pitch)))
+    assert R.raised(0.013).dot_test() <= 1e-7 and dose.max() > 0
+    np.testing.assert_allclose(higher[:, :, 2:], dose[:, :, :-2], atol=1e-6 * dose.max())
+    by = [float((np.asarray(R.raised(h).T(light)).sum(axis=(0, 1)) @ grid.axes()[2]) / dose.sum()) for h in (0, 0.013)]
+    assert by[1] - by[0] == pytest.approx(0.013, rel=0.01)
+
+
 def test_narrower_rings_come_nearer() -> None:
     grid, beam, turn = vam.Grid((40, 40, 2), 0.025), vam.Beam((44, 6), 0.025), vam.Turntable(48)
     A = vam.Projection(grid, beam, turn, None, "numpy")

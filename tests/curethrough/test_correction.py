@@ -16,7 +16,7 @@ from vamgpu.curethrough.dose import column_dose, column_doses
 from vamgpu.curethrough.feasibility import fastest, feasibility, least_void
 from vamgpu.curethrough.features import column_features, survey
 from vamgpu.curethrough.layers import LayerPrinter
-from vamgpu.curethrough.leastsquares import heights, least_squares, refine
+from vamgpu.curethrough.leastsquares import least_squares
 from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.curethrough.profile import Flat, Parallel
 from vamgpu.errors import BadInput
@@ -172,25 +172,6 @@ def test_least_squares_is_equal_where_feasible_and_better_elsewhere() -> None:
     before, after = result.sequential_over + result.sequential_under, result.over + result.under
     assert (after <= before).all()
     assert after[~fine].sum() < 0.95 * before[~fine].sum()
-
-
-def test_refine_replaces_columns_in_place() -> None:
-    part = np.stack([column([(20, 1), (20, 1), (20, 1)], 5)] * 2, axis=1)[:, None]
-    part[25:46, 0, 1] = 255
-    correction = Correction(PRINTER)
-    corrector = Corrector(correction, part.shape, "numpy")
-    shown = np.empty((corrector.slices, 1, 2), np.uint8)
-    for block in corrector.run(part):
-        shown[block.start : block.start + block.table.shape[0]] = block.levels
-    before = shown.copy()
-
-    def error(levels: np.ndarray) -> np.ndarray:
-        wanted = np.concatenate([part[:, 0], np.zeros((len(levels) - len(part), 2), np.uint8)])
-        return np.sum(heights(PRINTER, levels[:, 0], wanted), axis=0)
-
-    changed = refine(correction, corrector, part, shown)
-    assert corrector.closed[0, 0] == 2 and changed == (shown != before).any(axis=(0, 1)).sum()
-    assert changed and error(shown)[0] < error(before)[0] and error(shown)[1] <= error(before)[1]
 
 
 def test_survey_counts_features() -> None:

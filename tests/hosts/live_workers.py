@@ -44,6 +44,7 @@ def nonsense(desk: Desk) -> None:
         desk.tell({"version": right | each})
     desk.tell({"version": 5})
     desk.tell({"parameters": [("gain", float("nan"), 1.0)]})
+    desk.tell({"parameters": [("gain", 1.0, 0.1, 1.2, 0.8)]})
     for maps in (5, {"dose": np.zeros((4, 4), np.uint8)}, {"dose": np.zeros((4, 4, 3))}, {"dose": "red"}):
         desk.tell({"maps": maps})
     desk._line.send_bytes(b"\xff no message")

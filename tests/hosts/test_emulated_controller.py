@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from binascii import crc_hqx
+
 import numpy as np
 import pytest
 
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.protocols.checks import crc16_ccitt
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
 
@@ -29,7 +30,7 @@ class _Host:
     def ask(self, text: str, number: int | None = None) -> str:
         self.number = number if number is not None else self.number + 1
         body = f"{self.number} {text}".encode()
-        self.machine.receive(body + b"*%04X\n" % crc16_ccitt(body), self.clock.now())
+        self.machine.receive(body + b"*%04X\n" % crc_hqx(body, 0xFFFF), self.clock.now())
         lines = self.machine.take(self.clock.now() + MILLI).split(b"\n")
         return next((line.decode()[:-5].split(" ", 1)[1] for line in lines if line[:1].isdigit()), "")
 

@@ -12,12 +12,12 @@ import pytest
 from vamgpu.errors import DeviceBusy, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.lens import LensDriver
-from vamgpu.hosts.drivers.scpi import LampSupply, PowerMeter
+from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.instruments import EmulatedMeter, EmulatedSupply
+from vamgpu.hosts.emulators.instruments import EmulatedMeter
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Faults, Outbox, VirtualPort, plug
 from vamgpu.hosts.emulators.servers import PtyServer
@@ -57,14 +57,12 @@ DRIVERS: dict[str, Callable[[Wire], Any]] = {
     "controller": Controller,
     "stage": lambda wire: ZaberStage(wire, 1000.0),
     "meter": PowerMeter,
-    "supply": lambda wire: LampSupply(wire, 500.0),
 }
 MACHINES: dict[str, Callable[[], Any]] = {
     "lens": EmulatedLens,
     "controller": EmulatedController,
     "stage": EmulatedStage,
     "meter": lambda: EmulatedMeter(lambda now: 1.0),
-    "supply": EmulatedSupply,
 }
 STRANGERS: dict[str, Callable[[], Any]] = {
     "noise": _Noise,
@@ -90,7 +88,7 @@ def test_who_is_not_meant_is_told_and_let_go_of(driver: str, machine: str) -> No
     clock = VirtualClock()
     port = _Closing((MACHINES | STRANGERS)[machine](), clock, 0.1, 0, Faults())
     wire = Wire(port, f"the {driver}")
-    if driver == machine or {driver, machine} == {"meter", "supply"}:
+    if driver == machine:
         DRIVERS[driver](wire)
         return
     with pytest.raises(WrongDevice):
@@ -103,7 +101,6 @@ OPENERS: dict[str, Callable[[str], Any]] = {
     "controller": Controller.open,
     "stage": lambda url: ZaberStage.open(url, 1000.0),
     "meter": PowerMeter.open,
-    "supply": lambda url: LampSupply.open(url, 500.0),
 }
 
 

@@ -93,14 +93,15 @@ def test_a_planning_process_replaces_coming_turns_and_ends_the_print(made: Calla
 
 def test_nonsense_is_refused_and_told_and_the_print_goes_on(made: Callable[..., Live]) -> None:
     live = made("nonsense")
-    live.waits = {3: answered(22)}
+    live.waits = {3: answered(23)}
     told = live.run()
     whys = [event["why"] for event in told.events if event["event"] == "live refused"]
     wanted = [
         "levels from nan", "levels from -1", "256; expected 0 to 255", "inf; expected 0 to 255", r"levels [35, 6, 10]",
         "levels for 2 projectors", "times the light of a turn", "another print", "turns 0 to None", "turns 99 to None",
         "no version of the frames", "turns 1 to 1", "no version of the frames", "levels for 0 projectors",
-        "another print", "parameters", "no pictures", *3 * ["the picture 'dose'"], "no message",
+        "another print", "parameters", "usual values in order", "no pictures", *3 * ["the picture 'dose'"],
+        "no message",
     ]  # fmt: skip
     assert len(whys) == len(wanted) and all(part in why for part, why in zip(wanted, whys, strict=True)), whys
     assert told.shown["version"].tolist() == [0] * COUNT + [1] * 3 * COUNT, "the one that is right was taken"

@@ -123,6 +123,13 @@ def test_the_camera(core: Any) -> None:
             camera.expose(200_000)
 
 
+def test_a_camera_that_the_core_does_not_take_is_let_go_of(core: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(core, "setCameraDevice", None)
+    with pytest.raises(DeviceRefused, match="setCameraDevice"):
+        MicroManagerCamera(core, "Cam", owned=True)
+    assert "Cam" not in core.getLoadedDevices()
+
+
 def test_a_configuration_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(DeviceNotFound, match="wizard"):
         open_core(tmp_path / "none.cfg")

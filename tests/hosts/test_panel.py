@@ -24,7 +24,7 @@ from vamgpu.hosts.panel import Panel, door, view
 from vamgpu.hosts.panel import server as panels
 from vamgpu.hosts.panel.routes import LONGEST, Pace
 from vamgpu.hosts.record import RunFolder
-from vamgpu.hosts.state import Board, PrintState, StateChange
+from vamgpu.hosts.state import Board, Estimated, PrintState, StateChange
 from vamgpu.printing.scatter import ScatterReading
 
 
@@ -75,6 +75,16 @@ def test_the_page_shows_and_stops(page: Any) -> None:
         for name in ("projector 1", "projector 2"):
             assert by(name).evaluate("async (image) => { await image.decode(); return image.naturalWidth }") == 60
         assert by("resume").is_disabled() and "can go on" in by("resume").get_attribute("title")
+        lamp = Estimated("lamp", 0.9, 0.05, (0.5, 1.5))
+        board.show(plan=2, stop=7, parameters=(lamp, Estimated("stop [turn]", 7.0, 0.0)))
+        bar = by("lamp").get_by_role("img", name="usual from 0.5 to 1.5")
+        bar.wait_for()
+        found = bar.locator("rect.found")
+        assert [float(found.get_attribute(name)) for name in ("x", "width")] == pytest.approx([35.0, 10.0])
+        assert text("lamp") == "0.9 ± 0.050" and text("plan") == "version 2, until turn 7"
+        assert by("stop [turn]").locator("svg").count() == 0
+        board.show(unit="mm")
+        by("plan").get_by_text("until segment 7").wait_for()
         board.show(frame=18, slot=18)
         by("frame").get_by_text("18 (slot 19 of 360)").wait_for()
         by("cancel").click()

@@ -9,7 +9,8 @@ import pytest
 
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.hosts.emulators.rigs import EmulatedVideoRig
-from vamgpu.hosts.players.machines import CableFrames, VideoFrames
+from vamgpu.hosts.frames.sources import MirrorArray, VialFrames
+from vamgpu.hosts.players.machines import SourceFrames, VideoFrames
 from vamgpu.hosts.players.spinning import SpinningPlayer
 from vamgpu.hosts.record import RunFolder, read_run
 from vamgpu.hosts.run import Print
@@ -24,10 +25,10 @@ from vamgpu.printing.gray import GrayCurve
 class Shifted:
     """Frames that come one pose late."""
 
-    def __init__(self, frames: CableFrames, count: int) -> None:
+    def __init__(self, frames: VideoFrames, count: int) -> None:
         self._pictures, self._count = frames, count
 
-    def frame(self, number: int) -> np.ndarray:
+    def frame(self, number: int) -> np.ndarray | None:
         return self._pictures.frame((number - 1) % self._count)
 
 
@@ -57,14 +58,14 @@ def test_the_dose_is_the_librarys_own_and_a_shift_or_a_wrong_turn_is_seen(tmp_pa
     if bits < 8:  # the cable carries fewer levels than the job has
         irradiance = (levels / top)[:, ::-1].transpose(0, 2, 1)
     wanted = A.T(A.device.upload(irradiance)).numpy()
-    frames = CableFrames(frames, size)
+    shown = SourceFrames(VialFrames(frames, MirrorArray(*size, row_bytes=4)), size)
 
-    def off(name: str, frames: VideoFrames = frames, told: int = 1, scale: float = 1.0) -> float:
+    def off(name: str, frames: VideoFrames = shown, told: int = 1, scale: float = 1.0) -> float:
         emulated = EmulatedVideoRig(images, size, bits=bits, share=0.9, scale=scale)
         light = printed(tmp_path / name, emulated, frames, images, told)
         return float(np.abs(A.T(A.device.upload(light)).numpy() - wanted).max() / np.abs(wanted).max())
 
     assert off("good") < 1e-4
-    assert off("shifted", Shifted(frames, images)) > 0.01
+    assert off("shifted", Shifted(shown, images)) > 0.01
     assert off("inverted", scale=-1.0) > 0.01
     assert off("a video frame earlier than told", told=2) > 0.01

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import vamgpu
+from vamgpu.backend import open_device
 from vamgpu.cli.print import print_
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.live import watched
 from vamgpu.hosts.live.following import levels_of, light_of
+from vamgpu.hosts.live.watched import RedCamera
 from vamgpu.hosts.record import RunRecord, read_run
 from vamgpu.hosts.state import Board, PrintState
 from vamgpu.jobs.demo import _begun
@@ -40,6 +42,11 @@ absorption = "0.1 1/mm"
 [solve]
 iterations = 20
 """
+OTHER = """
+[method]
+kind = "osmo"
+"""
+DULL = 'fill = 0.8\nspread = "120 um"\n[turntable]'
 TURNS = 6
 live: Any = vamgpu.live  # of the package that it shares its name with, type checkers see that alone
 OFF = Truth(inhibitor=0.5, lamp=0.95)
@@ -48,6 +55,15 @@ OFF = Truth(inhibitor=0.5, lamp=0.95)
 @pytest.fixture(scope="module")
 def nut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     job, left = _begun(Job, JOB, tmp_path_factory.mktemp("nut"), "nut", (), "report.html")
+    solve(job, left.folder, overwrite=True)
+    return left.folder
+
+
+@pytest.fixture(scope="module")
+def dull(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of another method, whose doses have a unit of their own, by a beam that is not the usual one."""
+    given = JOB.replace("[turntable]", DULL).replace("iterations = 20", "iterations = 40") + OTHER
+    job, left = _begun(Job, given, tmp_path_factory.mktemp("dull"), "dull", (), "report.html")
     solve(job, left.folder, overwrite=True)
     return left.folder
 
@@ -100,6 +116,33 @@ def test_a_watched_print_reaches_the_resin_and_repeats_bit_by_bit(nut: Path, run
         live(nut, turns=TURNS, folder=run)
 
 
+def test_the_job_s_light_prints_whatever_its_unit_and_beam(
+    dull: Path, run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    proof = prove(dull, "numpy").proof
+    assert abs(proof.scores.threshold / 0.865 - 1.0) > 0.03, "else this tests nothing"
+    unwatched = live(dull, turns=TURNS, watched=False)
+    assert unwatched.iou == pytest.approx(proof.scores.iou, abs=0.02) and unwatched.turns == TURNS
+    monkeypatch.setattr(watched, "WAIT", 20.0)
+    monkeypatch.setattr(watched, "FOLLOW", "live_workers:raises")
+    alone = live(dull, turns=TURNS, folder=run)
+    assert np.allclose(alone.conversion, unwatched.conversion, atol=0.01), "the machines give what the plan does"
+    assert str(alone).splitlines()[0].endswith(f"complete after {TURNS} turns")
+
+
+def test_the_loop_plans_by_the_job_s_own_beam_and_names_its_device(dull: Path, run: Path) -> None:
+    live(dull, turns=2, folder=run)
+    record, beam = LiveRecord(run / "live"), prove(dull, "numpy").proof.operator.beam
+    setup = record.setup()
+    assert setup.projection(setup.vial).beam == beam and beam.fill == 0.8 and beam.spread == pytest.approx(0.12)
+    assert setup.camera().projection.beam.fill == 1.0, "the camera has a lens of its own"
+    assert setup.device == open_device().name
+    first = LiveRecord(run / "other").begin(setup, record.part(), np.load(run / "live" / "live-light.npy"))
+    dose = first.estimator.operator.T(setup.planned * first.light)
+    part = record.part() >= 0.5
+    assert ((dose >= setup.resin.solid) == part).mean() > 0.99
+
+
 @pytest.mark.parametrize("function", ["raises", "nan", "silent"])
 def test_whatever_becomes_of_the_loop_the_print_ends_as_planned(
     nut: Path, run: Path, monkeypatch: pytest.MonkeyPatch, function: str
@@ -123,6 +166,26 @@ def test_what_cannot_be_watched_is_refused(nut: Path, run: Path) -> None:
         live(nut, turns=1)
     with pytest.raises(BadInput, match="longest"):
         live(nut, turns=6, longest=5)
+    for given in (0, 1):
+        with pytest.raises(BadInput, match=f"turns is {given}"):
+            print_(str(nut), rig="emulated", live=True, turns=given, out=run)
+    for wrong in ({"evaluations": 0}, {"evaluations": float("nan")}, {"seed": -1}, {"camera": 3}, {"truth": 3}):
+        with pytest.raises(BadInput, match=next(iter(wrong))):
+            live(nut, turns=TURNS, folder=run, **wrong)
+    with pytest.raises(BadInput, match="sensor ends at 1023"):
+        live(nut, turns=TURNS, folder=run, camera=RedCamera(open_field=5000.0))
+    assert not run.exists()
+
+
+@pytest.mark.parametrize("angles", ['range = "180 deg"', "angles = 1"])
+def test_other_angles_are_refused(tmp_path: Path, angles: str) -> None:
+    given = JOB.replace("angles = 40", angles if "angles" in angles else f"angles = 40\n{angles}")
+    job, left = _begun(Job, given.replace("iterations = 20", "iterations = 2"), tmp_path, "odd", (), "report.html")
+    solve(job, left.folder, overwrite=True)
+    with pytest.raises(BadInput, match="two or more even angles over a full turn"):
+        live(left.folder, turns=TURNS, folder=tmp_path / "run")
+    with pytest.raises(StorageError, match="a run that was watched"):
+        LiveRecord(left.folder).setup()
 
 
 def test_a_state_is_corrected_by_what_was_shown() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -75,8 +76,10 @@ def test_the_resin_gets_the_dose_that_was_planned_by_rays_of_its_own() -> None:
 
 
 @pytest.mark.slow
-def test_a_print_in_aged_resin_is_saved_and_replayed_bit_by_bit(tmp_path, capsys) -> None:
+@pytest.mark.parametrize("rings", [False, True])
+def test_a_print_in_aged_resin_is_saved_and_replayed_bit_by_bit(rings: bool, tmp_path, capsys) -> None:
     made, part, light = setup()
+    made = replace(made, rings=rings)
     timed = printer(AGED)
     dose = timed.dose(light)
     for _ in range(PLANNED):

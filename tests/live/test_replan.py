@@ -41,10 +41,10 @@ def overlap(dose: np.ndarray) -> float:
     return float(score(A.device.upload(dose), A.device.upload(part), threshold=0.865).iou)
 
 
-@pytest.mark.parametrize("everything", [False, True])
-def test_a_print_that_drifts_is_saved(everything: bool) -> None:
+@pytest.mark.parametrize(("everything", "rings"), [(False, False), (True, False), (True, True)])
+def test_a_print_that_drifts_is_saved(everything: bool, rings: bool) -> None:
     A, _, light, replanner = setup()
-    estimator = Estimator(A, GeneralizedLogistic(steepness=8.0, middle=0.7))
+    estimator = Estimator(A, GeneralizedLogistic(steepness=8.0, middle=0.7), rings=rings)
     off = displaced(clouded(A, 0.15), 0.5) if everything else A
     gain = estimator.gain(np.array([0.8, 1.0, 0.0, 0.0, 0.05 if everything else 0.0, 0.0, 0.0]))
     exposure = IndependentExposure(off)
@@ -56,14 +56,29 @@ def test_a_print_that_drifts_is_saved(everything: bool) -> None:
     seen = estimator.conversion(delivered) + NOISE * np.random.default_rng(1).standard_normal(delivered.shape)
     found = estimator.estimate(SHOWN * light, seen, NOISE, Prior.of())
     plan = replanner.replan(
-        estimator.delivering(found.values), found.dose, light, TURNS - SHOWN, range(TURNS), evaluations=20,
-        deviation=found.deviation,
+        estimator.nearly(found.values, SHOWN * light, found.lit), found.dose, light, TURNS - SHOWN, range(TURNS),
+        evaluations=20, deviation=found.deviation,
     )  # fmt: skip
     assert overlap(delivered + proved((TURNS - SHOWN) * light)) < 0.995
     now = overlap(delivered + proved(plan.expected.turns * np.asarray(plan.light)))
     assert now >= 0.995 and plan.expected.iou == pytest.approx(now, abs=0.005)
     assert plan.kept.iou < 0.995 and plan.evaluations <= 20
     assert np.asarray(plan.light).min() >= 0.0 and np.asarray(plan.light).max() <= replanner.most * (1.0 + 1e-5)
+
+
+def test_rings_give_the_dose_of_light_that_is_like_what_was_known() -> None:
+    A, part, light, _ = setup()
+    estimator = Estimator(A, GeneralizedLogistic(steepness=8.0, middle=0.7), rings=True)
+    values = np.array([0.8, 1.15, 0.03, 0.02, 0.05, -0.03, 0.1])
+    exact = estimator.delivering(values)
+    nearly = estimator.nearly(values, light, np.asarray(exact.T(light)))
+    assert estimator.quick is not None and nearly.dot_test() < 1e-6
+    rng, wide = np.random.default_rng(0), A.grid.cylinder()[:, :, None]
+    for other, off in ((light, 0.004), (light * rng.uniform(0.5, 1.5, (len(light), 1, 1)), 0.008)):
+        got, dose = (np.asarray(each.T(other), float) * wide for each in (nearly, exact))
+        assert np.sqrt(np.mean((got - dose)[part > 0] ** 2)) < off * dose.max()
+    planned = np.asarray(estimator.quick.T(light)) * wide
+    assert np.abs(planned - np.asarray(exact.T(light)) * wide).max() > 0.1 * dose.max(), "else this tests nothing"
 
 
 def test_the_best_light_within_what_may_be_spent_is_the_same_each_time() -> None:

@@ -61,9 +61,10 @@ def quick() -> str:
     return vam.devices()[0]
 
 
-@pytest.mark.parametrize("kind", VIALS)
-def test_conversion_is_known_to_five_percent(kind: str, quick: str) -> None:
-    tomograph = Tomograph(camera(kind, quick), Turbidity(extinction=(0.0, FULL)))
+@pytest.mark.parametrize(("kind", "rings"), [("matched", True), ("refracting", False), ("refracting", True)])
+def test_conversion_is_known_to_five_percent(kind: str, rings: bool, quick: str) -> None:
+    tomograph = Tomograph(camera(kind, quick), Turbidity(extinction=(0.0, FULL)), rings=rings)
+    assert isinstance(tomograph.operator, vam.RingProjection) == rings
     first = tomograph.see(noisy(kind, 0))
     second = tomograph.see(noisy(kind, 1), first, iterations=12)
     assert error(first) < 0.055
@@ -119,6 +120,16 @@ def test_a_deadline_that_is_over_leaves_one_iteration_and_a_replay_repeats_it(qu
     assert np.array_equal(late.extinction, again.extinction)
     with pytest.raises(BadInput, match="iterations"):
         tomograph.see(images, iterations=0)
+
+
+def test_a_camera_of_other_rows_than_slices_knows_its_deviation(quick: str) -> None:
+    full = camera("matched", quick)
+    A = vam.Projection(GRID, vam.Beam((40, 30), GRID.pitch), vam.Turntable(180), VIALS["matched"], quick)
+    low = MonitoringCamera(A, np.broadcast_to(OPEN, (30, 40)), NOISE)
+    resin, images = Turbidity(extinction=(0.0, FULL)), noisy("matched", 0)
+    expected = Tomograph(full, resin).deviation(images, iterations=3)[:, :, 10:30]
+    found = Tomograph(low, resin).deviation(images[:, 5:-5], iterations=3)[:, :, 10:30]
+    assert np.median(found) == pytest.approx(np.median(expected), rel=0.05)
 
 
 @pytest.mark.slow

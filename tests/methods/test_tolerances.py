@@ -111,7 +111,7 @@ def test_mean_and_spread_brings_corners_nearer_to_their_mean() -> None:
 # ---- light -----------------------------------------------------------------------------------------------------------
 def test_one_light_prints_at_all_corners_with_one_threshold(device: Device) -> None:
     A = projection(device)
-    few: dict[str, Any] = {"iterations": 64}
+    few: dict[str, Any] = {"method": "widest", "iterations": 64}
     plan = vam.optimize(A, ring(), **few, tolerances=BOTH)
     plain = vam.optimize(A, ring(), **few)
     told = BOTH.doses(A, plan, ring())
@@ -154,6 +154,17 @@ def test_a_resumed_run_is_the_whole_run_and_takes_the_same_tolerances() -> None:
     assert np.array_equal(whole.sinogram.numpy(), rest.sinogram.numpy())
     with pytest.raises(BadInput, match="tolerances|Tolerances"):
         vam.optimize(A, ring(), "widest", iterations=50, resume=half)
+
+
+def test_thresholds_are_asked_for_little_beyond_what_there_is_at_few_scenarios() -> None:
+    """Prices come to +0.053 by as many iterations."""
+    A, off = projection(), BOTH
+    plan = vam.optimize(A, ring(), "window", iterations=60, tolerances=off)
+    assert plan.window == pytest.approx(off.doses(A, plan, ring()).window, abs=1e-5)
+    assert plan.window > 0.053 and plan.evaluations < 0.9 * 5 * 60
+    half = vam.optimize(A, ring(), "window", iterations=35, tolerances=off)
+    rest = vam.optimize(A, ring(), "window", iterations=60, tolerances=off, resume=half)
+    assert np.array_equal(plan.sinogram.numpy(), rest.sinogram.numpy())
 
 
 @pytest.mark.slow

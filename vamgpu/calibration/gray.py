@@ -56,10 +56,12 @@ def fit_gray(levels: Sequence[int], readings: ArrayLike, dark: ArrayLike) -> Gra
         raise BadInput("the readings hold values that are not finite; expected what the meter read")
     if (np.diff(level) <= 0).any() or (int(level[0]), int(level[-1])) != (0, TOP) or (level != np.round(level)).any():
         raise BadInput(f"the levels go from {level[0]} to {level[-1]}; expected whole numbers rising from 0 to {TOP}")
+    from scipy.optimize import isotonic_regression
+
     light = read.mean(axis=1) - base.mean()
     error = _errors(read)
     _judge(level, light, error)
-    risen = rising(light, 1.0 / error**2)
+    risen = isotonic_regression(light, weights=1.0 / error**2).x
     fall = risen - light
     if (np.abs(fall) > FALLS * error + 1e-9 * light[-1]).any():
         at = int(np.argmax(np.abs(fall) / error))
@@ -96,20 +98,3 @@ def _judge(level: np.ndarray, light: np.ndarray, error: np.ndarray) -> None:
                 f"the light no longer rises from level {level[-3]} to {TOP}; the meter is saturated, or the projector "
                 "clips: lower the power or the range"
             )
-
-
-def rising(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The values nearest to given ones, in weighted least squares, that never fall: neighbors that do are pooled."""
-    means: list[float] = []
-    masses: list[float] = []
-    sizes: list[int] = []
-    for value, weight in zip(values.tolist(), weights.tolist(), strict=True):
-        means.append(value)
-        masses.append(weight)
-        sizes.append(1)
-        while len(means) > 1 and means[-2] > means[-1]:
-            mass = masses[-2] + masses[-1]
-            means[-2:] = [(means[-2] * masses[-2] + means[-1] * masses[-1]) / mass]
-            masses[-2:] = [mass]
-            sizes[-2:] = [sizes[-2] + sizes[-1]]
-    return np.repeat(means, sizes)

@@ -37,10 +37,10 @@ FAILED, INCOMPLETE, HELD = 1, 3, 4
 
 @app.command(name="print")
 def print_(
-    *jobs: str, rig: str, speed: str | None = None, turns: int = 1, stop: float | None = None, out: Path | None = None,
-    resume: Path | None = None, unattended: int = 0, settings: Settings = None, device: str | None = None,
-    dry_run: Switch = False, panel: Switch = False, stay: Switch = False, host: str = "127.0.0.1", port: int = 0,
-    live: Switch = False,
+    *jobs: str, rig: str, speed: str | None = None, turns: int | None = None, stop: float | None = None,
+    out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
+    device: str | None = None, dry_run: Switch = False, panel: Switch = False, stay: Switch = False,
+    host: str = "127.0.0.1", port: int = 0, live: Switch = False,
 ) -> int:  # fmt: skip
     """Print jobs on a rig, one for each of its projectors; the word demo makes and prints a small one, and demo live
     one that a camera watches, in resin that is not as planned.
@@ -53,7 +53,7 @@ def print_(
         rig: the TOML file of the rig, or emulated
         speed: of vials [deg/s], 40 by default, of webs [mm/s] and of slices [mm/h], or with its unit, such as
             "48 mm/min"; by default what the job was made for
-        turns: how often each frame of a vial is shown, at most where it stops by itself
+        turns: how often each frame of a vial is shown, at most where it stops by itself; 1 by default
         stop: density of scatter at which a vial is done [gray levels/voxel], such as 0.35, by the rig's camera
         out: folder of the run; the job's name with .run by default, with .rehearsal for a dry run
         resume: folder of a run that a host left in the midst, to go on with
@@ -69,7 +69,8 @@ def print_(
     """
     if jobs == ("demo", "live") or live:
         given = speed is None and stop is None and resume is None and not (dry_run or panel or settings or device)
-        return _live(jobs, rig, turns if turns > 1 else 16, out, plain=given)
+        return _live(jobs, rig, 16 if turns is None else turns, out, plain=given)
+    turns = 1 if turns is None else turns
     from vamgpu.errors import BadInput
     from vamgpu.hosts.rig import plan, stopping
     from vamgpu.hosts.rigs.config import read_rig

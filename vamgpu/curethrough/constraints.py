@@ -17,34 +17,32 @@ def constant_light(zeta: Any, zeta_0: float, dose_0: float, phi: float, eta: flo
     return dose_0 * fade + phi * (1.0 - fade)
 
 
-def build_up(zeta: Any, lower: float, phi_max: float, eta: float, critical: float = 1.0) -> np.ndarray:
+def build_up(zeta: Any, lower: float, phi_max: float, eta: float) -> np.ndarray:
     """Curve ii: the most dose that full light builds up from Ω_c at the back side ζ_L = ``lower`` (S37)."""
-    return constant_light(zeta, lower, critical, phi_max, eta)
+    return constant_light(zeta, lower, 1.0, phi_max, eta)
 
 
-def die_down(zeta: Any, upper: float, phi_min: float, eta: float, critical: float = 1.0) -> np.ndarray:
+def die_down(zeta: Any, upper: float, phi_min: float, eta: float) -> np.ndarray:
     """Curve iii: the most dose that dies down to Ω_c at the front ζ_U = ``upper`` under least light (S38)."""
-    return constant_light(zeta, upper, critical, phi_min, eta)
+    return constant_light(zeta, upper, 1.0, phi_min, eta)
 
 
-def highest_place(
-    upper: float, lower: float, phi_min: float, phi_max: float, eta: float, critical: float = 1.0
-) -> float:
+def highest_place(upper: float, lower: float, phi_min: float, phi_max: float, eta: float) -> float:
     """ζ*, where curves ii and iii meet (S39)."""
     delta = lower - upper
-    low = (critical - phi_min) - (critical - phi_max) * 10.0 ** (-delta * eta)
+    low = (1.0 - phi_min) - (1.0 - phi_max) * 10.0 ** (-delta * eta)
     return upper + log10((phi_max - phi_min) / low) / eta
 
 
-def highest_dose(delta: Any, phi_min: float, phi_max: float, eta: float, critical: float = 1.0) -> np.ndarray:
+def highest_dose(delta: Any, phi_min: float, phi_max: float, eta: float) -> np.ndarray:
     """Ω*, the most dose within a feature ``delta`` slices high (S42)."""
     fade = 10.0 ** (-np.asarray(delta, dtype=np.float64) * eta)
-    room = (critical - phi_min) - (critical - phi_max) * fade
-    return (critical - phi_min) * (phi_max - phi_min) / room + phi_min
+    room = (1.0 - phi_min) - (1.0 - phi_max) * fade
+    return (1.0 - phi_min) * (phi_max - phi_min) / room + phi_min
 
 
-def build_up_slices(dose_0: float, phi: float, eta: float, critical: float = 1.0) -> float:
+def build_up_slices(dose_0: float, phi: float, eta: float) -> float:
     """Slices of light Φ that bring Ω_0 to Ω_c: log10[(Φ − Ω_0) / (Φ − Ω_c)] / η; infinite where Φ never gets there."""
-    if dose_0 >= critical:
+    if dose_0 >= 1.0:
         return 0.0
-    return log10((phi - dose_0) / (phi - critical)) / eta if phi > critical else float("inf")
+    return log10((phi - dose_0) / (phi - 1.0)) / eta if phi > 1.0 else float("inf")

@@ -15,7 +15,7 @@ import numpy as np
 from vamgpu.backend import DeviceArray, open_device
 from vamgpu.backend.device import Device
 from vamgpu.curethrough.dose import Stack, blocks, lent, strips
-from vamgpu.curethrough.machine import Machine
+from vamgpu.curethrough.printer import Machine
 from vamgpu.curethrough.profile import Flat, Profile
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.kernels.curethrough import BITS, pack_slices
@@ -55,7 +55,7 @@ class Correction:
             raise BadInput(f"threshold is {self.threshold!r}; expected a gray level from 1 to 255")
         if self.tail is not None and not (isinstance(self.tail, (int, np.integer)) and 0 <= self.tail <= MOST_TAIL):
             raise BadInput(f"tail is {self.tail!r}; expected a whole number of slices, 0 to {MOST_TAIL:,}")
-        if not hasattr(self.machine, "targets"):
+        if not isinstance(self.machine, Machine):
             raise BadInput(f"machine is {self.machine!r}; expected a Printer or a LayerPrinter")
         self.machine.targets(self.profile)
 

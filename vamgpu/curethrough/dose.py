@@ -9,7 +9,7 @@ import numpy as np
 
 from vamgpu.backend import DeviceArray, open_device
 from vamgpu.backend.device import Device
-from vamgpu.curethrough.machine import Machine
+from vamgpu.curethrough.printer import Machine
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.kernels.curethrough import BITS, expose_slices, judge_slices, pack_slices
 
@@ -110,14 +110,11 @@ class Judge:
     machine: Machine
     shape: tuple[int, int]
     device: Device
-    critical: float
     state: DeviceArray
     heights: DeviceArray
 
-    def __init__(
-        self, machine: Machine, shape: tuple[int, int], device: str | Device | None = None, critical: float = 1.0
-    ) -> None:
-        self.machine, self.shape, self.device, self.critical = machine, shape, open_device(device), critical
+    def __init__(self, machine: Machine, shape: tuple[int, int], device: str | Device | None = None) -> None:
+        self.machine, self.shape, self.device = machine, shape, open_device(device)
         self.light: DeviceArray = self.device.table(machine.doses)
         self.state, self.heights = (self.device.table(np.zeros((2, *shape), np.float32)) for _ in range(2))
         count = strips(self.device, shape[1])
@@ -139,7 +136,7 @@ class Judge:
         machine = self.machine
         self.device.launch(
             judge_slices, levels=levels, words=words, block=block, light=self.light, decay=machine.decay,
-            scale=machine.fade_scale, layered=int(machine.layered), critical=self.critical, state=self.state,
+            scale=machine.fade_scale, layered=int(machine.layered), critical=1.0, state=self.state,
             heights=self.heights, peaks=self._peaks,
         )  # fmt: skip
 

@@ -15,9 +15,9 @@ from vamgpu.backend.device import Device
 from vamgpu.curethrough.buffers import SliceBuffers
 from vamgpu.curethrough.correction import Correction, Corrector
 from vamgpu.curethrough.dose import Judge, RunningDose, Stack, blocks, lent
-from vamgpu.curethrough.machine import Machine
 from vamgpu.curethrough.names import following
 from vamgpu.curethrough.output import check_place, writing
+from vamgpu.curethrough.printer import Machine
 from vamgpu.curethrough.score import Features, Sample, features, ratio, sample
 from vamgpu.curethrough.weighed import StageProgress, weighed
 from vamgpu.errors import SliceWarning

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
-from vamgpu.curethrough.printer import LN10, WindowPrinter
+from vamgpu.curethrough.printer import LN10, Machine
 from vamgpu.curethrough.profile import Flat, Profile
 from vamgpu.curethrough.targets import NEVER, Targets
 from vamgpu.errors import BadInput
@@ -24,7 +25,7 @@ def exposure_of_layer(absorption_height: float, critical_dose: float, slice_heig
 
 
 @dataclass(frozen=True)
-class LayerPrinter(WindowPrinter):
+class LayerPrinter(Machine):
     """A printer that stops for every slice.
 
     Args:
@@ -41,11 +42,15 @@ class LayerPrinter(WindowPrinter):
     exposure: ExposureTime
     light: tuple[float, ...]
 
+    layered: ClassVar[bool] = True
+
     def __post_init__(self) -> None:
         self._check(self.light)
 
-    layered = True
-    tail = 0
+    @property
+    def tail(self) -> int:
+        """None: a layer has all of its light when the next begins."""
+        return 0
 
     @property
     def opened(self) -> float:

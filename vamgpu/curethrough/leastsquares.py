@@ -15,7 +15,7 @@ import numpy as np
 
 from vamgpu.curethrough.correction import Correction, Corrector
 from vamgpu.curethrough.dose import Judge, blocks
-from vamgpu.curethrough.machine import Machine
+from vamgpu.curethrough.printer import Machine
 from vamgpu.errors import BadInput
 
 WEIGHT = 20.0
@@ -67,24 +67,6 @@ def least_squares(correction: Correction, columns: np.ndarray, iterations: int =
             chosen = at[better]
             levels[:, chosen], new_over[chosen], new_under[chosen] = found[:, better], o[better], u[better]
     return CorrectedColumns(levels, plain, new_over, new_under, over, under, feasible)
-
-
-def refine(
-    correction: Correction, corrector: Corrector, wanted: np.ndarray, shown: np.ndarray, most: int = 65536
-) -> int:
-    """Put better columns into ``shown`` (in memory, from ``corrector``) where it found no way; returns their number.
-
-    most: columns solved at a time.
-    """
-    rows, places = np.nonzero((corrector.missed + corrector.closed) > 0)
-    changed = 0
-    for start in range(0, len(rows), most):
-        y, x = rows[start : start + most], places[start : start + most]
-        result = least_squares(correction, np.ascontiguousarray(wanted[:, y, x]))
-        better = result.over + result.under < result.sequential_over + result.sequential_under
-        shown[:, y[better], x[better]] = result.levels[:, better]
-        changed += int(better.sum())
-    return changed
 
 
 def heights(machine: Machine, levels: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

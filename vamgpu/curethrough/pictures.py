@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vamgpu.curethrough.dose import column_doses
-from vamgpu.curethrough.machine import Machine
+from vamgpu.curethrough.printer import Machine
 from vamgpu.curethrough.score import cured
 from vamgpu.reports.chart import PART, WIDE, above, colored, png, svg
 from vamgpu.reports.page import Image

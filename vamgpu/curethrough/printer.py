@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, log10
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -77,12 +78,18 @@ def levels_of(full: float, dark: float = 0.0, curve: Callable[[Any], Any] | None
 
 
 @dataclass(frozen=True)
-class WindowPrinter:
-    """What printers share that light a resin through a window; lengths along the print in slices, doses in D_c."""
+class Machine(ABC):
+    """A printer that lights a resin through a window, as dose and correction see it.
+
+    Lengths along the print are in slices, doses in D_c.
+    """
 
     absorption_height: Length
     critical_dose: Dose
     slice_height: Length
+
+    layered: ClassVar[bool]
+    """Whether the platform stands while a slice is shown."""
 
     def _check(self, light: tuple[float, ...]) -> None:
         check(self)
@@ -105,18 +112,64 @@ class WindowPrinter:
         return -1.0 / (self.eta * LN10)
 
     @property
+    @abstractmethod
     def doses(self) -> np.ndarray:
         """Ω that one slice of each level adds at its border; float64 [256]."""
-        raise NotImplementedError
+        ...
 
     @property
     def tolerance(self) -> float:
         """Half of the largest step of Ω from one level to the next."""
         return 0.5 * float(np.diff(self.doses).max())
 
+    @property
+    @abstractmethod
+    def reached(self) -> float:
+        """Ω behind a feature at which its back side counts as done."""
+        ...
+
+    @property
+    @abstractmethod
+    def opened(self) -> float:
+        """Ω to which a void must fall to be told from its walls."""
+        ...
+
+    @property
+    @abstractmethod
+    def tail(self) -> int:
+        """Slices to show after the last, so that its back side gets its dose."""
+        ...
+
+    @abstractmethod
+    def between(self, fraction: float) -> tuple[float, float]:
+        """Shares of `expose_slices` for doses off the border.
+
+        Args:
+            fraction: Distance from the slice's border, a fraction of the slice height from 0 to 1.
+
+        Returns:
+            Share of the slice's own dose, and factor by which the dose of earlier slices fades.
+        """
+        ...
+
+    @abstractmethod
+    def targets(self, profile: Profile) -> Targets:
+        """Doses that the correction steers to.
+
+        Args:
+            profile: Dose inside features.
+
+        Returns:
+            The doses.
+
+        Raises:
+            BadInput: There is nothing to steer with.
+        """
+        ...
+
 
 @dataclass(frozen=True)
-class Printer(WindowPrinter):
+class Printer(Machine):
     """A continuous printer: slice n lights the window while that moves from ζ = n to n + 1.
 
     Args:
@@ -136,10 +189,10 @@ class Printer(WindowPrinter):
     light: tuple[float, ...]
     dead_zone: Thickness = 0.0
 
+    layered: ClassVar[bool] = False
+
     def __post_init__(self) -> None:
         self._check(self.light)
-
-    layered = False
 
     @property
     def critical_intensity(self) -> float:

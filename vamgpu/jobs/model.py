@@ -264,7 +264,7 @@ class FramesSection(Section):
 
     bits: of a pixel.  gray: file of the projector's gray curve.  flip_r: mirror columns.  flip_z: mirror rows.
     shift: columns and rows by which frames are moved.  quantile: of the lit pixels that a full-on pixel shows.
-    dither: round to the nearest level, or carry the error on to the next angle.
+    dither: round to the nearest level, carry the error on to the next angle, or choose pixels of 1 bit by their dose.
     """
 
     bits: Literal[1, 8] = 8
@@ -273,7 +273,7 @@ class FramesSection(Section):
     flip_z: bool = False
     shift: Annotated[tuple[float, float], Listed] = (0.0, 0.0)
     quantile: Annotated[float, Field(gt=0, le=1)] = 0.99999
-    dither: Literal["round", "error-diffusion"] = "round"
+    dither: Literal["round", "error-diffusion", "fit"] = "round"
 
 
 class PrintSection(Section):

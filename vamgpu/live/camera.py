@@ -165,7 +165,7 @@ class MonitoringCamera:
             edges show bright and dark in proportion to this.
 
     Raises:
-        BadInput: The vessel absorbs, or the open field is dark or not finite.
+        BadInput: The vessel absorbs, or the open field is dark, not finite, or saturates the sensor throughout.
         ShapeMismatch: The open field is not of this camera.
     """
 
@@ -187,6 +187,9 @@ class MonitoringCamera:
                                 f"or {self.shape} = [angle, row, column]")  # fmt: skip
         if not np.isfinite(field).all() or field.min() < 0 or field.max() <= 0:
             raise BadInput("the open field is dark, negative or not finite; expected gray levels of the lit vial")
+        if field.min() >= self.noise.brightest:
+            raise BadInput(f"the open field is {field.min():g} or more everywhere, and the sensor ends at "
+                           f"{self.noise.brightest}; expected less: weaken it, or set the noise's bits")  # fmt: skip
         object.__setattr__(self, "open_field", field)
 
     @property

@@ -18,9 +18,11 @@ from vamgpu.kernels.loss import look_up
 from vamgpu.kernels.resample import resample
 from vamgpu.live.delivering import Delivering
 from vamgpu.live.planes import by_planes
+from vamgpu.live.rings import on_rings
 from vamgpu.live.smooth import Smoothing
 from vamgpu.losses.response import Response
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.row_resampler import banded
 from vamgpu.operators.space import require
 from vamgpu.printing.scenarios import clouded_and_displaced, displaced
@@ -48,6 +50,12 @@ KEPT = 16
 """Operators whose tables are kept."""
 SLICES = 32
 """Of the voxels that parameters are estimated from, at most: slices do not light each other."""
+
+
+FAINT = 0.02
+"""Share of the greatest dose below which two operators are not compared."""
+OTHER = 1.5
+"""By which they are taken to differ at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +129,7 @@ class Estimate:
         values: Of each of `NAMES`, (7,).
         covariance: Of each with each, (7, 7), widened where the residuals are greater than the noise.
         dose: Delivered so far, in units of Aᵀ(light), [x, y, z].
+        lit: Of it, what the light since the estimate before gave by the parameters alone, [x, y, z].
         deviation: Standard deviation of the dose of each voxel, in its unit, [x, y, z].
         chi_square: Sum of squared residuals of the voxels used, each over its variance.
         voxels: Used for the parameters.
@@ -129,6 +138,7 @@ class Estimate:
     values: np.ndarray
     covariance: np.ndarray
     dose: np.ndarray
+    lit: np.ndarray
     deviation: np.ndarray
     chi_square: float
     voxels: int
@@ -216,6 +226,7 @@ class Estimator:
         rounds: How often derivatives are taken anew.
         residual: Standard deviation of a voxel's own relative gain.
         smooth: Standard deviation [voxels] of the neighborhood that shares it.
+        rings: Whether `nearly` computes on rings, see `RingProjection`; None where they are faster.
 
     Raises:
         BadInput: A value is out of its range.
@@ -227,16 +238,18 @@ class Estimator:
     rounds: int
     residual: float
     smooth: float
+    rings: bool | None
 
     def __init__(
         self, operator: Projection, response: Response, *, samples: int = 20_000, rounds: int = 2,
-        residual: float = 0.03, smooth: float = 2.0,
+        residual: float = 0.03, smooth: float = 2.0, rings: bool | None = None,
     ) -> None:  # fmt: skip
         if not isinstance(operator, Projection):
             raise BadInput(f"got {operator!r}; expected a Projection, whose axis and absorption can be varied")
         self.operator, self.response = operator, response
         self.samples, self.rounds = int(positive("samples", samples)), int(positive("rounds", rounds))
         self.residual, self.smooth = positive("residual", residual), positive("smooth [voxels]", smooth)
+        self.rings = rings
         self._curve = response.curve()
         self._placed = lru_cache(KEPT)(self._placed_anew)
         x, y, z = operator.grid.axes()
@@ -276,6 +289,40 @@ class Estimator:
             The operator, on the device of the planned one.
         """
         return Delivering(self._placed(float(values[1]), float(values[2])), self.gain(values), float(values[3]))
+
+    def nearly(self, values: np.ndarray, light: Any, dose: np.ndarray) -> Delivering:
+        """`delivering`, to plan with: on rings where they are faster, and `delivering` itself elsewhere.
+
+        The tables of rings are those of the planned operator. Light is moved; what more or less absorption does is a
+        gain, with which some light has the dose that it should. The dose of other light is nearly right.
+
+        Args:
+            values: Of each of `NAMES`, (7,).
+            light: That is like the light to come, [angle, r, z].
+            dose: What it delivers with these parameters, such as `Estimate.lit`, [x, y, z].
+
+        Returns:
+            The operator, on the device of the planned one.
+        """
+        if self.quick is None:
+            return self.delivering(values)
+        raised = self.quick.raised(float(values[3]))
+        level = self.gain(values)
+        moved = Delivering(raised, level, across=float(values[2]))
+        least = FAINT * float(dose.max())
+
+        def joined(level: np.ndarray, dose: np.ndarray, got: np.ndarray) -> np.ndarray:
+            known = np.minimum(dose, got) > least
+            off = np.divide(dose, got, out=np.ones_like(got), where=known)
+            return level * np.clip(off, 1.0 / OTHER, OTHER)
+
+        gain = by_planes(joined, level, dose, moved.T(self.operator.device.field(light)).numpy())
+        return Delivering(raised, gain, across=float(values[2]))
+
+    @cached_property
+    def quick(self) -> RingProjection | None:
+        """The planned operator on rings; None where rays go on. Its tables are made when it is first asked for."""
+        return on_rings(self.operator, self.rings)
 
     def _placed_anew(self, absorption: float, across: float) -> Projection:
         return clouded_and_displaced(self.operator, absorption - 1.0, across / self.operator.beam.pitch)
@@ -337,7 +384,7 @@ class Estimator:
         dose = self.delivering(values).T(lit).numpy()
         field = by_planes(lambda dose, had: dose + values[6] + had, dose, 0.0 if before is None else before.dose)
         field, deviations = self._by_voxel(field, np.asarray(seen, float), spread.reshape(seen.shape), excess)
-        return Estimate(values, covariance, field, deviations, chi, used.size)
+        return Estimate(values, covariance, field, dose, deviations, chi, used.size)
 
     def _slices(self, light: np.ndarray) -> np.ndarray:
         """Numbers of slices to look at: half of them spread evenly, half where light changes most along z."""

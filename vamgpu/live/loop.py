@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import VamError
-from vamgpu.live.estimate import Estimator, Prior
+from vamgpu.live.estimate import Estimate, Estimator, Prior
 from vamgpu.live.planes import by_planes
 from vamgpu.live.printer import CuringResin
-from vamgpu.live.replan import Replanner
+from vamgpu.live.replan import Replanned, Replanner
 from vamgpu.live.smooth import Smoothing
 from vamgpu.live.tomography import Measured, Seen, Tomograph
 
@@ -127,6 +127,18 @@ class LiveState:
 
 
 @dataclass(frozen=True, eq=False)
+class _Turn:
+    """A turn that is over: its number, turns left, the state before it, and light shown, pending and committed now."""
+
+    turn: int
+    left: int
+    before: LiveState
+    shown: np.ndarray
+    pending: np.ndarray
+    committed: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class LiveLoop:
     """Decides after every turn. Work is counted in pairs of projections, so that a replay decides the same.
 
@@ -162,7 +174,8 @@ class LiveLoop:
     every: int = 1
 
     def start(self) -> LiveState:
-        """The state before the first turn."""
+        """The state before the first turn. Tables that no turn should wait for are made here."""
+        _ = self.tomograph.operator, self.estimator.quick, self._planned_dose
         dark = np.zeros_like(self.light)
         return LiveState(
             0, dark, dark, self.light, self.planned - self.ahead, committed=(self.light,) * self.ahead
@@ -180,26 +193,30 @@ class LiveLoop:
         Returns:
             The state after it, and the decision.
         """
-        fade = exp(-1.0 / self.resin.dark)
-        showing, *committed = *state.committed, state.light
-        pending = fade * state.pending + self.resin.dark * (1.0 - fade) * showing
-        turn, left = state.turn + 1, max(state.turns - 1, 0)
-        shown, seen, laps = state.shown + showing, state.seen, _Laps()
+        at, seen, laps = self._after(state), state.seen, _Laps()
         try:
-            if turn % self.every:
-                decision = self._kept(turn, left, state, f"decided after every {self.every} turns")
+            if at.turn % self.every:
+                decision = self._kept(at, f"decided after every {self.every} turns")
             else:
                 told = self.tomograph.measure(frames)
                 seen = self.tomograph.see(told, seen, iterations=self.iterations)
                 laps.over("see")
-                decision = self._replanned(turn, left, state, shown, pending, told, seen, committed, laps)
+                decision = self._replanned(at, told, seen, laps)
         except VamError as error:
-            decision = self._kept(turn, left, state, f"refused: {error}")
+            decision = self._kept(at, f"refused: {error}")
         conversion = None if seen is None else seen.conversion
         decision = replace(decision, stages=laps.seconds, conversion=conversion)
-        after = LiveState(turn, shown, pending, decision.light, decision.turns, decision.version, seen,
-                          tuple(committed), _values(decision, state.values))  # fmt: skip
+        after = LiveState(at.turn, at.shown, at.pending, decision.light, decision.turns, decision.version, seen,
+                          at.committed, _values(decision, state.values))  # fmt: skip
         return after, decision
+
+    def _after(self, state: LiveState) -> _Turn:
+        fade = exp(-1.0 / self.resin.dark)
+        showing, *committed = *state.committed, state.light
+        made = self.resin.dark * (1.0 - fade)
+        pending = by_planes(lambda had, light: fade * had + made * light, state.pending, showing)
+        left = max(state.turns - 1, 0)
+        return _Turn(state.turn + 1, left, state, by_planes(_summed, state.shown, showing), pending, tuple(committed))
 
     def corrected(self, state: LiveState, lights: Mapping[int, np.ndarray], showed: Sequence[int]) -> LiveState:
         """The state where other versions were shown than decided, as when one came too late.
@@ -233,46 +250,58 @@ class LiveLoop:
             lights[decision.version] = decision.light
             yield decision
 
-    def _kept(self, turn: int, left: int, state: LiveState, reason: str) -> Decision:
-        stop = not left or turn + self.ahead >= self.longest
-        return Decision(turn, "stop" if stop else "keep", state.version, state.light, left, reason=reason)
+    def _kept(self, at: _Turn, reason: str) -> Decision:
+        stop, before = not at.left or at.turn + self.ahead >= self.longest, at.before
+        return Decision(at.turn, "stop" if stop else "keep", before.version, before.light, at.left, reason=reason)
 
-    def _replanned(
-        self, turn: int, left: int, state: LiveState, shown: np.ndarray, pending: np.ndarray, told: Measured,
-        seen: Seen, committed: list[np.ndarray], laps: _Laps,
-    ) -> Decision:  # fmt: skip
-        grid, operator = self.estimator.operator.grid, self.estimator.operator
-        inside = np.broadcast_to(grid.cylinder()[:, :, None], grid.shape)
-        if np.count_nonzero(seen.conversion[inside] > SIGNIFICANT) < ENOUGH:
+    def _replanned(self, at: _Turn, told: Measured, seen: Seen, laps: _Laps) -> Decision:
+        if self._cured(seen) < ENOUGH:
             # A weak lamp must not end a print before anything is seen.
-            return self._kept(turn, max(left, min(1, self.longest - turn - self.ahead)), state, "nothing cured yet")
+            some = max(at.left, min(1, self.longest - at.turn - self.ahead))
+            return self._kept(replace(at, left=some), "nothing cured yet")
         deviation = self._deviation(told, seen)
         laps.over("see")
-        acted = np.asarray(shown - pending, np.float32)
-        even = operator.T(acted)
-        some = np.flatnonzero(inside)[:: max(np.count_nonzero(inside) // FIRST, 1)]
-        gain, inhibitor = self._first_look(*(field.reshape(-1)[some] for field in (even, seen.conversion, deviation)))
-        start = np.array(self.prior.mean if state.values is None else state.values)
-        start[0], start[6] = gain, self.resin.induction * (1.0 - inhibitor)
-        found = self.estimator.estimate(acted, seen.conversion, sqrt(ALIKE) * deviation, self.prior, start=start)
-        inhibitor = 1.0 - float(found.values[6]) / self.resin.induction
+        acted = by_planes(_less, at.shown, at.pending)
+        found = self._estimated(at.before, acted, seen.conversion, deviation)
         laps.over("estimate")
-        delivering = self.estimator.delivering(found.values)
-        coming = pending + np.sum(committed, axis=0) if committed else pending
-        more = delivering.T(np.asarray(coming, np.float32))
-        delivered = by_planes(lambda had, more: had + more, found.dose, more)
+        delivering = self.estimator.nearly(found.values, acted, found.lit)
+        more = delivering.T(by_planes(_summed, at.pending, *at.committed))
+        delivered = by_planes(_summed, found.dose, more)
         plan = self.replanner.replan(
-            delivering, delivered.astype(np.float32), state.light.astype(np.float32), left,
-            range(max(self.longest - turn - self.ahead, 0) + 1), evaluations=self.evaluations,
+            delivering, delivered, at.before.light.astype(np.float32), at.left,
+            range(max(self.longest - at.turn - self.ahead, 0) + 1), evaluations=self.evaluations,
             wanted=self._wanted(float(found.values[6])),
         )  # fmt: skip
-        turns, light = plan.expected.turns, np.array(plan.light)
+        decision = self._decided(at, found, plan, delivered)
         laps.over("replan")
-        swapped = not np.array_equal(light, state.light)
-        action = "stop" if not turns else "swap" if swapped else "keep"
-        return Decision(turn, action, state.version + swapped, light, turns, inhibitor, found.parameters,
-                        float(plan.expected.iou), f"overlap {plan.kept.iou:.4f} without",
-                        dose=delivered / self.resin.solid)  # fmt: skip
+        return decision
+
+    def _cured(self, seen: Seen) -> int:
+        """Voxels in the judged cylinder that have."""
+        inside = self.estimator.operator.grid.cylinder()[..., None]
+        return int(np.count_nonzero(by_planes(lambda m, inside: (m > SIGNIFICANT) & inside, seen.conversion, inside)))
+
+    def _estimated(self, before: LiveState, acted: np.ndarray, seen: np.ndarray, deviation: np.ndarray) -> Estimate:
+        """Parameters and dose of the light that has acted, from the conversion seen and its deviation."""
+        columns, slices = np.flatnonzero(self.estimator.operator.grid.cylinder()), seen.shape[2]
+        count = columns.size * slices
+        column, z = np.divmod(np.arange(0, count, max(count // FIRST, 1)), slices)
+        some = columns[column] * slices + z
+        even = (self.estimator.quick or self.estimator.operator).T(acted)
+        gain, inhibitor = self._first_look(*(field.reshape(-1)[some] for field in (even, seen, deviation)))
+        start = np.array(self.prior.mean if before.values is None else before.values)
+        start[0], start[6] = gain, self.resin.induction * (1.0 - inhibitor)
+        return self.estimator.estimate(acted, seen, sqrt(ALIKE) * deviation, self.prior, start=start)
+
+    def _decided(self, at: _Turn, found: Estimate, plan: Replanned, delivered: np.ndarray) -> Decision:
+        """What follows from a plan of the rest."""
+        turns, light = plan.expected.turns, np.array(plan.light)
+        swapped = not np.array_equal(light, at.before.light)
+        return Decision(
+            at.turn, "stop" if not turns else "swap" if swapped else "keep", at.before.version + swapped, light, turns,
+            1.0 - float(found.values[6]) / self.resin.induction, found.parameters, float(plan.expected.iou),
+            f"overlap {plan.kept.iou:.4f} without", dose=delivered / self.resin.solid,
+        )  # fmt: skip
 
     def _deviation(self, told: Measured, seen: Seen) -> np.ndarray:
         """Standard deviation of the conversion seen: noise, what is rounded off at edges, and what models lack."""
@@ -293,7 +322,8 @@ class LiveLoop:
     def _wanted(self, head_start: float) -> np.ndarray:
         """Dose of the whole plan, by as much less as resin with a head start needs, which counts as dose."""
         solid = self.resin.solid
-        return head_start + (solid - head_start) / solid * self._planned_dose
+        left = (solid - head_start) / solid
+        return by_planes(lambda planned: head_start + left * planned, self._planned_dose)
 
     @cached_property
     def _planned_dose(self) -> np.ndarray:
@@ -307,6 +337,14 @@ class LiveLoop:
             row += np.square((self.estimator.conversion(gain * dose + used) - seen) / deviation).sum(axis=1)
         i, k = np.unravel_index(int(np.argmin(usual)), usual.shape)
         return float(GAINS[i]), float(INHIBITORS[k])
+
+
+def _summed(*parts: np.ndarray) -> np.ndarray:
+    return sum(parts[1:], parts[0]).astype(np.float32)
+
+
+def _less(whole: np.ndarray, part: np.ndarray) -> np.ndarray:
+    return (whole - part).astype(np.float32)
 
 
 def _values(decision: Decision, last: np.ndarray | None) -> np.ndarray | None:

@@ -57,6 +57,10 @@ class LiveSetup:
         device: That the decisions were made on; others round otherwise.
         ahead: Turns that begin before a decision can reach the projector.
         every: Decide after every so many turns.
+        fill: Share of a pixel of the beam that is lit.
+        spread: Standard deviation of the beam's point spread [mm]; None for half a pixel.
+        dose: Of one unit of planned light, in units of the resin's dose.
+        rings: Whether to see and to plan on rings, see `vamgpu.RingProjection`; None where they are faster.
     """
 
     shape: tuple[int, int, int]
@@ -78,24 +82,31 @@ class LiveSetup:
     device: str = ""
     ahead: int = 0
     every: int = 1
+    fill: float = 1.0
+    spread: float | None = None
+    dose: float = 1.0
+    rings: bool | None = None
 
-    def projection(self, vial: Vial) -> Projection:
+    def projection(self, vial: Vial, beam: Beam | None = None) -> Projection:
         """Rays through a vial, on the device of this setup.
 
         Args:
             vial: As one of the two lights sees it.
+            beam: Whose rays; None takes that of the printing light.
 
         Returns:
             The operator.
         """
         device = open_device(self.device or None)
         return Projection(
-            Grid(self.shape, self.pitch), Beam(self.pixels, self.pixel), Turntable(self.angles), vial, device=device
-        )
+            Grid(self.shape, self.pitch), beam or Beam(self.pixels, self.pixel, self.fill, self.spread),
+            Turntable(self.angles), vial, device=device,
+        )  # fmt: skip
 
     def camera(self) -> MonitoringCamera:
         """The camera on the plan's grid."""
-        return MonitoringCamera(self.projection(self.red), self.open_field, self.noise)
+        rays = self.projection(self.red, Beam(self.pixels, self.pixel))
+        return MonitoringCamera(rays, self.open_field, self.noise)
 
     def loop(self, part: np.ndarray, light: np.ndarray) -> LiveLoop:
         """The loop of a print.
@@ -108,10 +119,10 @@ class LiveSetup:
             The loop, before its first turn.
         """
         replanner = Replanner(part, most=self.most * float(light.max()), threshold=self.resin.solid)
-        estimator = Estimator(self.projection(self.vial), self.resin.response)
+        estimator = Estimator(self.projection(self.vial), self.resin.response, rings=self.rings)
         return LiveLoop(
-            Tomograph(self.camera(), self.turbidity), estimator, replanner, self.resin, light, self.planned,
-            self.longest, self.iterations, self.evaluations, ahead=self.ahead, every=self.every,
+            Tomograph(self.camera(), self.turbidity, rings=self.rings), estimator, replanner, self.resin, light,
+            self.planned, self.longest, self.iterations, self.evaluations, ahead=self.ahead, every=self.every,
         )  # fmt: skip
 
     @classmethod
@@ -298,6 +309,9 @@ class LiveRecord:
     def _text(self, name: str) -> str:
         try:
             return read_text(self.folder / name)
+        except FileNotFoundError as error:
+            raise StorageError(f"{str(self.folder)!r} has no {name}; expected the folder of a run that was watched, as "
+                               "`vam print --live` makes one") from error  # fmt: skip
         except OSError as error:
             raise explained("read", self.folder / name, error) from error
 

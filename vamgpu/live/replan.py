@@ -25,7 +25,8 @@ from vamgpu.methods.projector import Projector
 from vamgpu.methods.ramp import capped_ramp
 from vamgpu.methods.state import OptimizerState
 from vamgpu.methods.window import SPAN
-from vamgpu.metrics import score
+from vamgpu.metrics.histogram import above
+from vamgpu.metrics.parts import Parts
 from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.reductions import dot, extent, total
 from vamgpu.operators.space import require
@@ -85,6 +86,26 @@ class Replanned:
     kept: Outlook
     expected: Outlook
     evaluations: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What light a print still needs: delivered dose, the plan's light of a turn, and numbers of turns, in order."""
+
+    state: OptimizerState
+    target: DeviceArray
+    border: Border
+    given: DeviceArray
+    light: DeviceArray
+    counts: Sequence[int]
+
+
+@dataclass(frozen=True)
+class _Printed:
+    """A print, and how far its surface is off [voxels]."""
+
+    outlook: Outlook
+    off: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,43 +176,62 @@ class Replanner:
         target, border = self._part(operator)
         state = OptimizerState(operator, target, {}, "loss")  # type: ignore[arg-type]
         state.most_evaluations = positive("evaluations", evaluations)
-        device = operator.device
-        given = finite(operator.domain, delivered, device, "the delivered dose")
-        light = finite(operator.range, plan, device, "the plan's light")
-        loss = self._loss(np.asarray(delivered), border.part, deviation).on(state.field)
-        dose, work = state.volume(), state.volume()
-
+        given = finite(operator.domain, delivered, operator.device, "the delivered dose")
+        light = finite(operator.range, plan, operator.device, "the plan's light")
+        asked, dose = _Asked(state, target, border, given, light, counts), state.volume()
         state.expose(light, dose)
-        mean = state.part_mean(dose)
-        state.combine(1.0, given, float(planned), dose, work)
-        kept, kept_off = self._outlook(planned, work, target, state), border.off(work)
-        possible = extent(light)[1] <= self.most * (1.0 + ROUNDING) and planned in counts
-
-        best, best_off, expected = None, inf, kept
+        kept = self._printed(asked, planned, float(planned), dose)
+        best, found = None, None
         if counts[-1]:
-            missing = max(0.5 * (self.inside + self.greatest) - state.part_mean(given), LITTLE) / mean
-            begin = state.memory["light"] = state.sinogram()
-            state.scale(missing, light, begin)
-            fewest = self._turns(begin, counts)
-            if wanted is not None and state.affords(1.0 + 0.5):
-                self._corrected(state, begin, missing, dose, given, finite(operator.domain, wanted, device,
-                                "the wanted dose"))  # fmt: skip
-            capped(begin, fewest * self.most)
+            fewest = self._begin(asked, dose, wanted)
+            loss = self._loss(np.asarray(delivered), border.part, deviation).on(state.field)
             best = self._lowered(state, loss, given, fewest)
-            state.expose(best, dose)
-            share = min(border.share(given, dose), counts[-1] * self.most / max(extent(best)[1], 1e-30))
-            state.scale(share, best, best)
-            state.combine(1.0, given, share, dose, work)
-            needed = self._turns(best, counts)
-            expected, best_off = self._outlook(needed, work, target, state), border.off(work)
-        off = border.off(given)
-        if counts[0] == 0 and off <= min(FORMED, min(best_off, kept_off if possible else inf) + WORTH):
-            dark = state.device.upload(np.zeros(light.shape, np.float32))
-            return Replanned(dark, kept, self._outlook(0, given, target, state), state.evaluations)
-        if best is None or (possible and kept_off <= best_off):
-            return Replanned(light, kept, kept, state.evaluations)
-        state.scale(1.0 / expected.turns, best, best)
-        return Replanned(best, kept, expected, state.evaluations)
+            found = self._sized(asked, best, dose)
+        return self._chosen(asked, planned, kept, best, found)
+
+    def _begin(self, asked: _Asked, dose: DeviceArray, wanted: Any) -> int:
+        """Make the state's light that of all the turns together, to begin with; the fewest turns that can give it."""
+        state, light = asked.state, asked.light
+        lacking = 0.5 * (self.inside + self.greatest) - state.part_mean(asked.given)
+        share = max(lacking, LITTLE) / state.part_mean(dose)
+        begin = state.memory["light"] = state.sinogram()
+        state.scale(share, light, begin)
+        fewest = self._turns(begin, asked.counts)
+        if wanted is not None and state.affords(1.0 + 0.5):
+            whole = finite(state.operator.domain, wanted, state.device, "the wanted dose")
+            self._corrected(state, begin, share, dose, asked.given, whole)
+        capped(begin, fewest * self.most)
+        return fewest
+
+    def _sized(self, asked: _Asked, light: DeviceArray, dose: DeviceArray) -> _Printed:
+        """Scale light to what brings the surface nearest to the part's, as far as the projector can; its print."""
+        state, counts = asked.state, asked.counts
+        state.expose(light, dose)
+        possible = counts[-1] * self.most / max(extent(light)[1], 1e-30)
+        share = min(asked.border.share(asked.given, dose), possible)
+        state.scale(share, light, light)
+        return self._printed(asked, self._turns(light, counts), share, dose)
+
+    def _chosen(
+        self, asked: _Asked, planned: int, kept: _Printed, light: DeviceArray | None, found: _Printed | None
+    ) -> Replanned:
+        """The dark, the plan's light or the light found, by where the surface of the print will lie."""
+        counts, spent = asked.counts, asked.state.evaluations
+        possible = planned in counts and extent(asked.light)[1] <= self.most * (1.0 + ROUNDING)
+        going_on = min(inf if found is None else found.off, kept.off if possible else inf)
+        if counts[0] == 0 and asked.border.off(asked.given) <= min(FORMED, going_on + WORTH):
+            dark = asked.state.device.upload(np.zeros(asked.light.shape, np.float32))
+            return Replanned(dark, kept.outlook, self._outlook(asked, 0, asked.given), spent)
+        if light is None or found is None or (possible and kept.off <= found.off):
+            return Replanned(asked.light, kept.outlook, kept.outlook, spent)
+        asked.state.scale(1.0 / found.outlook.turns, light, light)
+        return Replanned(light, kept.outlook, found.outlook, spent)
+
+    def _printed(self, asked: _Asked, turns: int, share: float, dose: DeviceArray) -> _Printed:
+        """The print after a share of a dose."""
+        whole = asked.state.volume()
+        asked.state.combine(1.0, asked.given, share, dose, whole)
+        return _Printed(self._outlook(asked, turns, whole), asked.border.off(whole))
 
     def _part(self, operator: Projector) -> tuple[DeviceArray, Border]:
         """The part on an operator's device, and its border: found once, however often the operator is clouded."""
@@ -224,10 +264,11 @@ class Replanner:
         gain = 1.0 if gain is None else dot(gain, gain) / prod(gain.shape)
         pace = Pace(1.0 / gain, soon=1.0, possible=True)
         channel = Channel(state, capped_ramp(state.operator, CAP, SPAN))
-        steps = minimize(DoseObjective(state, loss, pace, rest=given), (channel,), pace)
+        steps = minimize(DoseObjective(state, loss, pace, rest=given, windows=False), (channel,), pace)
         while state.affords(1.0 + 0.5) and next(steps, None) is not None:
-            capped(channel.light, turns * self.most)
-            capped(channel.ahead, turns * self.most)
+            for each in (channel.light, channel.ahead):
+                if extent(each)[1] > turns * self.most:
+                    capped(each, turns * self.most)
         steps.close()
         return state.memory.get("best", state.memory["light"])
 
@@ -245,5 +286,8 @@ class Replanner:
         return Band(band.center, band.slack, band.gain, band.power, binary=True,
                     weight=(~lost).astype(np.float32))  # fmt: skip
 
-    def _outlook(self, turns: int, dose: DeviceArray, target: DeviceArray, state: OptimizerState) -> Outlook:
-        return Outlook(turns, state.window(dose)[0], float(score(dose, target, threshold=self.threshold).iou))
+    def _outlook(self, asked: _Asked, turns: int, dose: DeviceArray) -> Outlook:
+        assert self.threshold is not None
+        parts = Parts(dose, asked.target, 0.5, None)
+        (_, excess), (missing, printed) = above(parts, float(np.float32(self.threshold)))[0].tolist()
+        return Outlook(turns, asked.state.window(dose)[0], printed / (missing + printed + excess))

@@ -20,12 +20,15 @@ from vamgpu.kernels.filter import filter_rows
 from vamgpu.kernels.gauss import blur_planes
 from vamgpu.kernels.update import correct_by_ratio, multiply
 from vamgpu.live.camera import MonitoringCamera
+from vamgpu.live.rings import on_rings
 from vamgpu.live.smooth import Smoothing
 from vamgpu.live.turbidity import Turbidity
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.compose import NO_FLOOR, combine
+from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import dot
+from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.space import require
 
 ITERATIONS = 30
@@ -91,6 +94,7 @@ class Tomograph:
         turbidity: Of the resin.
         contrast: δ, how much neighboring voxels differ, over the extinction of fully cured resin. The more, the
             sharper and the noisier.
+        rings: Whether to see on rings, see `RingProjection`; None where they are faster.
 
     Raises:
         BadInput: The contrast is not above 0.
@@ -99,12 +103,20 @@ class Tomograph:
     camera: MonitoringCamera
     turbidity: Turbidity
     contrast: float
+    rings: bool | None
 
-    def __init__(self, camera: MonitoringCamera, turbidity: Turbidity, contrast: float = 0.2) -> None:
-        self.camera, self.turbidity = camera, turbidity
+    def __init__(
+        self, camera: MonitoringCamera, turbidity: Turbidity, contrast: float = 0.2, rings: bool | None = None
+    ) -> None:
+        self.camera, self.turbidity, self.rings = camera, turbidity, rings
         self.contrast = positive("contrast", contrast)
-        self._A, self._device = camera.projection, camera.projection.device
+        self._device = camera.projection.device
         self._stiffness = (self.contrast * turbidity.full) ** -2
+
+    @cached_property
+    def operator(self) -> Projection | RingProjection:
+        """What fields are found with; its tables are made when it is first asked for."""
+        return on_rings(self.camera.projection, self.rings) or self.camera.projection
 
     def measure(self, images: Any) -> Measured:
         """What the images of a turn say; `see` and `deviation` take it in place of the images.
@@ -146,11 +158,11 @@ class Tomograph:
         """
         begun = perf_counter()
         told = self._measured(images, iterations)
-        start, depth = self._device.empty(self._A.domain.shape), told.depth
+        start, depth = self._device.empty(self.operator.domain.shape), told.depth
         if last is None:
             combine(0.0, self._ones, 0.0, self._ones, start)
         else:
-            require(self._A.domain, last.extinction, "the last field")
+            require(self.operator.domain, last.extinction, "the last field")
             start = self._device.upload(last.extinction)
             depth = self._unbiased(depth, start, last.extinction)
         steps = _Descent(self, depth, told, start, floor=0.0)
@@ -183,8 +195,8 @@ class Tomograph:
             ShapeMismatch: The images are of another geometry.
         """
         told = self._measured(images, iterations)
-        noise, start = self._device.empty(self._A.range.shape), self._device.empty(self._A.domain.shape)
-        self._device.launch(draw_noise, weight=told.weight, slices=self._slices, seed=seed, noise=noise)
+        noise, start = self._device.empty(self.operator.range.shape), self._device.empty(self.operator.domain.shape)
+        self._device.launch(draw_noise, weight=told.weight, slices=self._rows, seed=seed, noise=noise)
         combine(0.0, self._ones, 0.0, self._ones, start)
         steps = _Descent(self, noise, told, start, floor=NO_FLOOR)
         for _ in range(iterations):
@@ -202,7 +214,7 @@ class Tomograph:
         index = self.turbidity.index_at(self.turbidity.conversion_at(values)) if self.turbidity.index else None
         dark, linear, out = (
             self.camera.darkened(extinction, index),
-            self._A(extinction),
+            self.operator(extinction),
             self._device.empty(depth.shape),
         )
         combine(1.0, depth, 0.0, depth, out)
@@ -211,20 +223,20 @@ class Tomograph:
 
     @cached_property
     def _ones(self) -> DeviceArray:
-        return self._device.upload(np.ones(self._A.domain.shape, np.float32))
+        return self._device.upload(np.ones(self.operator.domain.shape, np.float32))
 
     @cached_property
-    def _slices(self) -> DeviceArray:
-        return self._device.table(np.arange(self._A.domain.shape[2]), "int32")
+    def _rows(self) -> DeviceArray:
+        return self._device.table(np.arange(self.operator.range.shape[2]), "int32")
 
     @cached_property
     def _patches(self) -> Smoothing:
-        return Smoothing(self._device, self._A.domain.shape, PATCH)
+        return Smoothing(self._device, self.operator.domain.shape, PATCH)
 
     @cached_property
     def _lengths(self) -> DeviceArray:
         """A·1, what every ray passes of the grid."""
-        return self._A(self._ones)
+        return self.operator(self._ones)
 
     @cached_property
     def _bending(self) -> DeviceArray:
@@ -238,7 +250,7 @@ class _Descent:
     def __init__(
         self, tomograph: Tomograph, depth: DeviceArray, told: Measured, start: DeviceArray, floor: float
     ) -> None:
-        self._tomograph, self._A, self._floor, self._taken = tomograph, tomograph._A, floor, 0
+        self._tomograph, self._A, self._floor, self._taken = tomograph, tomograph.operator, floor, 0
         self._depth, self._weight, self._pixels = depth, told.weight, told.pixels
         device, ones = self._A.device, tomograph._ones
         self._residual, self._weighted = device.empty(depth.shape), device.empty(depth.shape)

@@ -17,6 +17,9 @@ OFTEN = 10
 SLACK = 1e-3
 """Dose, a share of the greatest, by which a scenario that rests may be beyond all others before it is computed."""
 
+TIED = 2e-3
+"""Dose, a share of the greatest, by which scenarios hold a window of thresholds alike."""
+
 
 class ActiveScenarios:
     """The scenarios of a run: it begins with those that hold the first light's window, and takes up others that do.
@@ -27,13 +30,14 @@ class ActiveScenarios:
 
     Args:
         state: Of the run; a resumed one goes on with the scenarios that its memory names.
+        void: Dose outside the part that stands for that of scenarios that rest; in the part it is 1.
     """
 
     scenarios: Scenarios | None
     state: OptimizerState
 
-    def __init__(self, state: OptimizerState) -> None:
-        operator = state.operator
+    def __init__(self, state: OptimizerState, void: float = -1.0) -> None:
+        operator, self.void = state.operator, void
         self.scenarios = operator if isinstance(operator, Scenarios) and len(operator) > 1 else None
         self.state = state
         if self.scenarios is not None and "resting" in state.memory:
@@ -99,6 +103,30 @@ class ActiveScenarios:
         self._rest(tuple(chosen))
         return tuple(chosen) != before
 
+    def hold(self, light: DeviceArray, dose: DeviceArray) -> float:
+        """Compute the dose at all scenarios, half an evaluation each, and let those rest that do not hold the window.
+
+        Args:
+            light: [angle, r, z].
+            dose: Takes its dose at all of them.
+
+        Returns:
+            The light's strict window, all scenarios counted.
+        """
+        scenarios, state = self.scenarios, self.state
+        assert scenarios is not None
+        if self.any_rest:
+            self._rest((False,) * len(scenarios))
+        state.expose(light, dose)
+        found = self._windows(dose)
+        holding, greatest = _holding(found), max(top for _, _, top in found)
+        low, high = min(least for least, _, _ in found), max(leak for _, leak, _ in found)
+        for scenario, (least, leak, _) in enumerate(found):
+            if least < low + TIED * greatest or leak > high - TIED * greatest:
+                holding.add(scenario)
+        self._rest(tuple(scenario not in holding for scenario in range(len(scenarios))))
+        return state.window(dose)[0]
+
     def counted(self, fields: np.ndarray) -> np.ndarray:
         """What does not rest of a volume of all scenarios, 0 elsewhere.
 
@@ -130,7 +158,7 @@ class ActiveScenarios:
         instead = None
         if any(resting):
             part = scenarios.taken(self.state.target, 0).numpy() >= 0.5
-            instead = scenarios.device.upload(np.where(part, 1.0, -1.0).astype(np.float32))
+            instead = scenarios.device.upload(np.where(part, 1.0, self.void).astype(np.float32))
         scenarios.rest(resting, instead)
         self.state.memory["resting"] = resting
 

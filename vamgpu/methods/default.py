@@ -12,11 +12,14 @@ from vamgpu.methods.method import Criterion, Method, Steps
 from vamgpu.methods.state import OptimizerState
 from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
+from vamgpu.operators.scenarios import Scenarios
 
 MANY = 64.0
 """Evaluations from which on prices lead to a wider window than thresholds, on slices."""
 VOXELS = 110.0
 """Voxels of a solid that each evaluation must stand for at most for prices to lead."""
+CORNERS = 300.0
+"""Evaluations of every scenario from which on prices lead to a wider window for all corners of tolerances."""
 VOLUMES, SINOGRAMS = 12, 6
 """Memory that prices take."""
 
@@ -24,6 +27,8 @@ VOLUMES, SINOGRAMS = 12, 6
 @dataclass(frozen=True)
 class BestWindow(Method):
     """`WidestWindow` where a run may spend 64 evaluations, and one for every 110 voxels; else `ProcessWindow`.
+
+    With tolerances it is `WidestWindow` from 300 evaluations of every corner on, or more as above.
 
     Bodies with weights, and gray ones, which prices hold from below alone, are `ProcessWindow`'s at any number.
 
@@ -44,7 +49,7 @@ class BestWindow(Method):
             if "best" in memory:
                 state.scale(1.0, state.buffer("best"), state.buffer("light"))
                 memory["stage"] = state.iteration
-                for name in ("ahead", "dose"):
+                for name in ("ahead", "dose", "resting"):
                     memory.pop(name, None)
         yield from (WidestWindow() if memory.get("priced") else ProcessWindow()).steps(state)
 
@@ -62,7 +67,8 @@ class BestWindow(Method):
 
 def _many(state: OptimizerState) -> bool:
     """Whether prices lead: for a run that may spend enough, and for one whose light may not be too bright."""
-    enough = max(MANY, prod(state.operator.domain.shape) / VOXELS)
+    many = CORNERS * len(state.operator) if isinstance(state.operator, Scenarios) and len(state.operator) > 1 else MANY
+    enough = max(many, prod(state.operator.domain.shape) / VOXELS)
     return state.budget - state.evaluations >= enough or state.brightness < inf
 
 

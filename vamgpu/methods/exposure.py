@@ -27,6 +27,7 @@ class DoseObjective:
         rest: Dose that other light brings.
         dose: To work in; None for a new volume.
         gradient: To work in; None for a new sinogram.
+        windows: Whether to find the strict window of each light; without, it is told as 0.
     """
 
     state: OptimizerState
@@ -38,6 +39,7 @@ class DoseObjective:
     def __init__(
         self, state: OptimizerState, loss: Loss, pace: Pace, *, penalty: tuple[float, float] = (0.0, 1.0),
         rest: DeviceArray | None = None, dose: DeviceArray | None = None, gradient: DeviceArray | None = None,
+        windows: bool = True,
     ) -> None:  # fmt: skip
         self.state, self.loss, self.pace, self.penalty, self.rest = state, loss.on(state.field), pace, penalty, rest
         self.dose: DeviceArray = state.volume() if dose is None else dose
@@ -46,15 +48,15 @@ class DoseObjective:
         kept = state.memory.get("gradient") if pace.history else gradient
         self._gradient = state.sinogram() if kept is None else kept
         self._at = "light" if pace.history else "ahead"
-        self._projected = False
+        self._projected, self._windows = False, windows
 
     def value(self, carried: float = 0.0) -> tuple[float, float]:
         state, pace, self._projected = self.state, self.pace, False
         state.expose(state.buffer(self._at), self.dose)
         if self.rest is not None:
             state.combine(1.0, self.dose, 1.0, self.rest, self.dose)
-        held = self._dose_of_light(carried)
-        window = 0.0 if pace.fixed else state.window(held)[0]
+        held = self._dose_of_light(carried) if self._windows or pace.back <= 1.0 else self.dose
+        window = state.window(held)[0] if self._windows and not pace.fixed else 0.0
         loss = state.loss(self.dose, self.loss) + self._bright()
         if pace.back <= 1.0 and loss > 0.0:
             self.gradient()  # also where the step is taken back: an iteration is one evaluation

@@ -263,6 +263,8 @@ class _Run:
         state, before = self.state, self.resumed
         if before is not None and len(self.history) == len(before.history):
             return before
+        if isinstance(state.operator, Scenarios):
+            state.operator.rest((False,) * len(state.operator), None)
         light, window, iteration = state.best.choose(state)
         certify = getattr(self.method, "certify", None)
         bound = None if certify is None else certify(state)

@@ -10,6 +10,8 @@ import numpy as np
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import MOST, Band
 from vamgpu.losses.loss import Loss
+from vamgpu.methods.active import ActiveScenarios
+from vamgpu.methods.corners import ThresholdsOfCorners
 from vamgpu.methods.exposure import DoseObjective
 from vamgpu.methods.fbp import filtered_light
 from vamgpu.methods.method import Criterion, Method, Steps
@@ -81,9 +83,15 @@ class ProcessWindow(Method):
             state.best.renew()
             state.memory["judged"] = 1.0
         pace = Pace(self.step / state.number("gain"), soon=1.0)
+        weight = None if state.limits is None else state.device.upload(_levelled(state.limits))
+        active, objective = ActiveScenarios(state, 0.0), None
+        if active.scenarios is None or state.best.criterion == "loss":
+            loss = self.loss if weight is None else self.loss.weighted(weight)
+            objective = DoseObjective(state, loss, pace)
+        else:
+            objective = ThresholdsOfCorners(state, active, self.inside - self.outside, self.most, pace, weight)
         channel = Channel(state, capped_ramp(state.operator, self.cap, SPAN))
-        loss = self.loss if state.limits is None else self.loss.weighted(state.device.upload(_levelled(state.limits)))
-        yield from minimize(DoseObjective(state, loss, pace), (channel,), pace)
+        yield from minimize(objective, (channel,), pace)
 
 
 def _levelled(limits: Limits) -> np.ndarray:

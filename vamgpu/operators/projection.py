@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
-from math import sqrt
 from typing import Literal, final
 
 import numpy as np
@@ -80,8 +81,7 @@ class Projection(LinearOperator):
         if footprint == "joseph":
             self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device)
         else:
-            pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
-            self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device, **pixel)
+            self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
             self._light, self._gather = self._tables()
 
     def __repr__(self) -> str:
@@ -149,6 +149,29 @@ class Projection(LinearOperator):
             self.device.launch(back_joseph, **fields, pitch=self.grid.pitch)
         else:
             self.device.launch(back_footprint, **fields, **self._light)
+
+    def of_poses(self, chosen: Sequence[int]) -> Projection:
+        """This projection at some of its angles; all that does not depend on them is shared.
+
+        Args:
+            chosen: Numbers of the angles, in order.
+
+        Returns:
+            The projection, whose light is [chosen angle, r, z].
+
+        Raises:
+            BadInput: Angles are lit for times of their own, which are shares of a whole turn's.
+        """
+        if self.motion.dwell is not None:
+            raise BadInput(f"got {self.motion} angles; expected angles that are lit as long")
+        some, poses = copy(self), self.motion.poses[list(chosen)]
+        for kept in ("_slices", "_transpose"):
+            vars(some).pop(kept, None)
+        some.motion = Turntable(poses)
+        some.range = SinogramSpace(self.beam, some.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
+        some._dwell = Dwell(some.motion, self.device)
+        some._directions = self.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
+        return some
 
     @property
     def row_weights(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from math import ceil
@@ -13,7 +14,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, Vessel
+from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, Vessel, positive
 from vamgpu.kernels.gather import gather_rows
 from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.spectrum import ONE_SUM, ROWS
@@ -88,15 +89,14 @@ class RingProjection(LinearOperator):
         if why:
             raise BadInput(f"rings do not take it: {why}; use Projection, which takes the same arguments")
         self.grid, self.beam, self.motion, self.vessel = grid, beam, motion, vessel
-        self.rings = _rings(grid, motion.angles) if rings is None else _fitting(rings, grid, motion)
+        self.rings = _rings(grid, motion.angles, WIDTH) if rings is None else _fitting(rings, grid, motion)
         self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
         self._strips, slices = _strips(self.rings, beam, self.device)
         some = replace(self.rings, slices=slices)
         self._spectral = SpectralProjection(some, beam, vessel, self.device, square=grid.pitch, faint=FAINT)
-        pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": beam.fill**0.5, "sigma": beam.sigma}
-        self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device, **pixel)
+        self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
         found = _interpolated(self.rings, grid)
         self._to_voxels = found.table(self.device, grid.shape[:2], BLOCK)
         self._to_rings = found.transposed().table(self.device, self.rings.shape[:2], BLOCK)
@@ -104,11 +104,12 @@ class RingProjection(LinearOperator):
             self._take_memory()
 
     @classmethod
-    def of(cls, A: Projection) -> RingProjection:
+    def of(cls, A: Projection, width: float = WIDTH) -> RingProjection:
         """What gives the dose of a projection, on its device.
 
         Args:
             A: The projection.
+            width: Of rings over that of voxels; wider ones are faster, and less exact.
 
         Returns:
             The same on rings; ``direct`` of it is ``A``.
@@ -119,9 +120,24 @@ class RingProjection(LinearOperator):
         why = against_rings(A)
         if why:
             raise BadInput(f"rings do not take {A!r}: {why}; use that operator itself")
-        found = cls(A.grid, A.beam, A.motion, A.vessel, A.device)
+        rings = _rings(A.grid, A.motion.angles, positive("width", width))
+        found = cls(A.grid, A.beam, A.motion, A.vessel, A.device, rings=rings)
         found.direct = A
         return found
+
+    def raised(self, height: float) -> RingProjection:
+        """The same for light that lies higher, by the same tables; its ``direct`` is that of light which does not.
+
+        Args:
+            height: By which it does [mm].
+
+        Returns:
+            The operator.
+        """
+        other = copy(self)
+        other._transpose = None
+        other._rows = RowResampler.of(self.beam, self.grid.shape[2], self.grid.pitch, self.device, height)
+        return other
 
     @cached_property
     def direct(self) -> Projection:
@@ -237,10 +253,10 @@ def _against(grid: Grid, motion: Turntable) -> str:
     return f"a slice has more than {WHOLE} voxels" if grid.shape[0] * grid.shape[1] > WHOLE else ""
 
 
-def _rings(grid: Grid, angles: int) -> PolarGrid:
+def _rings(grid: Grid, angles: int, width: float) -> PolarGrid:
     """Rings out to beyond the taps of the outermost voxel that every angle lights."""
-    count = ceil(0.5 * (min(grid.shape[:2]) - 1) / WIDTH + TAPS[-1] + 0.5)
-    return PolarGrid(-(-count // ROWS) * ROWS, grid.shape[2], WIDTH * grid.pitch, angles, grid.pitch)
+    count = ceil(0.5 * (min(grid.shape[:2]) - 1) / width + TAPS[-1] + 0.5)
+    return PolarGrid(-(-count // ROWS) * ROWS, grid.shape[2], width * grid.pitch, angles, grid.pitch)
 
 
 def _strips(rings: PolarGrid, beam: Beam, device: Device) -> tuple[range, int]:

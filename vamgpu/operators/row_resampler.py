@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.geometry import Beam
 from vamgpu.kernels.footprint import FAR, TAIL, THINNEST
 from vamgpu.kernels.resample import resample
 
@@ -21,6 +24,7 @@ class RowResampler:
         device: that holds the tables.
         fill: height of a row's lit box over its pitch.
         sigma: standard deviation of the point spread [rows].
+        raised: by which the light lies higher [rows].
     """
 
     rows: int
@@ -29,21 +33,38 @@ class RowResampler:
 
     def __init__(
         self, rows: int, row_pitch: float, slices: int, slice_pitch: float, device: Device, fill: float = 1.0,
-        sigma: float = 0.0,
+        sigma: float = 0.0, raised: float = 0.0,
     ) -> None:  # fmt: skip
         self.rows, self.slices, self.device = rows, slices, device
         ratio = slice_pitch / row_pitch
         self.same_pitch: bool = abs(ratio - 1.0) < 1e-6
-        self.same: bool = rows == slices and self.same_pitch and fill == 1.0 and sigma == 0.0
+        self.same: bool = rows == slices and self.same_pitch and fill == 1.0 and sigma == raised == 0.0
         """Whether each row is a slice."""
         self.weights: np.ndarray = np.eye(rows)
         """What each slice gets of the light of each row, (slices, rows)."""
         if self.same:
             return
-        position = (np.arange(slices) - 0.5 * (slices - 1)) * ratio + 0.5 * (rows - 1)
+        position = (np.arange(slices) - 0.5 * (slices - 1)) * ratio + 0.5 * (rows - 1) - raised
         matrix = ratio * _mean(position[:, None] - np.arange(rows), ratio, fill, sigma)
         self.weights = matrix
         self._to_slices, self._from_slices = (banded(device, m) for m in (matrix, matrix.T))
+
+    @classmethod
+    def of(cls, beam: Beam, slices: int, pitch: float, device: Device, height: float = 0.0) -> RowResampler:
+        """That of a beam's pixels with their fill factor and point spread.
+
+        Args:
+            beam: The beam.
+            slices: Slices of the grid.
+            pitch: Their thickness [mm].
+            device: That holds the tables.
+            height: By which the light lies higher [mm].
+
+        Returns:
+            The resampler.
+        """
+        fill, sigma = (1.0, 0.0) if beam.flat else (sqrt(beam.fill), beam.sigma)
+        return cls(beam.pixels[1], beam.pitch, slices, pitch, device, fill, sigma, height / beam.pitch)
 
     def from_slices(self, source: DeviceArray, target: DeviceArray) -> None:
         """target [pose, r, row] from source [pose, r, slice]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from math import prod, sqrt
+from math import prod
 from threading import local
 from typing import final
 
@@ -70,8 +70,7 @@ class SpectralProjection(LinearOperator):
         self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
         self._held = local()
-        pixel = {"fill": 1.0, "sigma": 0.0} if beam.flat else {"fill": sqrt(beam.fill), "sigma": beam.sigma}
-        self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.slices, grid.slice_pitch, self.device, **pixel)
+        self._rows = RowResampler.of(beam, grid.slices, grid.slice_pitch, self.device)
         table = ring_table(grid, beam, vessel or OpenAir(), square, faint, self.device.room)
         self._folded = (grid.angles, table.pairs * (2 if table.mirrored else 1), grid.slices)
         upload = self.device.table

@@ -14,7 +14,7 @@ from vamgpu.methods.saved import inputs_of, light_of, pixel_pitch, sinogram_from
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import Solved, pack
-from vamgpu.printing.placement import Placement
+from vamgpu.printing.placement import FIT, Placement
 from vamgpu.storage.folder import Entry, Folder, write_folder
 from vamgpu.storage.turntable import described, turntable_from
 
@@ -108,6 +108,8 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
         source = plan or Solved(sinogram_from(folder, place), None)
         how = {key: getattr(settings, key) for key in ("flip_r", "flip_z", "shift", "dither")}
         how |= {"quantile": settings.quantile or 1.0, **known}
+        if settings.dither == FIT:
+            how["dither"] = "round"  # the light is what the chosen pixels show
         made = pack(Solved(source.sinogram, None), gray=gray, flat_field=flat, **how)
         return replace(made, settings=settings, motion=motion, packed=(made.images, source))
     except BadInput as error:

@@ -20,6 +20,7 @@ from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot
 from vamgpu.operators.space import require
 from vamgpu.printing.dark import no_light
+from vamgpu.printing.fit import fitted
 from vamgpu.printing.frames import Frames, flat_table, flattened
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import Placement
@@ -80,7 +81,9 @@ def pack(
         dither: "round" to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle
             in the order of the scan, for angles that are lit as long; frames of 1 bit at `FEW` angles or less are
             rounded all the same, with a `PackWarning`, where that gives a dose more like that of the light, up to a
-            factor.
+            factor. "fit" chooses pixels of 1 bit by the dose of all of them, so that nearly the window of the plan's
+            light is left, and with it how bright a full-on pixel is: for plans of a vial, moved by whole pixels. The
+            frames' ``plan`` is then of the light that they show.
         scale: Irradiance of a full-on pixel, in place of the quantile.
 
     Returns:
@@ -100,11 +103,13 @@ def pack(
         raise BadInput(f"gray is {gray!r}; expected a GrayCurve, such as GrayCurve.gamma(2.2)")
     motion = getattr(getattr(plan, "operator", None), "motion", None)
     motion = motion if isinstance(motion, Turntable) else None
-    if dither == "error-diffusion" and motion is not None and motion.dwell is not None:
+    if dither != "round" and motion is not None and motion.dwell is not None:
         raise BadInput(
-            f"error-diffusion got {motion} angles; expected angles that are lit as long, for the error of one is made "
+            f"{dither} got {motion} angles; expected angles that are lit as long, for the error of one is made "
             'up for at the next: take dither="round"'
         )
+    if dither == "fit":
+        return _fitted(plan, bits, curve, flat_field, settings, scale, quantile)
     angles, columns, rows = light.shape
     flat = None if flat_field is None else flattened(flat_field, (rows, columns))
     device = light.device
@@ -128,6 +133,33 @@ def pack(
         return frames
     plain = pack(plan, bits, curve, flat_field, flip_r, flip_z, shift, scale=full)
     return _better(plan, frames, replace(plain, settings=replace(settings, dither="round")))
+
+
+def _fitted(
+    plan: Patterns, bits: int, gray: GrayCurve, flat_field: Any, settings: Placement, scale: float | None,
+    quantile: float,
+) -> Frames:  # fmt: skip
+    """Frames whose pixels are chosen by their dose."""
+    if bits != 1:
+        raise BadInput(f'dither="fit" got {bits} bits; expected 1: rounding costs 8 bits next to nothing')
+    if any(moved % 1 for moved in settings.shift):
+        raise BadInput(f'dither="fit" got shift={settings.shift}; expected whole pixels: take those, or '
+                       'dither="error-diffusion"')  # fmt: skip
+
+    def packed(light: DeviceArray, full: float | None, dither: str) -> Frames:
+        return pack(
+            Solved(light, None), 1, gray, flat_field, settings.flip_r, settings.flip_z, settings.shift, quantile,
+            dither, full,
+        )  # fmt: skip
+
+    frames, window = fitted(plan, packed, scale)
+    light, motion = frames.irradiance(plan.sinogram.device), getattr(plan.operator, "motion", None)
+    shown = (
+        replace(plan, sinogram=light, window=window, state={})
+        if isinstance(plan, Plan)
+        else Solved(light, plan.operator, getattr(plan, "target", None))
+    )
+    return replace(frames, settings=settings, motion=motion, packed=(frames.images, shown))
 
 
 def repack(

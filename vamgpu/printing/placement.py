@@ -8,7 +8,8 @@ from typing import Any
 
 from vamgpu.errors import BadInput
 
-DITHERS = ("round", "error-diffusion")
+FIT = "fit"
+DITHERS = ("round", "error-diffusion", FIT)
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,7 @@ class Placement:
     flip_r, flip_z: mirror the frames left-right, top-bottom, for optics that mirror them back.  shift: (dr, dz) in
     pixels, whole or not, by which light is moved towards larger r and z before flips, for a projector whose image
     lies that much short of the axis.  quantile: of the lit pixels, the share a full-on pixel reaches; None where the
-    scale was given.  dither: "round" or "error-diffusion".  Raises `BadInput`.
+    scale was given.  dither: of `DITHERS`.  Raises `BadInput`.
     """
 
     flip_r: bool = False
@@ -35,7 +36,7 @@ class Placement:
         if self.quantile is not None:
             object.__setattr__(self, "quantile", _share(self.quantile))
         if self.dither not in DITHERS:
-            raise BadInput(f"dither is {self.dither!r}; expected {' or '.join(map(repr, DITHERS))}")
+            raise BadInput(f"dither is {self.dither!r}; expected {', '.join(map(repr, DITHERS))}")
 
     def arguments(self) -> dict[str, Any]:
         """Kernel arguments: whole pixels, parts of one, and mirrored or not."""

@@ -60,8 +60,9 @@ function rows(now) {
   if (now.focus !== null) told.lens = [`${now.focus > 0 ? "+" : ""}${now.focus.toFixed(3)} dpt`, ""];
   if (now.lens_temperature !== null) told["lens temperature"] = [`${now.lens_temperature.toFixed(1)} °C, as told in the dark`, ""];
   if (now.light) told.buffer = [`${Math.round(100 * now.fill)} % full, frames ready ${ms(now.margin / 1e9)} early`, ""];
-  if (now.plan || now.live) told.plan = [`version ${now.plan}, ${now.stop === null ? "all turns" : `until turn ${now.stop}`}${now.live ? `; ${now.live}` : ""}`, now.live ? "warn" : ""];
-  for (const each of now.parameters) told[each.name] = [`${+each.value.toPrecision(4)}${each.error ? ` ± ${each.error.toPrecision(2)}` : ""}`, ""];
+  const step = now.unit === "deg" ? "turn" : "segment"; // of a vial, of a web
+  if (now.plan || now.live) told.plan = [`version ${now.plan}, ${now.stop === null ? `all ${step}s` : `until ${step} ${now.stop}`}${now.live ? `; ${now.live}` : ""}`, now.live ? "warn" : ""];
+  for (const each of now.parameters) told[each.name] = [`${+each.value.toPrecision(4)}${each.error ? ` ± ${each.error.toPrecision(2)}` : ""}`, "", each.usual && each];
   told["shown black"] = [`${now.dark} frames`, now.dark ? "warn" : ""];
   if (silent) told.light = [`last known ON, no look at the machines for ${time(now.ago)}`, "warn"];
   return told;
@@ -93,7 +94,7 @@ function show(now) {
     at("values").replaceChildren();
     for (const key of Object.keys(values)) delete values[key];
   }
-  for (const [key, [text, type]] of Object.entries(told)) {
+  for (const [key, [text, type, estimated]] of Object.entries(told)) {
     if (!values[key]) {
       made("dt", at("values"), key);
       values[key] = made("dd", at("values"));
@@ -101,6 +102,7 @@ function show(now) {
     }
     if (values[key].textContent !== text) values[key].textContent = text;
     values[key].className = type;
+    if (estimated) bar(values[key], estimated);
   }
   for (const [key, why] of Object.entries(now.buttons)) {
     if (!buttons[key]) {
@@ -122,6 +124,17 @@ function show(now) {
   if (now.readings !== readings) { readings = now.readings; scatter(); }
   const changed = now.ended !== ended; // at first the server may still tell what it read before the end
   if (changed || Date.now() > pastDue) { ended = now.ended; pastDue = Date.now() + (changed ? 6000 : 15000); past(); }
+}
+
+function bar(parent, { name, value, error, usual: [low, high] }) { // what was usual, and on it value ± deviation
+  const track = parent.querySelector("svg") || drawn("svg", parent, { class: "bar", preserveAspectRatio: "none", viewBox: "0 0 100 10", role: "img" });
+  const from = Math.min(low, value - error), wide = Math.max(high, value + error) - from, x = (at) => (100 * (at - from)) / wide;
+  track.setAttribute("aria-label", `${name}: usual from ${+low.toPrecision(3)} to ${+high.toPrecision(3)}`);
+  track.replaceChildren();
+  const block = (type, begin, end, y, height) => drawn("rect", track, { class: type, x: x(begin), y, width: Math.max(x(end) - x(begin), 1), height });
+  block("usual", low, high, 3, 4);
+  block("planned", (low + high) / 2, (low + high) / 2, 0, 10);
+  block("found", value - error, value + error, 2, 6);
 }
 
 function explain(text, now) {

@@ -1,0 +1,133 @@
+"""Frames of 1 bit chosen by their dose: proved beside rays of another operator, written and read, on every device."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vamgpu as vam
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, PackWarning
+from vamgpu.printing import fit
+from vamgpu.printing.folder import load_frames
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.printing.pack import Solved
+
+N, PITCH = 32, 0.1
+VIAL = vam.Vial(radius=4.0, wall=0.3, resin_index=1.5, wall_index=1.47, absorption=0.05)
+
+
+def cross(slices: int = 2) -> np.ndarray:
+    """A cross, in its lower half; a bar above."""
+    x, y = np.meshgrid(*2 * [np.arange(N) - 0.5 * (N - 1)], indexing="ij")
+    near, bar = np.hypot(x, y) < 13, np.abs(x) < 3
+    layers = [near & (bar | (np.abs(y) < 3)) if z < slices // 2 else near & bar for z in range(slices)]
+    return np.stack(layers, axis=2).astype(np.float32)
+
+
+def plan_on(device: Device, angles: int = 60, slices: int = 2) -> vam.Plan:
+    A = vam.Projection(
+        vam.Grid((N, N, slices), PITCH), vam.Beam((48, slices), PITCH), vam.Turntable(angles), VIAL, device
+    )
+    return vam.optimize(A, cross(slices), "window", evaluations=40, progress=False)
+
+
+@pytest.fixture(scope="module")
+def plan() -> vam.Plan:
+    return plan_on(vam.open_device(None))
+
+
+def proved(plan: vam.Plan, frames: vam.Frames) -> float:
+    return float(vam.simulate(plan.operator, frames, plan.target).scores.window)
+
+
+@pytest.mark.slow
+def test_most_of_the_window_is_left() -> None:
+    plan = plan_on(vam.open_device(None), angles=360)
+    diffused, fitted = (vam.pack(plan, 1, dither=how) for how in ("error-diffusion", "fit"))
+    assert plan.window > 0.15 and proved(plan, diffused) < 0.8 * plan.window
+    assert proved(plan, fitted) > plan.window - 0.02
+    assert fitted.bits == 1 and set(np.unique(fitted.levels())) == {0, 1}
+    assert proved(plan, fitted) == pytest.approx(fitted.plan.window, abs=0.02), "as it was claimed"
+
+
+@pytest.mark.parametrize("case", [
+    {"gray": GrayCurve.linear(black=0.01)},
+    {"flat_field": 0.7 + 0.3 * np.random.default_rng(3).random((2, 48)), "flip_r": True},
+    {"shift": (2.0, 0.0), "flip_z": True},
+])  # fmt: skip
+def test_any_projector_will_do(plan: vam.Plan, case: dict[str, Any]) -> None:
+    diffused, fitted = (vam.pack(plan, 1, dither=how, **case) for how in ("error-diffusion", "fit"))
+    assert proved(plan, fitted) > max(proved(plan, diffused), 0.0) + 0.05
+    again = vam.pack(Solved(fitted.plan.sinogram, None), 1, scale=fitted.scale, **case)
+    assert np.array_equal(again.levels(), fitted.levels())
+
+
+def test_devices_agree(fast_device: Device) -> None:
+    reference = plan_on(vam.open_device("numpy"), angles=24)
+    scale = 0.5 * float(reference.sinogram.numpy().max())
+    wanted = vam.pack(reference, 1, dither="fit", scale=scale)
+    fitted = vam.pack(plan_on(fast_device, angles=24), 1, dither="fit", scale=scale)
+    assert fitted.plan.window == pytest.approx(wanted.plan.window, abs=0.05), "ties fall either way"
+    assert proved(reference, fitted.on("numpy")) > proved(reference, vam.pack(reference, 1, dither="round")) + 0.2
+
+
+def test_sides_and_the_usual_share(device: Device) -> None:
+    plan = plan_on(device, angles=6)
+    A: Any = plan.operator
+    target = plan.target
+    found = fit._Fit(A, device.upload(cross()), plan.sinogram)
+    side = np.where(A.grid.cylinder()[:, :, None], np.where(np.asarray(target) >= 0.5, 1, -1), 0)
+    assert np.array_equal(found.side.numpy(), side)
+    matrix = np.stack([np.asarray(A.T(row.reshape(A.range.shape))).ravel() for row in np.eye(A.shape[0])[48:96]])
+    lit = matrix[:, side.ravel() != 0]
+    assert found.share == pytest.approx((lit**2).sum() / lit.sum(), rel=0.3)
+
+
+def test_some_poses_are_those_of_the_whole(device: Device) -> None:
+    A = vam.Projection(vam.Grid((12, 12, 3), PITCH), vam.Beam((16, 3), PITCH), vam.Turntable(10), VIAL, device)
+    rng, some = np.random.default_rng(0), [1, 4, 7]
+    volume, light = rng.random(A.domain.shape, np.float32), np.zeros(A.range.shape, np.float32)
+    light[some] = rng.random((3, 16, 3))
+    assert np.allclose(np.asarray(A.of_poses(some)(volume)), np.asarray(A(volume))[some], rtol=1e-5)
+    assert np.allclose(np.asarray(A.of_poses(some).T(light[some])), np.asarray(A.T(light)), rtol=1e-4, atol=1e-6)
+    with pytest.raises(BadInput, match="lit as long"):
+        vam.Projection(A.grid, A.beam, vam.Turntable(3, (1.0, 2.0, 1.0)), VIAL, device).of_poses([0])
+
+
+def test_a_job_folder_keeps_the_bits(plan: vam.Plan, tmp_path: Path) -> None:
+    fitted = vam.pack(plan, 1, dither="fit")
+    fitted.save(tmp_path / "cross.vam")
+    kept = load_frames(tmp_path / "cross.vam")
+    assert np.array_equal(kept.levels(), fitted.levels()) and kept.settings.dither == "fit"
+
+
+def test_rings_are_fitted_by_rays() -> None:
+    A = vam.RingProjection(vam.Grid((N, N, 2), PITCH), vam.Beam((48, 2), PITCH), vam.Turntable(60), VIAL)
+    plan = vam.optimize(A, cross(), "window", evaluations=20, progress=False)
+    assert proved(plan, vam.pack(plan, 1, dither="fit")) > proved(plan, vam.pack(plan, 1)) + 0.2
+
+
+def test_what_cannot_be_fitted_is_told(plan: vam.Plan) -> None:
+    cases: tuple[tuple[Any, dict[str, Any], str], ...] = (
+        (plan, {"bits": 8}, "8 bits; expected 1"),
+        (plan, {"bits": 1, "shift": (0.5, 0.0)}, "expected whole pixels"),
+        (Solved(plan.sinogram, plan.operator), {"bits": 1}, "without a target"),
+        (Solved(plan.sinogram, None, cross()), {"bits": 1}, "light of None"),
+    )
+    for given, how, message in cases:
+        with pytest.raises(BadInput, match=message):
+            vam.pack(given, dither="fit", **how)
+
+
+def test_rounding_stays_where_it_is_as_good(plan: vam.Plan) -> None:
+    """Light of two levels is rounded without loss."""
+    bits = (plan.sinogram.numpy() > 0.3 * plan.sinogram.numpy().max()).astype(np.float32)
+    two = replace(plan, sinogram=plan.operator.device.upload(bits))
+    with pytest.warns(PackWarning, match="the frames are rounded"):
+        frames = vam.pack(two, 1, dither="fit", scale=1.0)
+    assert np.array_equal(frames.irradiance().numpy(), bits)

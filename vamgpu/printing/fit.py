@@ -1,0 +1,189 @@
+"""Frames of 1 bit, chosen pixel by pixel by the dose that all of them make together.
+
+Rounding, and carrying errors on, keep each pixel's own light; a voxel sums that of all angles. Here pixels of a few
+angles at a time are flipped where that brings the dose nearer to what the plan's light gives: direct binary search (M.
+Analoui, J. P. Allebach, Proc. SPIE 1666 (1992) 96), by the voxels that miss the plan's window, with a dose for the eye.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput, PackWarning
+from vamgpu.kernels.flip import flip_pixels, price_flips
+from vamgpu.kernels.update import linear
+from vamgpu.methods.part import fractions_of, reach_of
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.reductions import dot, total, window
+from vamgpu.operators.ring_projection import direct
+from vamgpu.printing.frames import Frames
+
+FULL_ON = (8.0, 4.0, 2.0, 1.0)
+"""Irradiance of full-on pixels to try, over the mean of the light, weighted by itself. Less of it than the brightest
+pixel has lights more pixels, each by less, but light above it is lost: a boat keeps most at 6, a cross at 2."""
+SWEEPS = 8
+"""How often every pixel is asked, once at each of `FULL_ON`."""
+TOGETHER = 3
+"""Angles, a third of a turn apart, whose pixels are flipped together: their rays meet in few voxels."""
+THIRDS = 3
+"""Neighbors that light the same voxels are flipped one after another."""
+NO_FLOOR = -1e30
+
+Packed = Callable[[DeviceArray, float | None, str], Frames]
+"""Frames of light, by the irradiance of a full-on pixel (None: the quantile's) and a name of `DITHERS`."""
+
+
+def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, float]:
+    """Frames of 1 bit whose dose has nearly the window of the plan's light.
+
+    Args:
+        plan: With its light, its operator and its target.
+        packed: What makes frames of light.
+        scale: Irradiance of a full-on pixel; None tries those of `FULL_ON`.
+
+    Returns:
+        The frames of the widest strict window, made of the light that they show, and that window; rounded ones, with a
+        `PackWarning`, where theirs is as wide.
+
+    Raises:
+        BadInput: The operator is no projection, or the target is not known.
+    """
+    A, target, light = direct(plan.operator), getattr(plan, "target", None), plan.sinogram
+    if not isinstance(A, Projection):
+        raise BadInput(f'dither="fit" got light of {A!r}; expected that of a Projection or a RingProjection: take '
+                       'dither="error-diffusion"')  # fmt: skip
+    if target is None:
+        raise BadInput('dither="fit" got light without a target; expected a plan of optimize(), whose window is to be '
+                       'kept: take dither="error-diffusion"')  # fmt: skip
+    fit = _Fit(A, fractions_of(A, target), light)
+    bright = dot(light, light) / total(light)
+    scales = [share * bright for share in FULL_ON] if scale is None else [scale]
+    frames, lit, window = fit.flipped([packed(light, full, "error-diffusion") for full in scales])
+    rounded = packed(light, scale, "round")
+    plain = fit.window(A.T(rounded.irradiance(A.device)))
+    if plain >= window:
+        warnings.warn(f"at {frames.shape[0]} angles rounding keeps a window of {plain:+.3f}, choosing pixels by their "
+                      f"dose {window:+.3f}; the frames are rounded: take more angles, or 8 bits",
+                      PackWarning, stacklevel=3)  # fmt: skip
+        return rounded, plain
+    return packed(lit, frames.scale, "round"), window
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """What frames are fitted to: the part, and the window of the plan's light."""
+
+    A: Projection
+    target: DeviceArray
+    light: DeviceArray
+
+    @cached_property
+    def goal(self) -> dict[str, float]:
+        """Least and most dose of the part, and the most of a void."""
+        return dict(zip(("least", "leak", "most"), self._extremes(self.A.T(self.light)), strict=True))
+
+    @cached_property
+    def side(self) -> DeviceArray:
+        """1 in the part, −1 in voids, 0 beyond the cylinder that counts."""
+        within = self.A.grid.cylinder()[:, :, None]
+        part = self.target.numpy() >= 0.5
+        return self.A.device.upload(np.where(within, np.where(part, 1.0, -1.0), 0.0).astype(np.float32))
+
+    @cached_property
+    def poses(self) -> list[Projection]:
+        """The projection of every group of angles."""
+        groups = -(-self.A.motion.angles // TOGETHER)
+        return [self.A.of_poses(range(first, self.A.motion.angles, groups)) for first in range(groups)]
+
+    @cached_property
+    def share(self) -> float:
+        """What a pixel's light gives a voxel that it lights, usually: Σ A² / Σ A, by a random sign for every voxel."""
+        A, signs = self.poses[0], np.random.default_rng(0).choice(np.float32([-1.0, 1.0]), self.A.grid.shape)
+        lit = self.A.device.upload(np.abs(self.side.numpy()))
+        shadow = A(self.A.device.upload(signs * lit.numpy()))
+        return dot(shadow, shadow) / total(A(lit))
+
+    def window(self, dose: DeviceArray) -> float:
+        """Strict window of a dose; −1 where it is dark."""
+        least, leak, greatest = self._extremes(dose)
+        return (least - leak) / greatest if greatest > 0.0 else -1.0
+
+    def _extremes(self, dose: DeviceArray) -> tuple[float, float, float]:
+        least, leak, greatest = window(dose, self.target, reach_of(self.A.grid))
+        return least, max(leak, 0.0), greatest
+
+    def flipped(self, begun: Sequence[Frames]) -> tuple[Frames, DeviceArray, float]:
+        """Those of some frames that gain most, the light of their pixels once flipped, and its strict window."""
+        orders = np.random.default_rng(0).permuted(np.tile(np.arange(len(self.poses)), (SWEEPS, 1)), axis=1)
+        run = max((_Flips(self, frames).swept(orders[0]) for frames in begun), key=lambda each: each.best)
+        for order in orders[1:]:
+            before = run.window
+            if run.swept(order).window == before:
+                break
+        return run.frames, run.kept, run.best
+
+
+class _Flips:
+    """Pixels of frames while they are flipped."""
+
+    def __init__(self, fit: _Fit, frames: Frames) -> None:
+        self.fit, self.frames, self.device = fit, frames, fit.A.device
+        _, rows, columns = frames.shape
+        self.black, white = (self._all(value) for value in (0x00, 0xFF))
+        self.step = white - self.black
+        lit = frames.irradiance(self.device).numpy() > self.black + 0.5 * self.step
+        third = np.add.outer(np.arange(columns), np.arange(rows)) % THIRDS
+        several = [np.repeat(np.where(third == k, self.step, 0.0), TOGETHER, axis=0) for k in range(THIRDS)]
+        self.steps = {
+            count: [self.device.upload(each[:count].astype(np.float32)) for each in several]
+            for count in {A.motion.angles for A in fit.poses}
+        }
+        groups = len(fit.poses)
+        self.light = [self.device.upload(self._raised(lit[group::groups])) for group in range(groups)]
+        self.best = -2.0
+        self._judge()
+
+    def _all(self, value: int) -> np.ndarray:
+        """Light of frames whose bytes are all alike, [1, r, z]."""
+        _, rows, width = self.frames.images.shape
+        images = self.device.upload(np.full((1, rows, width), value, np.uint8), table=True)
+        return replace(self.frames, images=images, motion=None, packed=None).irradiance(self.device).numpy()
+
+    def _raised(self, lit: np.ndarray) -> np.ndarray:
+        """Light that lit pixels have more than dark ones."""
+        return (lit * self.step).astype(np.float32)
+
+    def swept(self, order: np.ndarray) -> _Flips:
+        """Ask every pixel once, groups of angles in an order."""
+        fit, launch = self.fit, self.device.launch
+        prices = {name: self.device.empty(fit.A.domain.shape) for name in ("brighter", "darker")}
+        usual = float(self.step[self.step > 0.0].mean()) * fit.share
+        for group in order:
+            A, light = fit.poses[group], self.light[group]
+            change = self.device.empty(light.shape)
+            for step in self.steps[A.motion.angles]:
+                launch(price_flips, dose=self.dose, side=fit.side, **fit.goal, step=usual, **prices)
+                gains = {name: A(price) for name, price in prices.items()}
+                launch(flip_pixels, **gains, step=step, light=light, change=change)
+                more = A.T(change, out=prices["darker"])
+                launch(linear, a=1.0, x=self.dose, b=1.0, y=more, floor=NO_FLOOR, out=self.dose)
+        self._judge()
+        return self
+
+    def _judge(self) -> None:
+        """The dose of the pixels as they are, in which no changes have been summed up; keep the light of the best."""
+        light = np.empty(self.fit.light.shape, np.float32)
+        for group, raised in enumerate(self.light):
+            light[group :: len(self.light)] = self.black + raised.numpy()
+        shown = self.device.upload(light)
+        self.dose = self.fit.A.T(shown)
+        self.window = self.fit.window(self.dose)
+        if self.window > self.best:
+            self.best, self.kept = self.window, shown
