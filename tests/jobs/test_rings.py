@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import vamgpu as vam
-from vamgpu.errors import JobError
+from vamgpu.errors import JobError, OutOfMemory
 from vamgpu.jobs.read import read_job
 from vamgpu.jobs.run import prove, solve
 from vamgpu.operators.ring_projection import pays_on_rings
@@ -71,6 +71,18 @@ def test_what_rings_do_not_take_is_told_with_the_way_out(tmp_path: Path, change:
 def test_auto_takes_rings_only_where_they_pay(tmp_path: Path) -> None:
     solve(job(tmp_path, JOB.replace('"rings"', '"auto"')), tmp_path / "boat.vam")
     assert prove(tmp_path / "boat.vam", "numpy").plan.ran == "Projection on numpy"
+
+
+def test_auto_keeps_to_voxels_where_the_table_is_too_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: Any, shape: tuple[int, ...]) -> Any:
+        raise OutOfMemory(f"no room for {shape}")
+
+    monkeypatch.setattr("vamgpu.backend.device.Device.room", full)
+    monkeypatch.setattr("vamgpu.jobs.run.pays_on_rings", lambda _: True)
+    solve(job(tmp_path, JOB.replace('"rings"', '"auto"')), tmp_path / "boat.vam")
+    assert prove(tmp_path / "boat.vam", "numpy").plan.ran == "Projection on numpy"
+    with pytest.raises(OutOfMemory, match="no room"):
+        solve(job(tmp_path), tmp_path / "other.vam")
 
 
 def test_where_rings_pay(opencl_device: Any) -> None:

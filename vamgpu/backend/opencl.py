@@ -109,7 +109,12 @@ class OpenclDevice(Device):
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=pages)
 
     def room(self, shape: tuple[int, ...]) -> np.ndarray:
-        nbytes = 4 * prod(shape)
+        nbytes, limit = 4 * prod(shape), self._device.max_mem_alloc_size
+        if nbytes > limit and (self.is_gpu or not self._shares_memory):
+            raise OutOfMemory(
+                f"a table of {nbytes} bytes; {self.name} takes at most {limit} at once: use a Projection in place of "
+                "rings, a coarser grid or fewer angles"
+            )
         if self.memory is None or nbytes <= SMALL_TABLE:
             return super().room(shape)
         return _mapped(nbytes)[0][:nbytes].view(np.float32).reshape(shape)

@@ -138,6 +138,8 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
         except VamError:
             raise
         except Exception as error:  # noqa: BLE001 - a worker that dies breaks whatever is under way
+            if time.monotonic() > until and client.status != "running":
+                raise DeviceError("the scheduler is gone; begin it anew, and go on with the same command") from error
             if time.monotonic() > until:
                 raise DeviceLost(f"no worker takes slab {number}: {type(error).__name__}: {error}") from error
 
@@ -181,8 +183,16 @@ def about(device: str | None) -> tuple[str, str]:
 
 
 def _refuse_unlike(client: Any, device: str | None) -> None:
-    client.wait_for_workers(1, timeout=PATIENCE)
-    for worker, (version, complaint) in client.run(about, device).items():
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE)
+        told = client.run(about, device)
+    except TimeoutError as error:
+        raise DeviceError(
+            f"the cluster has no worker after {PATIENCE:g} s: begin some, `dask worker tcp://…`"
+        ) from error
+    except ImportError as error:
+        raise DeviceError(f"a worker lacks what this process has ({error}): install the same on both") from error
+    for worker, (version, complaint) in told.items():
         if version != vamgpu.__version__:
             raise DeviceError(
                 f"worker {worker} has vamgpu {version}, and this is {vamgpu.__version__}: install the same on both"

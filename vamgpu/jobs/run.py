@@ -254,7 +254,12 @@ def _on_rings(light: Any, A: Any, asked: bool) -> Any:
     """
     why = "the dose diffuses" if light is not A else against_rings(light)
     if not why:
-        return RingProjection.of(light) if asked or pays_on_rings(light) else A
+        try:
+            return RingProjection.of(light) if asked or pays_on_rings(light) else A
+        except OutOfMemory:
+            if asked:
+                raise
+            return A
     if asked:
         raise JobError(f'solve.operator: got "rings", which do not take this job: {why}; expected "voxels" or "auto"')
     return A
