@@ -21,7 +21,7 @@ from vamgpu.reports import style
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-HEIGHT = 0.45
+HEIGHT = 0.2
 
 
 def robust(
@@ -89,4 +89,4 @@ def _ranges(axis: Axes, found: CornerDoses, threshold: float, name: str) -> None
              xlabel="dose over its greatest")  # fmt: skip
     axis.invert_yaxis()
     handles, labels = axis.get_legend_handles_labels()
-    axis.legend(handles[:2], labels[:2], loc="upper left", fontsize=8)
+    axis.legend(handles[:2], labels[:2], loc="lower left", fontsize=8)
