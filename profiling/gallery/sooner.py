@@ -18,8 +18,8 @@ def sooner(
     target = scene.boat(device, 1.2 if quick else pitch)
     A = scene.in_vial(target, 24 if quick else int(angles), device)
     most = 80 if quick else int(evaluations)
-    plan = optimize(A, target, "widest", evaluations=most, progress=False)
-    points = pareto(plan, irradiance=irradiance, critical_dose=critical_dose, evaluations=100 if quick else None)
+    plan = optimize(A, target, "widest", evaluations=4 * most, progress=False)
+    points = pareto(plan, irradiance=irradiance, critical_dose=critical_dose, evaluations=most)
     figure, axes = style.sheet("ab", 4.2)
     seconds = [point.seconds for point in points]
     for panel, values, label, color in (
