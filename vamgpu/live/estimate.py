@@ -56,6 +56,8 @@ FAINT = 0.02
 """Share of the greatest dose below which two operators are not compared."""
 OTHER = 1.5
 """By which they are taken to differ at most."""
+STILL = 0.05
+"""Share of a pixel by which an axis beside the light's middle makes no difference to a plan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,9 +308,9 @@ class Estimator:
         """
         if self.quick is None:
             return self.delivering(values)
-        raised = self.quick.raised(float(values[3]))
-        level = self.gain(values)
-        moved = Delivering(raised, level, across=float(values[2]))
+        raised, level = self.quick.raised(float(values[3])), self.gain(values)
+        across = float(values[2]) if abs(values[2]) > STILL * self.operator.beam.pitch else 0.0
+        moved = Delivering(raised, level, across=across)
         least = FAINT * float(dose.max())
 
         def joined(level: np.ndarray, dose: np.ndarray, got: np.ndarray) -> np.ndarray:
@@ -317,7 +319,7 @@ class Estimator:
             return level * np.clip(off, 1.0 / OTHER, OTHER)
 
         gain = by_planes(joined, level, dose, moved.T(self.operator.device.field(light)).numpy())
-        return Delivering(raised, gain, across=float(values[2]))
+        return Delivering(raised, gain, across=across)
 
     @cached_property
     def quick(self) -> RingProjection | None:
