@@ -7,9 +7,11 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import machine, write_record
 
 import vamgpu
 from vamgpu.kernels.camera import draw_noise
@@ -24,10 +26,11 @@ OPEN, NOISE = 800.0, SensorNoise(8.0, 0.0, 10)
 OFF = np.array([0.85, 1.1, 0.05, 0.0, 0.04, 0.0, 0.0])
 """What the machine does to the dose; of `vamgpu.live.estimate.NAMES`."""
 STAGES = ("see", "estimate", "replan")
+BY = {"fastest": None, "rays": False, "rings": True}
 
 
 def case(
-    n: int, angles: int, device: str, iterations: int, evaluations: float, columns: float
+    n: int, angles: int, device: str, iterations: int, evaluations: float, columns: float, rings: bool | None = None
 ) -> tuple[LiveLoop, LiveState, Callable[[int], np.ndarray]]:
     """A loop, its state before turn `SHOWN`, and the images of one or two turns later."""
     pitch, pixel = 9.6 / n, max(1.5 / columns, 1.0) * 9.6 / n
@@ -35,6 +38,7 @@ def case(
     setup = LiveSetup(
         (n, n, n), pitch, (round(columns * n), n), pixel, angles, vial, red, OPEN, NOISE, CuringResin(),
         Turbidity((0.0, 1.0), (0.0, 0.25)), 2.0, PLANNED, 2 * PLANNED, iterations, evaluations, device, 1,
+        rings=rings,
     )  # fmt: skip
     A = setup.projection(vial)
     x, y, z = A.grid.axes()
@@ -66,20 +70,24 @@ def case(
     return loop, state, frames
 
 
-def measured(n: int, angles: int, device: str, iterations: int, evaluations: float, columns: float) -> dict[str, Any]:
+def measured(
+    n: int, angles: int, device: str, iterations: int, evaluations: float, columns: float, rings: bool | None = None
+) -> dict[str, Any]:
     """One decision after another that is not counted: seconds by stage, and evaluations in a second of replanning."""
     began = time.perf_counter()
-    loop, state, frames = case(n, angles, device, iterations, evaluations, columns)
+    loop, state, frames = case(n, angles, device, iterations, evaluations, columns, rings)
     images = [frames(turns) for turns in (SHOWN, SHOWN + 1)]
     made = time.perf_counter() - began
     state, first = loop.decide(state, images[0])
-    began = time.perf_counter()
+    began, busy = time.perf_counter(), time.process_time()
     _, decision = loop.decide(state, images[1])
-    seconds = time.perf_counter() - began
+    seconds, busy = time.perf_counter() - began, time.process_time() - busy
     assert decision.parameters, (first.reason, decision.reason)
     return {
         "device": device, "size": n, "angles": angles, "columns": round(columns * n), **decision.stages,
-        "decision": seconds,
+        "decision": seconds, "processor": busy / len(os.sched_getaffinity(0)),
+        "rings": loop.estimator.quick is not None,
+        "iterations": iterations, "evaluations": evaluations,
         "made": made, "first": sum(first.stages.values()), "rate": evaluations / decision.stages["replan"],
         "found": decision.parameters, "reason": decision.reason,
     }  # fmt: skip
@@ -88,15 +96,12 @@ def measured(n: int, angles: int, device: str, iterations: int, evaluations: flo
 def table(rows: Sequence[dict[str, Any]], markdown: bool) -> str:
     """Rows as text, or as a table of Markdown."""
     head = [
-        "device",
-        "voxels × angles × columns",
-        *(f"{name} [s]" for name in STAGES),
-        "decision [s]",
-        "evaluations a second",
-    ]
+        "device", "voxels × angles × columns", "by", *(f"{name} [s]" for name in STAGES), "decision [s]",
+        "processors' time, over the cores [s]", "evaluations a second",
+    ]  # fmt: skip
     cells = [
-        [row["device"], f"{row['size']}³ × {row['angles']} × {row['columns']}",
-         *(f"{row[name]:.2f}" for name in (*STAGES, "decision")), f"{row['rate']:.1f}"]
+        [row["device"], f"{row['size']}³ × {row['angles']} × {row['columns']}", "rings" if row["rings"] else "rays",
+         *(f"{row[name]:.2f}" for name in (*STAGES, "decision", "processor")), f"{row['rate']:.1f}"]
         for row in rows
     ]  # fmt: skip
     if markdown:
@@ -112,18 +117,23 @@ def main() -> None:
     parser.add_argument("--columns", type=float, default=2.0, help="of beam and camera, over voxels across")
     parser.add_argument("--iterations", type=int, default=8, help="pairs of projections to see with")
     parser.add_argument("--evaluations", type=float, default=8.0, help="projector evaluations to replan with")
+    parser.add_argument("--by", nargs="+", default=["fastest"], choices=list(BY), help="what sees and plans")
+    parser.add_argument("--records", type=Path, help="folder of a record, such as profiling/records")
+    parser.add_argument("--label", default="here", help="of the machine, part of the record's name")
     parser.add_argument("--device", nargs="+", help="names; all here but numpy by default")
     parser.add_argument("--markdown", action="store_true", help="a table of Markdown")
     given = parser.parse_args()
     devices = given.device or [name for name in vamgpu.devices() if name != "numpy"]
     load, rows = os.getloadavg()[0], []
-    for device in devices:
-        for n in given.sizes:
-            row = measured(n, given.angles, device, given.iterations, given.evaluations, given.columns)
-            rows.append(row)
-            found = ", ".join(f"{name} {v:.3g} ± {s:.2g}" for name, (v, s) in row["found"].items())
-            made = f"made in {row['made']:.1f} s, first {row['first']:.2f} s"
-            print(f"{device}, {n}³: {made}, {found}; {row['reason']}", flush=True)
+    for device, n, by in ((device, n, by) for device in devices for n in given.sizes for by in given.by):
+        row = measured(n, given.angles, device, given.iterations, given.evaluations, given.columns, BY[by])
+        rows.append(row)
+        found = ", ".join(f"{name} {v:.3g} ± {s:.2g}" for name, (v, s) in row["found"].items())
+        made = f"made in {row['made']:.1f} s, first {row['first']:.2f} s"
+        print(f"{device}, {n}³: {made}, {found}; {row['reason']}", flush=True)
+    if given.records:
+        told = {"machine": machine(*map(vamgpu.open_device, devices)), "load": load, "decisions": rows}
+        print(write_record(given.records, f"live-decision-{given.label}", told))
     print(f"load {load:.1f} before\n{table(rows, given.markdown)}")
 
 

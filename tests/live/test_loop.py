@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -124,6 +125,27 @@ def test_a_print_in_aged_resin_is_saved_and_replayed_bit_by_bit(rings: bool, tmp
     assert [bool(otherwise) for _, otherwise in record.replay()] == [False] * (live.turns - 1) + [True]
     with pytest.raises(BadInput, match=f"in turns {live.turns};"):
         replay(tmp_path / "run")
+
+
+@pytest.mark.slow
+def test_resin_that_is_a_tenth_other_than_believed_is_printed_all_the_same() -> None:
+    made, part, light = setup()
+    resin, seen = made.resin, made.turbidity
+
+    def overlapped(**believed: Any) -> float:
+        loop, live = replace(made, **believed).loop(part, light), printer(AGED)
+        state, action = loop.start(), "keep"
+        while action != "stop":
+            live.turn(live.dose(state.light))
+            state, decision = loop.decide(state, live.through())
+            action = decision.action
+        return overlap(live.printed())
+
+    for more in (0.9, 1.1):
+        solid = resin.induction - np.log(1.0 - more * resin.gel) / resin.rate
+        assert overlapped(resin=replace(resin, solid=solid)) >= 0.995, "another gel point"
+        assert overlapped(turbidity=replace(seen, extinction=[more * each for each in seen.extinction])) >= 0.995
+    assert overlapped(turbidity=replace(seen, extinction=[2.0 * each for each in seen.extinction])) < 0.99
 
 
 def test_frames_without_light_cost_the_update_only() -> None:
