@@ -36,12 +36,19 @@ THICK, PITCH, ROWS = 3.0, 0.08, 32
 
 
 class Cells:
-    """Gyroids without an end: one of as many columns as layers, again and again."""
+    """Gyroids without an end: one of whole columns, again and again."""
 
     def __init__(self, across: int, along: float) -> None:
-        cells, stretched = SheetGyroid(THICK), THICK / (across * along)
-        grid = WebGrid((across, across, across), (along, THICK / across, THICK / across))
-        self.one = tile(lambda *place: cells(stretched * place[0], *place[1:]), grid)
+        columns = round(THICK / along)
+        self.cells, self.stretched = SheetGyroid(THICK), THICK / (columns * along)
+        self.one = tile(self, WebGrid((columns, across, across), (along, THICK / across, THICK / across)))
+
+    def __call__(self, *place: np.ndarray) -> np.ndarray:
+        return self.cells(self.stretched * place[0], *place[1:])
+
+    def bound(self, *place: np.ndarray) -> np.ndarray:
+        """At most the distance to the surface [mm]."""
+        return self.cells.bound(self.stretched * place[0], *place[1:]) / max(self.stretched, 1.0)
 
     def __iter__(self) -> Iterator[np.ndarray]:
         while True:
@@ -51,7 +58,7 @@ class Cells:
 def web(length: float, iterations: int, core: float, device: str | None, across: int | None) -> Stream:
     """The paper's film on its roller: 79 µm a pose, a window of 55 mm.
 
-    Of 38 layers, 32 slices and cells that drift along l; or, ``across`` layers and slices, of cubes to a hundredth.
+    Of 38 layers, 32 slices and cells that drift along l; or, ``across`` layers and slices, of cubes or thinner.
     """
     roller = Roller(7.5, Film(THICK, 1.49, 1.33, 0.22), radians(0.5))
     cells = SheetGyroid(THICK)
@@ -61,11 +68,9 @@ def web(length: float, iterations: int, core: float, device: str | None, across:
 
     if across:
         fine = THICK / across
-        along = (
-            2.0 * roller.advance / max(round(2.0 * roller.advance / fine), 1)
-        )  # columns a pose, twice: a whole number
+        along = roller.advance / ceil(roller.advance / fine)  # of a ratio, poses between take light at every column
         beam, section = Beam((ceil(262 * PITCH / fine), across), fine), (across, across)
-        tiles, pitch = Cells(across, along), (along, fine, fine)
+        tiles, pitch = iter(Cells(across, along)), (along, fine, fine)
     else:
         beam, section = Beam((262, ROWS), PITCH), (38, ROWS)
         tiles, pitch = drifting, (roller.advance, THICK / 38, PITCH)

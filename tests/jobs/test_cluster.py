@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vamgpu.errors import ClusterWarning
+from vamgpu.errors import Cancelled, ClusterWarning
 from vamgpu.jobs import cluster, run
 from vamgpu.jobs.demo import JOB, WEB_JOB
 from vamgpu.jobs.read import Job
@@ -116,3 +116,26 @@ def test_slabs_on_workers_find_the_light_of_one_process(tmp_path: Path, monkeypa
     assert len(alive) >= 2 and len(set().union(*alive)) > 2
     np.testing.assert_array_equal(found, whole)
     assert not run.is_interrupted(tmp_path / "killed")
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_a_terminal_reaches_workers_too_and_leaves_the_plan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refuse, working = cluster._refuse_unlike, list[int]()
+
+    def looked(client: Any, device: str | None) -> None:
+        refuse(client, device)
+        working.extend(nanny.pid for nanny in client.cluster.workers.values())
+
+    def stop(stage: str, share: float) -> None:
+        if stage == "light" and share >= 0.1:
+            for process in (*working, os.getpid()):
+                os.kill(process, signal.SIGINT)
+            time.sleep(1.0)  # in which it comes
+
+    monkeypatch.setattr(cluster, "_refuse_unlike", looked)
+    job = Job.parse(JOB, [*VIAL, "solve.iterations=30"])
+    with pytest.raises(Cancelled) as stopped:
+        solve(job, tmp_path / "boat", cluster="local:2", progress=stop)
+    assert len(working) == 2 and stopped.value.plan is not None and run.is_interrupted(tmp_path / "boat")

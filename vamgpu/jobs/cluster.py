@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
+UNDISTURBED = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+"""What local workers do first: Ctrl-C in a terminal goes to them too, and they are asked for the plan then."""
 TRIES = 100
 """How often a task is begun anew whose worker died."""
 AHEAD = 3
@@ -72,7 +74,9 @@ def _client(where: str) -> Any:
         from distributed import Client, LocalCluster
     except ModuleNotFoundError as error:
         raise DeviceError(f"a cluster needs Dask ({error}): pip install 'vamgpu[cluster]'") from error
-    processes: dict[str, Any] = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
+    processes: dict[str, Any] = {
+        "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": 50, "preload": [UNDISTURBED],
+    }  # fmt: skip
     try:
         if not local:
             return Client(where, timeout=PATIENCE)

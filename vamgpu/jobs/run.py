@@ -132,13 +132,20 @@ def solve(
                 begun = {"overwrite": overwrite and not tried, "start": None if is_interrupted(place) else start}
                 return _solve(job, method, place, made(), pareto=pareto, progress=progress, due=due, **begun)
             except DeviceLost as error:
-                if tried >= TRIES:
+                if tried >= TRIES or _while_stopped(error):
                     raise
                 warnings.warn(f"{error}; going on from the plan that was kept last", ClusterWarning, stacklevel=2)
             except Cancelled:
                 if not due.came:
                     raise
     raise AssertionError("counted to the end")
+
+
+def _while_stopped(error: BaseException | None) -> bool:
+    """Whether an error came up while Ctrl-C was seen to."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
 
 
 @dataclass
