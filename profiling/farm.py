@@ -1,10 +1,10 @@
 """What a farm of printers needs a day: printers, machines that compute, storage, network, money.
 
     python profiling/farm.py --prints 10 1000 100000
-    python profiling/farm.py --solve 5.6 --folder 0.38 --print 120        # another job
+    python profiling/farm.py --solve 310 --prove 121 --folder 0.494 --print 120        # another job
 
-Defaults are the main job of 128³ voxels and 360 angles: seconds and bytes as measured (`records/main-*.json`, and the
-folder that `vam solve` writes). Everything else is assumed, and an option.
+Defaults are a gyroid of 128³ voxels, 360 angles and 40 evaluations: processor seconds and bytes as measured by
+`memory.py` (`records/memory-cpu-128.json`). Everything else is assumed, and an option.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import argparse
 
 DAY = 86400.0
 MEASURED = {
-    "solve": (2.7, "seconds a job takes on two processor cores, from start to plan, voxels included"),
-    "prove": (0.3, "seconds its proof takes there"),
-    "folder": (0.0038, "gigabytes of its folder"),
-    "page": (0.0019, "gigabytes of its report"),
+    "solve": (6.1, "seconds a job takes of two processor cores, from start to folder, voxels included"),
+    "prove": (1.7, "seconds its proof takes of them"),
+    "folder": (0.031, "gigabytes of its folder"),
+    "page": (0.0017, "gigabytes of its report"),
 }
 ASSUMED = {
     "print": (60.0, "seconds of light a print takes"),

@@ -154,7 +154,7 @@ class RingProjection(LinearOperator):
             on_rings = self._spectral._work("samples", self._spectral.grid.shape)
             self.device.launch(gather_rows, source=self._cut("voxels", x, first), **self._to_rings, out=on_rings)
             light = self._strip("light", rows)
-            self._spectral.gather(on_rings, light)
+            self._spectral._gather(on_rings, light)
             self._put(light, first, rows)
         if rows is not out:
             self._rows.from_slices(rows, out)
@@ -166,7 +166,7 @@ class RingProjection(LinearOperator):
             self._rows.to_slices(y, rows)
         for first in self._strips:
             on_rings = self._spectral._work("samples", self._spectral.grid.shape)
-            self._spectral.light(self._cut("light", rows, first), on_rings)
+            self._spectral._light(self._cut("light", rows, first), on_rings)
             dose = self._strip("voxels", out)
             self.device.launch(gather_rows, source=on_rings, **self._to_voxels, out=dose)
             self._put(dose, first, out)

@@ -108,7 +108,7 @@ class SpectralProjection(LinearOperator):
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         rows = out if self._rows.same else self._work("rows", (*self.range.shape[:2], self.grid.slices))
-        self.gather(x, rows)
+        self._gather(x, rows)
         if rows is not out:
             self._rows.from_slices(rows, out)
 
@@ -117,9 +117,9 @@ class SpectralProjection(LinearOperator):
         if not self._rows.same:
             rows = self._work("rows", (*self.range.shape[:2], self.grid.slices))
             self._rows.to_slices(y, rows)
-        self.light(rows, out)
+        self._light(rows, out)
 
-    def gather(self, x: DeviceArray, rows: DeviceArray) -> None:
+    def _gather(self, x: DeviceArray, rows: DeviceArray) -> None:
         """What slices of a volume send to columns, [angle, r, slice]."""
         launch, work = self.device.launch, self._work
         spectrum = self._from_rings.run(-1.0, x, lambda number: work(f"rings {number}", x.shape))
@@ -128,8 +128,8 @@ class SpectralProjection(LinearOperator):
         folded = self._of_light.run(1.0, folded, lambda number: work(f"folded {1 - number}", self._folded))
         launch(unfold_columns, folded=folded, mirrored=self._entries["mirrored"], sinogram=rows)
 
-    def light(self, rows: DeviceArray, out: DeviceArray) -> None:
-        """The dose of columns in slices, the transpose of `gather`."""
+    def _light(self, rows: DeviceArray, out: DeviceArray) -> None:
+        """The dose of columns in slices, the transpose of `_gather`."""
         launch, work = self.device.launch, self._work
         folded = work("folded 0", self._folded)
         launch(fold_columns, sinogram=rows, mirrored=self._entries["mirrored"], folded=folded)
