@@ -2,6 +2,7 @@
 # Everything that is measured on a machine with a GPU, in one go of less than eight minutes.
 #   DEVICES="warp:cuda:0" and SIZES="256 512" choose other devices and sizes; TAIL=lines of each log that are shown.
 #   OUT=folder MESH=benchy.stl LABEL=name bash profiling/gpu.sh [step ...]     steps: tests kernels projectors drtvam main
+#   and, when they are named: rings live bits robust gyroids slabs
 # Wants vamgpu's dependencies on PYTHONPATH (and pytest for the tests); ASTRA and torch beside them are timed where they
 # are there. Logs and records end up in OUT/all.tar.gz, written anew after every step; one that fails or takes too long
 # does not stop the next.
@@ -46,3 +47,18 @@ step drtvam 90 "$python" profiling/jobs.py --job drtvam --device $gpus --mesh "$
 step main 60 "$python" profiling/jobs.py --job main --device $gpus --mesh "$mesh" --records "$parts" --label "$label"
 [ -f profiling/kernels.py ] && step kernels 40 "$python" profiling/kernels.py
 step tests 120 "$python" -m pytest -q -p no:cacheprovider tests -k "cuda or nvidia"
+for device in $gpus; do
+    name=${device//:/-}
+    for n in ${SIZES:-256 512}; do
+        step "rings-$n-$name" 60 "$python" profiling/rings.py --n "$n" --device "$device" --records "$parts" --label "$label"
+    done
+    step "live-$name" 120 "$python" profiling/live.py --sizes 128 256 --angles 360 --evaluations 12 --device "$device" \
+        --records "$parts" --label "$label-$name"
+    step "bits-$name" 90 "$python" profiling/bits.py --angles 360 --device "$device" --records "$parts" --label "$label-$name"
+    step "robust-$name" 60 "$python" profiling/robust.py --mesh "$mesh" --only robust --device "$device" \
+        --iterations 400 --records "$parts" --label "$label-$name"
+    step "gyroids-$name" 120 "$python" profiling/gyroids.py --slices 2 --iterations 800 --device "$device" \
+        --records "$parts" --label "$label-$name"
+    step "slabs-$name" 60 "$python" profiling/slabs.py --n 512 --angles 360 --devices "$device" "$device+$device" \
+        --records "$parts" --label "$label-$name"
+done

@@ -6,6 +6,9 @@ included. Nominal light and light with tolerances may spend the same iterations;
 every scenario that was computed. A light counts by its 8-bit frames, exposed at every corner along rays traced for it.
 With --bound, the prices of as many steps tell what no light exceeds; with --slab too, of so many slices alone, those
 whose voxels the robust light holds the hardest: what no light exceeds on a part of the voxels, none exceeds on all.
+
+With --parts, the ten parts of `best_light.py` instead: windows at all corners by each method's own operators, at equal
+projector evaluations, those of corners counted; "nominal" is light of the default that knows no corner.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from best_light import PITCH, SIZE, parts
 from common import HERE, MESH, benchy, machine, write_record
 
 import vamgpu
@@ -73,6 +77,24 @@ def of_slab(A: vamgpu.Projection, fractions: np.ndarray, first: int, off: Tolera
     return vamgpu.optimize(part, fractions, "widest", steps, tolerances=off, progress=False)
 
 
+def tabled(size: int, budgets: list[int], device: Any) -> dict[str, Any]:
+    """Windows at all corners, and nominal ones, of ten parts; prints the table."""
+    off, found = Tolerances(axis=AXIS * PITCH, spread=(SPREADS[0] * PITCH, SPREADS[1] * PITCH)), {}
+    ways = [("nominal", 400, None)] + [(m, budget, off) for budget in budgets for m in ("window", "widest")]
+    print(f"| part | {' | '.join(f'{method}, {budget}' for method, budget, _ in ways)} |")
+    print("|---" + "|--:" * len(ways) + "|")
+    for name, (A, fractions) in parts(device, size).items():
+        row = found[name] = {}
+        for method, budget, tolerances in ways:
+            how = "best" if method == "nominal" else method
+            plan = vamgpu.optimize(A, fractions, how, evaluations=budget, tolerances=tolerances, progress=False)
+            doses = off.doses(A, plan, fractions)
+            row[f"{method} {budget}"] = {"corner": round(doses.window, 5), "nominal": round(doses.nominal, 5)}
+        cells = " | ".join(f"{each['corner']:+.3f} ({each['nominal']:+.3f})" for each in row.values())
+        print(f"| {name} | {cells} |", flush=True)
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mesh", type=Path, default=MESH)
@@ -88,9 +110,15 @@ def main() -> None:
     parser.add_argument("--device", default=None)
     parser.add_argument("--records", type=Path, default=HERE / "records")
     parser.add_argument("--label", default="here", help="of the machine, part of the record's name")
+    parser.add_argument("--parts", action="store_true", help="the ten parts of best_light.py instead of the Benchy")
+    parser.add_argument("--budgets", type=int, nargs="+", default=[600, 1500], help="evaluations, of --parts")
     args = parser.parse_args()
     warnings.simplefilter("ignore", ToleranceWarning)
     device = vamgpu.open_device(args.device)
+    if args.parts:
+        found = {"machine": machine(device), "parts": tabled(SIZE, args.budgets, device)}
+        print(write_record(args.records, f"robust-parts-{args.label}", found))
+        return
     target = benchy(args.mesh, args.n, device)
     pitch = target.grid.pitch
     beam, motion = vamgpu.Beam((args.n, args.n), pitch), vamgpu.Turntable(args.angles)

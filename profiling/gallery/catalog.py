@@ -29,6 +29,8 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "voxels": "Voxels that are partly filled",
         "lattices": "Periodic solids, and one wound from film",
         "optimizers": "Every optimizer on one part",
+        "robust": "Light that prints although the machine is off",
+        "sooner": "Window against time",
         "recipe": "The recipe of automatic exposure, step by step",
         "frames": "Frames of eight bits and of one",
         "focus": "A focus that follows a roller",

@@ -289,10 +289,12 @@ def test_a_web_has_every_option_of_its_roller_and_film() -> None:
     from vamgpu.jobs.demo import WEB_JOB as WEB
 
     options = 'reflectivity = 0.1\ncompensation = 2.0\ndivergence = "1 deg"\nneutral = 0.4\nrays = 16\nfan = 5\n'
+    options += 'planes = ["-9 mm", "-0.5 cm"]\n'
     text = WEB.replace("[film]\n", '[film]\nsubstrate = ["0.1 mm", 1.6]\n')
     text = text.replace("[roller]\n", f"[roller]\n{options}")
     roller = roller_of(parse_web(text).file)
     assert (roller.reflectivity, roller.compensation, roller.neutral, roller.rays, roller.fan) == (0.1, 2.0, 0.4, 16, 5)
+    assert roller.planes == pytest.approx((-9.0, -5.0))
     assert roller.divergence == pytest.approx(1 * deg) and roller.film.substrate == (pytest.approx(0.1), 1.6)
     with pytest.raises(JobError, match=r"roller\.substrate: unknown key"):
         parse_web(WEB.replace("[roller]\n", "[roller]\nsubstrate = 3\n"))

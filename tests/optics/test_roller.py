@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -210,6 +211,37 @@ def test_diverging_beam_reaches_every_angle_inside_the_film() -> None:
     assert np.unique(light.l).size > 1.5 * np.unique(axial.l).size
 
 
+def test_light_spreads_with_the_distance_from_its_focus_plane() -> None:
+    """Straight rays, as the film is of the bath's index: each passes the plane at its column, whatever its lean."""
+    film, planes = Film(3.0, 1.33, 1.33, 0.05), (-9.0, -6.5, -3.0)
+    machine = roller(film, divergence=0.1, planes=planes)
+    u, lean = np.array([0.0, 2.0, 6.0, 8.0]), np.array([[-0.1], [0.04]])
+    s = machine.trace(u, lean).segments
+    ray, first = np.unique(s.ray, return_index=True)
+    column = np.tile(u, 2)[ray]
+    depth = -np.sqrt((machine.radius + 1.5) ** 2 - column**2)
+    plane = np.array(planes)[np.abs(depth[:, None] - planes).argmin(axis=1)]
+    across = s.x[first] + (plane - s.y[first]) * (s.dx / s.dy)[first]
+    assert ray.size == 8 and set(plane) == set(planes) and across == pytest.approx(column, abs=1e-9)
+
+
+def test_a_plane_for_every_depth_is_focus_that_follows_the_film() -> None:
+    from vamgpu.printing.focus import FocusMasks
+
+    machine = roller(Film(3.0, 1.49, 1.33, 0.2), divergence=0.02, rays=4)
+    beam, web = Beam((60, 2), 0.25), grid(machine)
+    light = [machine.propagation(web, beam).dense()]
+    masks = FocusMasks.around(beam, machine.radius, 3.0, 30)
+    assert masks.defocus.max() < 1e-9
+    for bins in (30, 3, 1):
+        planes = FocusMasks.around(beam, machine.radius, 3.0, bins).planes
+        light.append(replace(machine, planes=planes, rays=4).propagation(web, beam).dense())
+    following, all_planes, three, one = light
+    assert all_planes == pytest.approx(following, rel=0.2, abs=0.02 * following.max())
+    assert np.abs(all_planes - following).sum() < 0.3 * np.abs(three - following).sum()
+    assert np.abs(three - following).sum() < np.abs(one - following).sum()
+
+
 def test_substrate_keeps_snells_invariant() -> None:
     u = np.linspace(0.2, 10.0, 25)
     bare = roller().trace(u)
@@ -295,6 +327,8 @@ def test_legs_and_neutral_line_are_parameters() -> None:
         (lambda: Roller(-7.5, PAPER, STEP), "radius"),
         (lambda: roller(reflectivity=1.2), "reflectivity"),
         (lambda: roller(divergence=1.6), "divergence"),
+        (lambda: roller(planes=(-3.0, -4.0)), "planes"),
+        (lambda: roller(planes=()), "planes"),
         (lambda: roller(neutral=-0.1), "neutral"),
         (lambda: roller(compensation=0.5), "at least 1"),
         (lambda: roller(rays=0), "rays"),

@@ -375,7 +375,9 @@ class MonitoringCamera:
             share = np.where(self.reached > LEAST, self.reached, 0.0)
             known = np.divide(weight, share**2, out=np.zeros_like(weight), where=share > 0.0)
             return device.upload(depth * share), device.upload(known)
-        shown = device.table(np.nan_to_num(levels, posinf=self.noise.brightest))  # a level of 0 says nothing
+        if np.asarray(images).dtype.kind == "f":
+            levels = np.nan_to_num(levels, posinf=self.noise.brightest)  # a level of 0 says nothing
+        shown = device.table(levels)
         depth, weight = (device.empty(self.projection.range.shape) for _ in range(2))
         device.launch(
             measure_depth, images=shown, open=self._open, reached=self.share, floor=self.noise.read**2 + 1.0 / 12.0,

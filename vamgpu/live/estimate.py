@@ -56,6 +56,8 @@ FAINT = 0.02
 """Share of the greatest dose below which two operators are not compared."""
 OTHER = 1.5
 """By which they are taken to differ at most."""
+STILL = 0.05
+"""Share of a pixel by which an axis beside the light's middle makes no difference to a plan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,9 +308,9 @@ class Estimator:
         """
         if self.quick is None:
             return self.delivering(values)
-        raised = self.quick.raised(float(values[3]))
-        level = self.gain(values)
-        moved = Delivering(raised, level, across=float(values[2]))
+        raised, level = self.quick.raised(float(values[3])), self.gain(values)
+        across = float(values[2]) if abs(values[2]) > STILL * self.operator.beam.pitch else 0.0
+        moved = Delivering(raised, level, across=across)
         least = FAINT * float(dose.max())
 
         def joined(level: np.ndarray, dose: np.ndarray, got: np.ndarray) -> np.ndarray:
@@ -317,7 +319,7 @@ class Estimator:
             return level * np.clip(off, 1.0 / OTHER, OTHER)
 
         gain = by_planes(joined, level, dose, moved.T(self.operator.device.field(light)).numpy())
-        return Delivering(raised, gain, across=float(values[2]))
+        return Delivering(raised, gain, across=across)
 
     @cached_property
     def quick(self) -> RingProjection | None:
@@ -350,10 +352,10 @@ class Estimator:
         """
         require(self.operator.range, light, "the light")
         require(self.operator.domain, seen, "the conversion seen")
-        spread = np.broadcast_to(np.asarray(deviation, float), seen.shape).reshape(-1)
+        spread = np.broadcast_to(np.asarray(deviation, float), seen.shape)
         lit = self.operator.device.field(light)
         used = self._used(seen, spread, self._slices(np.asarray(light)))
-        told = np.asarray(seen, float).reshape(-1)
+        told, sigma = (np.asarray(each, float) for each in (seen.reshape(-1)[used], spread.reshape(-1)[used]))
         base = 0.0 if before is None else before.dose.reshape(-1)[used]
         whitening = np.linalg.inv(np.linalg.cholesky(prior.covariance))
         values = np.array(prior.mean if start is None else start, float)
@@ -367,11 +369,11 @@ class Estimator:
             near = self._near(lit, self._center(values), used, base)
 
             def gaps(p: np.ndarray, near: _Near = near) -> np.ndarray:
-                seen_less = (self.conversion(near.dose(p)) - told[used]) / spread[used]
+                seen_less = (self.conversion(near.dose(p)) - told) / sigma
                 return np.concatenate([seen_less, whitening @ (p - prior.mean)])
 
             def rise(p: np.ndarray, near: _Near = near) -> np.ndarray:
-                rate = self._slope(near.dose(p)) / spread[used]
+                rate = self._slope(near.dose(p)) / sigma
                 return np.concatenate([(rate * near.rates(p)).T, whitening])
 
             begin = np.clip(values, LEAST + EDGE, MOST - EDGE)
@@ -383,7 +385,7 @@ class Estimator:
         covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
         dose = self.delivering(values).T(lit).numpy()
         field = by_planes(lambda dose, had: dose + values[6] + had, dose, 0.0 if before is None else before.dose)
-        field, deviations = self._by_voxel(field, np.asarray(seen, float), spread.reshape(seen.shape), excess)
+        field, deviations = self._by_voxel(field, np.asarray(seen), spread, excess)
         return Estimate(values, covariance, field, dose, deviations, chi, used.size)
 
     def _slices(self, light: np.ndarray) -> np.ndarray:
@@ -399,11 +401,11 @@ class Estimator:
 
     def _used(self, seen: np.ndarray, spread: np.ndarray, slices: np.ndarray) -> np.ndarray:
         """Numbers of the voxels that parameters are estimated from, spread evenly over the judged cylinder."""
-        flat, count = np.asarray(seen, float).reshape(-1), seen.shape[2]
+        flat, sigma, count = np.asarray(seen).reshape(-1), spread.reshape(-1), seen.shape[2]
         columns = np.flatnonzero(self.operator.grid.cylinder())
         some = (columns[:, None] * count + slices).reshape(-1)
         good = some[np.isfinite(flat[some])]
-        if not (good.size and np.isfinite(spread[good]).all() and (spread[good] > 0.0).all()):
+        if not (good.size and np.isfinite(sigma[good]).all() and (sigma[good] > 0.0).all()):
             raise BadInput(f"the conversion seen has {good.size} finite voxels in the judged cylinder; expected some, "
                            "with finite deviations above 0: drop this turn's images")  # fmt: skip
         count = min(self.samples, good.size)

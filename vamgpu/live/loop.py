@@ -176,6 +176,7 @@ class LiveLoop:
     def start(self) -> LiveState:
         """The state before the first turn. Tables that no turn should wait for are made here."""
         _ = self.tomograph.operator, self.estimator.quick, self._planned_dose
+        self.replanner.prepare(self.estimator.operator)
         dark = np.zeros_like(self.light)
         return LiveState(
             0, dark, dark, self.light, self.planned - self.ahead, committed=(self.light,) * self.ahead

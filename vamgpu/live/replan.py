@@ -233,6 +233,14 @@ class Replanner:
         asked.state.combine(1.0, asked.given, share, dose, whole)
         return _Printed(self._outlook(asked, turns, whole), asked.border.off(whole))
 
+    def prepare(self, operator: Projector) -> None:
+        """Find the part's border now, not in the first plan.
+
+        Args:
+            operator: As that of `replan`, on the same device.
+        """
+        self._part(operator)
+
     def _part(self, operator: Projector) -> tuple[DeviceArray, Border]:
         """The part on an operator's device, and its border: found once, however often the operator is clouded."""
         place = operator.device, operator.domain

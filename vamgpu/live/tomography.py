@@ -20,6 +20,7 @@ from vamgpu.kernels.filter import filter_rows
 from vamgpu.kernels.gauss import blur_planes
 from vamgpu.kernels.update import correct_by_ratio, multiply
 from vamgpu.live.camera import MonitoringCamera
+from vamgpu.live.planes import by_planes
 from vamgpu.live.rings import on_rings
 from vamgpu.live.smooth import Smoothing
 from vamgpu.live.turbidity import Turbidity
@@ -172,8 +173,8 @@ class Tomograph:
             if deadline < inf:
                 self._device.synchronize()
             done, longest, now = done + 1, max(longest, perf_counter() - now), perf_counter()
-        extinction = steps.field.numpy().astype(np.float32)
-        conversion = self.turbidity.conversion_at(extinction).astype(np.float32)
+        extinction = np.asarray(steps.field.numpy(), np.float32)
+        conversion = by_planes(lambda part: self.turbidity.conversion_at(part).astype(np.float32), extinction)
         return Seen(extinction, conversion, done, steps.misfit, perf_counter() - begun)
 
     def deviation(self, images: Any, *, iterations: int = ITERATIONS, seed: int = 0) -> np.ndarray:
@@ -202,7 +203,7 @@ class Tomograph:
         for _ in range(iterations):
             steps.advance()
         self._device.launch(multiply, x=steps.field, y=steps.field, out=start)
-        return np.sqrt(self._patches(start).numpy())
+        return by_planes(np.sqrt, self._patches(start).numpy())
 
     def _measured(self, images: Any, iterations: int) -> Measured:
         if isinstance(iterations, bool) or not isinstance(iterations, int) or iterations < 1:

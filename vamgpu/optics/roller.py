@@ -20,7 +20,7 @@ from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.optics.roller_rays import Layers, Traced, trace
 from vamgpu.optics.wrap_map import WrapMap
 from vamgpu.schema import check
-from vamgpu.schema.quantities import Count, Gain, HalfAngle, Index, Length, Share, Step, Thickness
+from vamgpu.schema.quantities import Count, Gain, HalfAngle, Index, Length, Place, Share, Step, Thickness
 from vamgpu.web import Propagation, WebGrid, WebRays
 
 Volume = Literal["flat", "bent"]
@@ -47,7 +47,10 @@ class Roller:
         compensation: Largest factor by which columns make up for Fresnel's loss, as `gain` says; None for none. It
             counts as light of the beam: a projector whose columns are equally bright must show frames times `gain`.
         divergence: Half angle of the fan of light that each column is in the bath [rad], even in its sine, about the
-            point where the column meets the middle of the film.
+            point where the column is in focus.
+        planes: Depths [mm] of the projector's focus planes along the light from the axis, < 0 before it: each column is
+            in focus at the one nearest to where it meets the middle of the film, as `vamgpu.FocusMasks` shows it. None
+            for light that is in focus there itself.
         neutral: Depth of the line that bending does not stretch, as a share of the thickness from the roller.
         rays: Rays across the width of a column; a voxel whose walls run along the light knows its share of a column to
             one ray.
@@ -79,6 +82,7 @@ class Roller:
     polarization: Polarization = "none"
     core: Index | None = None
     volume: Volume = "flat"
+    planes: tuple[Place, ...] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.film, Film):
@@ -89,6 +93,8 @@ class Roller:
         polarized("Roller polarization", self.polarization)
         if self.volume not in get_args(Volume):
             raise BadInput(f"Roller volume is {self.volume!r}; expected 'flat' or 'bent'")
+        if self.planes is not None and (not self.planes or (np.diff(self.planes) <= 0.0).any()):
+            raise BadInput(f"Roller planes are {self.planes!r}; expected one or more rising depths [mm], or None")
         if self.core is not None and self.reflectivity:
             raise BadInput(
                 f"the roller is clear, of index {self.core:g}, and reflects {self.reflectivity:g}; expected one of "
@@ -218,8 +224,7 @@ class Roller:
         return grid
 
     def trace(self, u: ArrayLike, angle: ArrayLike = 0.0, leg: float | None = None) -> Traced:
-        """Trace rays of some columns. A ray that leans does so about the point where its column meets the film's
-        middle.
+        """Trace rays of some columns. A ray that leans does so about the point where its column is in focus.
 
         Args:
             u: Offsets of the columns [mm], (...,).
@@ -232,6 +237,9 @@ class Roller:
         x, lean = (a.ravel() for a in np.broadcast_arrays(as_offsets("u", u), as_offsets("angle", angle)))
         middle = self.radius + 0.5 * self.film.thickness
         y = -np.sqrt(np.maximum(middle**2 - x**2, 0.0))
+        if self.planes is not None:
+            planes = np.array(self.planes)
+            y = planes[np.searchsorted(0.5 * (planes[1:] + planes[:-1]), y, side="left")]
         return trace(self._layers(self.leg if leg is None else leg), x, y, np.sin(lean), np.cos(lean))
 
     def propagation(self, grid: WebGrid, beam: Beam) -> Propagation:
