@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vamgpu.errors import Cancelled, ClusterWarning
+from vamgpu.errors import Cancelled, ClusterWarning, DeviceError
 from vamgpu.jobs import cluster, run
 from vamgpu.jobs.demo import JOB, WEB_JOB
 from vamgpu.jobs.read import Job
@@ -139,3 +139,10 @@ def test_ctrl_c_in_a_terminal_reaches_workers_too_and_leaves_the_plan(
     with pytest.raises(Cancelled) as stopped:
         solve(job, tmp_path / "boat", cluster="local:2", progress=stop)
     assert len(working) == 2 and stopped.value.plan is not None and run.is_interrupted(tmp_path / "boat")
+
+
+@pytest.mark.slow
+def test_a_worker_takes_one_device(tmp_path: Path) -> None:
+    job = Job.parse(JOB, [*VIAL, "solve.device=numpy+numpy"])
+    with pytest.raises(DeviceError, match="several devices, for a worker; expected one"):
+        solve(job, tmp_path / "boat", cluster="local:1")

@@ -51,10 +51,15 @@ class Served:
 
     Args:
         name: Of the device; None takes the best one.
+
+    Raises:
+        DeviceError: There is no such device, or it is several.
     """
 
     def __init__(self, name: str | None) -> None:
         self._device = open_device(name)
+        if hasattr(self._device, "members"):
+            raise DeviceError(f"got {name!r}, several devices, for a worker; expected one: begin a worker for each")
         self._handles: dict[int, tuple[Any, int]] = {}
 
     def facts(self) -> Facts:
