@@ -165,7 +165,7 @@ def pays_on_rings(A: Projection) -> bool:
     """
     is_processor = A.device.name.startswith("opencl") and not getattr(A.device, "is_gpu", False)
     across, angles = min(A.grid.shape[:2]), A.motion.angles
-    return is_processor and across >= 48 and angles >= 90 and max(passes([angles], ONE_SUM)[0]) <= ONE_SUM
+    return is_processor and across >= 48 and angles >= 90 and max(passes([angles], ONE_SUM.__ge__)[0]) <= ONE_SUM
 
 
 def _against(grid: Grid, motion: Turntable) -> str:
