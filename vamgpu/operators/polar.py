@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from math import ceil, pi
@@ -16,11 +17,12 @@ from vamgpu.kernels.footprint import half_support, share, sides
 from vamgpu.kernels.spectrum import ROWS
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length
+from vamgpu.storage.shards import threads
 
 PARTS = 2
 """Parts of a cell along the radius and along the angle whose footprints are added."""
 ALIKE = 1e-5
-"""Difference of light from its mirror image, over the greatest, up to which one half stands for both."""
+"""Difference of light from its mirror image, over the greatest or in columns, up to which one half stands for both."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,11 @@ class Belt:
     @property
     def rings(self) -> int:
         return self.stop - self.begin
+
+    @property
+    def tiles(self) -> list[Belt]:
+        """Every `ROWS` of its rings."""
+        return [replace(self, begin=ring, stop=ring + ROWS) for ring in range(self.begin, self.stop, ROWS)]
 
 
 @dataclass(frozen=True)
@@ -167,24 +174,76 @@ def pose_on_rings(
         of the squares is the pitch where there are some.
     """
     for belt in grid.belts:
-        if square is not None:
-            yield _in_squares(grid, belt, beam, vessel, square)
-            continue
-        count = PARTS * grid.angles * belt.samples
-        rho = (np.arange(PARTS * belt.rings) + 0.5)[:, None] / PARTS + belt.begin
-        psi = FULL_TURN / count * (np.arange(count) - 0.5 * (PARTS - 1))
-        across, along = rho * grid.pitch * np.sin(psi), -rho * grid.pitch * np.cos(psi)
-        u, weight = vessel.illuminate(across, along)
-        column = u / beam.pitch + 0.5 * (beam.pixels[0] - 1)
-        a = np.abs(np.gradient(column, axis=0, edge_order=2))
-        b = 0.5 * np.abs(np.roll(column, -1, axis=1) - np.roll(column, 1, axis=1))
-        lit = np.hypot(across, along) <= vessel.lit_radius
-        strength = weight * lit * (rho / _middle(rho)) * grid.pitch**2 / beam.pitch / PARTS**2
-        yield _in_cells(column, strength, a, b, beam, (belt.rings, count // PARTS, beam.pixels[0]))
+        found = np.zeros((belt.rings, grid.angles * belt.samples, beam.pixels[0]))
+        _footprints(grid, belt, beam, vessel, square).add(found, beam)
+        yield found
 
 
-def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: float) -> np.ndarray:
-    """Shares of columns in squares about the middles of a belt's cells."""
+@dataclass(frozen=True)
+class _Footprints:
+    """Trapezoids that parts of cells are to light, each (parts · rings, parts · cells of a ring).
+
+    column: that lights the middle.  strength: of a column's light.  a, b: widths [columns].
+    """
+
+    column: np.ndarray
+    strength: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    parts: int
+
+    def rings(self, begin: int, stop: int) -> _Footprints:
+        """Those of some of the rings."""
+        own = slice(begin * self.parts, stop * self.parts)
+        return _Footprints(self.column[own], self.strength[own], self.a[own], self.b[own], self.parts)
+
+    def is_mirrored(self, columns: int) -> bool:
+        """Whether cells on either side see columns on either side."""
+
+        def beyond(values: np.ndarray) -> np.ndarray:  # parts lie on both sides of a cell's middle
+            return np.roll(values[:, ::-1], 1 if self.parts == 1 else self.parts, axis=1)
+
+        most = float(self.strength.max())
+        return bool(
+            np.abs(self.strength - beyond(self.strength)).max() <= ALIKE * most
+            and (np.abs(self.column + beyond(self.column) - (columns - 1)) * (self.strength > 0.0)).max() <= ALIKE
+            and all((np.abs(w - beyond(w)) * (self.strength > 0.0)).max() <= ALIKE for w in (self.a, self.b))
+        )
+
+    def add(self, found: np.ndarray, beam: Beam, first_column: int = 0) -> None:
+        """Add shares of the columns from one on to cells, (rings, cells of a ring, columns)."""
+        fill, sigma, parts = beam.fill**0.5, beam.sigma, self.parts
+        for part in np.ndindex(parts, parts):
+            own = tuple(slice(each, None, parts) for each in part)
+            column, strength, a, b = (each[own] for each in (self.column, self.strength, self.a, self.b))
+            reach = half_support(*sides(a, b, sigma), fill, sigma)
+            first = np.ceil(column - reach).astype(int)
+            for tap in range(int(np.floor(2.0 * reach.max())) + 1):
+                at = first + (tap - first_column)
+                hit = np.nonzero((strength != 0.0) & (at >= 0) & (at < found.shape[2]))
+                apart = column[hit] - (first[hit] + tap)
+                found[(*hit, at[hit])] += strength[hit] * share(apart, a[hit], b[hit], fill, sigma)
+
+
+def _footprints(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, square: float | None) -> _Footprints:
+    """Of the parts of a belt's cells, or of squares in their place."""
+    if square is not None:
+        return _in_squares(grid, belt, beam, vessel, square)
+    count = PARTS * grid.angles * belt.samples
+    rho = (np.arange(PARTS * belt.rings) + 0.5)[:, None] / PARTS + belt.begin
+    psi = FULL_TURN / count * (np.arange(count) - 0.5 * (PARTS - 1))
+    across, along = rho * grid.pitch * np.sin(psi), -rho * grid.pitch * np.cos(psi)
+    u, weight = vessel.illuminate(across, along)
+    column = u / beam.pitch + 0.5 * (beam.pixels[0] - 1)
+    a = np.abs(np.gradient(column, axis=0, edge_order=2))
+    b = 0.5 * np.abs(np.roll(column, -1, axis=1) - np.roll(column, 1, axis=1))
+    lit = np.hypot(across, along) <= vessel.lit_radius
+    strength = weight * lit * (rho / (np.floor(rho) + 0.5)) * grid.pitch**2 / beam.pitch / PARTS**2
+    return _Footprints(column, strength, a, b, PARTS)
+
+
+def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: float) -> _Footprints:
+    """Of squares about the middles of a belt's cells."""
     count = grid.angles * belt.samples
     rho = (np.arange(belt.begin, belt.stop) + 0.5)[:, None] * grid.pitch
     psi = FULL_TURN / count * np.arange(count)
@@ -201,33 +260,7 @@ def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: f
     )
     lit = rho <= vessel.lit_radius
     first = middle + 0.5 * (beam.pixels[0] - 1)
-    return _in_cells(first, weight * lit * side**2 / beam.pitch, a, b, beam, (belt.rings, count, beam.pixels[0]), 1)
-
-
-def _middle(rho: np.ndarray) -> np.ndarray:
-    """Middle of the ring that each part lies in."""
-    return np.floor(rho) + 0.5
-
-
-def _in_cells(
-    column: np.ndarray, strength: np.ndarray, a: np.ndarray, b: np.ndarray, beam: Beam, shape: tuple[int, int, int],
-    parts: int = PARTS,
-) -> np.ndarray:  # fmt: skip
-    """Shares of columns in parts of cells, added up by cell."""
-    fill, sigma = beam.fill**0.5, beam.sigma
-    reach = half_support(*sides(a, b, sigma), fill, sigma)
-    first = np.ceil(column - reach).astype(int)
-    found = np.zeros(shape)
-    ring, cell = np.arange(shape[0])[:, None], np.arange(shape[1])
-    for tap in range(int(np.floor(2.0 * reach.max())) + 1):
-        at = first + tap
-        value = strength * share(column - at, a, b, fill, sigma) * ((at >= 0) & (at < shape[2]))
-        at = np.clip(at, 0, shape[2] - 1)
-        for i in range(parts):
-            for j in range(parts):
-                part = (slice(i, None, parts), slice(j, None, parts))
-                found[ring, cell, at[part]] += value[part]
-    return found
+    return _Footprints(first, weight * lit * side**2 / beam.pitch, a, b, 1)
 
 
 @dataclass(frozen=True)
@@ -247,33 +280,64 @@ def ring_table(
 
     faint: share of the greatest entry up to which those of a tile at neighboring frequencies count as none.
     """
+    with ThreadPoolExecutor(threads()) as pool:
+        # squares of a ring do not depend on those of another: as many pieces as tiles
+        pieces = [tile for belt in grid.belts for tile in belt.tiles] if square is not None else list(grid.belts)
+        footprints = list(pool.map(lambda piece: _footprints(grid, piece, beam, vessel, square), pieces))
+        if square is None:
+            whole = zip(grid.belts, footprints, strict=True)
+            footprints = [
+                each.rings(begin, begin + ROWS) for belt, each in whole for begin in range(0, belt.rings, ROWS)
+            ]
+        columns, mirrored = beam.pixels[0], all(each.is_mirrored(beam.pixels[0]) for each in footprints)
+        blocks = [tile for belt in grid.belts for tile in belt.tiles]
+        half = columns // 2 if mirrored else 0
+        found = list(pool.map(lambda f, b: _spectrum(f, beam, grid.angles, b.samples, half), footprints, blocks))
+        most = max(float(peak.max()) for harmonics in found for _, peak in harmonics)
+        if most == 0.0:
+            raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
+        tiles, parts = [], []
+        start = number = 0
+        for belt in grid.belts:
+            own = found[number : number + len(belt.tiles)]
+            number += len(own)
+            for j in range(belt.samples):
+                for ring, harmonics in enumerate(own):
+                    entries, peak = harmonics[j]
+                    mate = (belt.cell + (belt.samples - 1 - j) * belt.rings) // ROWS + ring
+                    tiles.append((start, entries.shape[1], mate, *_dark(peak <= faint * most)))
+                    parts.append((start, entries.reshape(len(entries), -1)))
+                    start += parts[-1][1].shape[1]
+        entries = np.empty((grid.angles // 2 + 1, start), np.float32)
+        list(pool.map(lambda part: np.copyto(entries[:, part[0] : part[0] + part[1].shape[1]], part[1]), parts))
+    pairs = -(-(columns - half) // ROWS) * ROWS
+    return RingTable(entries.ravel(), np.array(tiles), pairs, mirrored)
+
+
+def _spectrum(
+    footprints: _Footprints, beam: Beam, turns: int, samples: int, first_column: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Of `ROWS` rings and each j < samples, frequencies k + j·turns for k up to half of the turns.
+
+    Entries (k, columns, 2, `ROWS`), real and imaginary, columns up to the last that light them, and the greatest (k,).
+    """
     from scipy.fft import rfft
 
-    spectra = [rfft(pose, axis=1, workers=-1) / pose.shape[1] for pose in pose_on_rings(grid, beam, vessel, square)]
-    most = max(float(np.abs(each).max()) for each in spectra)
-    if most == 0.0:
-        raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
-    mirrored = all(np.abs(each - each[..., ::-1].conj()).max() <= ALIKE * most for each in spectra)
-    columns, turns = beam.pixels[0], grid.angles
-    blocks, tiles = [], []
-    start = 0
-    for belt, spectrum in zip(grid.belts, spectra, strict=True):
-        near = spectrum[..., columns // 2 :] if mirrored else spectrum
-        for j in range(belt.samples):
-            rows = _harmonics(near, turns, j, belt.samples)
-            for ring in range(0, belt.rings, ROWS):
-                own = rows[:, ring : ring + ROWS]
-                lit = np.flatnonzero(np.abs(own).max(axis=(0, 1)) > 0.0)
-                pairs = -(-(int(lit[-1]) + 1) // ROWS) * ROWS if lit.size else 0
-                block = np.zeros((len(own), pairs, 2, ROWS), np.float32)
-                held = own[..., :pairs].swapaxes(1, 2)
-                block[:, : held.shape[1], 0], block[:, : held.shape[1], 1] = np.real(held), np.imag(held)
-                mate = (belt.cell + (belt.samples - 1 - j) * belt.rings + ring) // ROWS
-                tiles.append((start, pairs, mate, *_dark(np.abs(own).max(axis=(1, 2)) <= faint * most)))
-                blocks.append(block.reshape(len(own), -1))
-                start += blocks[-1].shape[1]
-    half = -(-((columns + 1) // 2 if mirrored else columns) // ROWS) * ROWS
-    return RingTable(np.concatenate(blocks, axis=1).ravel(), np.array(tiles), half, mirrored)
+    pose = np.zeros((ROWS, beam.pixels[0] - first_column, turns * samples), np.float32)
+    footprints.add(pose.swapaxes(1, 2), beam, first_column)
+    lit = np.flatnonzero(pose.any(axis=(0, 2)))
+    columns = int(lit[-1]) + 1 if lit.size else 0
+    spectrum = np.asarray(rfft(pose[:, :columns], axis=2)) / np.float32(turns * samples)
+    found = []
+    for j in range(samples):
+        kappa, n = np.arange(turns // 2 + 1) + j * turns, turns * samples
+        back = 2 * kappa > n
+        entries = np.zeros((len(kappa), -(-columns // ROWS) * ROWS, 2, ROWS), np.float32)
+        own = spectrum[..., np.where(back, n - kappa, kappa)].transpose(2, 1, 0)
+        entries[:, :columns, 0] = np.real(own)
+        entries[:, :columns, 1] = np.where(back, np.float32(-1.0), np.float32(1.0))[:, None, None] * np.imag(own)
+        found.append((entries, np.abs(own).max(axis=(1, 2), initial=0.0)))
+    return found
 
 
 def _dark(vanish: np.ndarray) -> tuple[int, int]:
@@ -281,11 +345,3 @@ def _dark(vanish: np.ndarray) -> tuple[int, int]:
     ends = np.flatnonzero(np.diff(np.concatenate([[0], vanish, [0]])))
     runs = ends.reshape(-1, 2)
     return tuple(runs[np.argmax(runs[:, 1] - runs[:, 0])].tolist()) if len(runs) else (0, 0)
-
-
-def _harmonics(spectrum: np.ndarray, turns: int, j: int, samples: int) -> np.ndarray:
-    """Frequencies k + j·turns of rings for k up to half of the turns, (k, ring, column)."""
-    kappa, n = np.arange(turns // 2 + 1) + j * turns, turns * samples
-    back = 2 * kappa > n
-    found = spectrum[:, np.where(back, n - kappa, kappa)]
-    return np.where(back[:, None], found.conj(), found).swapaxes(0, 1)
