@@ -75,7 +75,7 @@ def test_auto_takes_rings_only_where_they_pay(tmp_path: Path) -> None:
 
 def test_where_rings_pay(opencl_device: Any) -> None:
     beam = vam.Beam((96, 2), 0.1)
-    for across, pays in ((40, False), (96, not opencl_device.is_gpu), (128, True)):
+    for across, pays in ((40, False), (96, not opencl_device.is_gpu), (256, True)):
         grid = vam.Grid((across, across, 2), 0.1)
         assert pays_on_rings(vam.Projection(grid, beam, vam.Turntable(180), device=opencl_device)) == pays
     prime = vam.Projection(grid, beam, vam.Turntable(367), device=opencl_device)
