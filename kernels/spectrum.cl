@@ -55,83 +55,6 @@ FIELD_KERNEL unfold_columns(ARRAY folded, int mirrored, __global float *restrict
 #endif
 
 #ifdef COMPILE_fourier
-#ifdef AT_ONCE
-
-// The radix of the next pass of a transform: of those that have a pass of their own the first, or the least factor.
-static inline int radix_of(int n) {
-    if (n % 4 == 0) return 4;
-    if (n % 5 == 0) return 5;
-    int radix = 2;
-    while (n % radix) radix++;
-    return radix;
-}
-
-#define TIMES(wave, value) ((wave).x * (value) + sign * (wave).y * turned(value))
-// A pass of one radix: what it takes, `near`, is `apart` from the next; what it makes, `out`, is `done`. Waves of the first
-// input are 1.
-#define PASS(radix, ...)                                                                                               \
-    for (int inner = 0; inner < done; inner++) {                                                                       \
-        float2 turn[radix];                                                                                            \
-        UNROLL for (int r = 1; r < radix; r++) turn[r] = wave[r * inner * turns * wide];                               \
-        for (int start = 0; start < turns; start++) {                                                                  \
-            const Vector *near = from + start * done + inner;                                                          \
-            Vector *out = to + start * done * radix + inner, g[radix];                                                 \
-            g[0] = near[0];                                                                                            \
-            UNROLL for (int r = 1; r < radix; r++) g[r] = TIMES(turn[r], near[r * turns * done]);                      \
-            __VA_ARGS__                                                                                                \
-        }                                                                                                              \
-    }
-
-// The transform of `radix` values, pass by pass between two private arrays; `wide` waves make one of theirs. Returns
-// where the result is.
-static inline Vector *passes(Vector *from, Vector *to, int radix, __global const float2 *wave, int wide, float sign) {
-    for (int done = 1, part = 1; done < radix; done *= part) {
-        part = radix_of(radix / done);
-        const int turns = radix / (done * part);
-        if (part == 4) PASS(4, {
-            const Vector a = g[0] + g[2], b = g[0] - g[2], c = g[1] + g[3], d = sign * turned(g[1] - g[3]);
-            out[0] = a + c; out[done] = b + d; out[2 * done] = a - c; out[3 * done] = b - d;
-        })
-        else if (part == 5) PASS(5, {
-            const Vector a = g[1] + g[4], b = g[1] - g[4], c = g[2] + g[3], d = g[2] - g[3];
-            const Vector low = g[0] + 0.30901699f * a - 0.80901699f * c, high = g[0] - 0.80901699f * a + 0.30901699f * c;
-            const Vector slow = sign * turned(0.95105652f * b + 0.58778525f * d);
-            const Vector fast = sign * turned(0.58778525f * b - 0.95105652f * d);
-            out[0] = g[0] + a + c; out[done] = low + slow; out[4 * done] = low - slow;
-            out[2 * done] = high + fast; out[3 * done] = high - fast;
-        })
-        else if (part == 3) PASS(3, {
-            const Vector a = g[1] + g[2], b = sign * 0.86602540f * turned(g[1] - g[2]), c = g[0] - 0.5f * a;
-            out[0] = g[0] + a; out[done] = c + b; out[2 * done] = c - b;
-        })
-        else if (part == 2) PASS(2, { out[0] = g[0] + g[1]; out[done] = g[0] - g[1]; })
-        else for (int start = 0; start < turns; start++) for (int inner = 0; inner < done; inner++)
-            for (int k = 0, step = inner * turns; k < part; k++, step += done * turns) {
-                Vector along = ZERO, across = ZERO;
-                for (int r = 0, phase = 0; r < part; r++, phase = (phase + step) % radix) {
-                    const Vector given = from[(start + r * turns) * done + inner];
-                    const float2 turn = wave[phase * wide];
-                    along += turn.x * given;
-                    across += turn.y * given;
-                }
-                to[start * done * part + inner + k * done] = along + sign * turned(across);
-            }
-        Vector *next = from;
-        from = to;
-        to = next;
-    }
-    return from;
-}
-#endif
-
-#ifdef GPU
-// Of the two factors of a radix the greater, both of at most FACTOR; 0 where there are no such two.
-static inline int greater_factor(int radix) {
-    for (int a = 1; a <= FACTOR; a++)
-        if (a * a >= radix && radix % a == 0) return a;
-    return 0;
-}
-
 #define TURN(value, c, s) (value) = (c) * (value) + sign * (s) * turned(value)
 #define SWAP(a, b) { const Vector held = a; a = b; b = held; }
 
@@ -231,6 +154,80 @@ static inline void of_few(Vector *g, int count, float sign) {
             break;
         }
     }
+}
+
+#ifdef AT_ONCE
+// The radix of the next pass of a transform: the greatest factor that is small enough, else the least of all.
+static inline int radix_of(int n) {
+    int radix = FACTOR;
+    while (n % radix) radix--;
+    for (int more = FACTOR + 1; radix == 1; more++) radix = n % more ? 1 : more;
+    return radix;
+}
+
+// Where samples lie, `step` apart from a first one on.
+static inline void places_of(int *places, int count, int sample, int step, __global const int *place, int ring) {
+    int within = sample % place[1], beyond = sample / place[1];
+    for (int r = 0; r < count; r++) {
+        places[r] = place[0] + within * place[2] + beyond * place[3] + ring;
+        for (within += step; within >= place[1]; beyond++) within -= place[1];
+    }
+}
+
+#define GET(at) (first ? LOAD(from + SAMPLE(0, read[at], 0)) : near[at])
+#define PUT(at, value)                                                                                                 \
+    if (last) STORE(to + SAMPLE(0, write[at], 0), value);                                                              \
+    else far[at] = value;
+// A pass of one radix: what it takes is `apart` from the next, what it makes `done`.
+#define PASS(radix)                                                                                                    \
+    case radix:                                                                                                        \
+        for (int inner = 0; inner < done; inner++) {                                                                   \
+            float2 turn[radix];                                                                                        \
+            UNROLL for (int r = 1; r < radix; r++) turn[r] = wave[r * inner * turns * wide];                           \
+            for (int start = 0; start < turns; start++) {                                                              \
+                Vector g[radix];                                                                                       \
+                UNROLL for (int r = 0; r < radix; r++) g[r] = GET((start + r * turns) * done + inner);                 \
+                if (inner) UNROLL for (int r = 1; r < radix; r++) TURN(g[r], turn[r].x, turn[r].y);                    \
+                of_few(g, radix, sign);                                                                                \
+                UNROLL for (int k = 0; k < radix; k++) { PUT(start * done * radix + inner + k * done, g[k]) }          \
+            }                                                                                                          \
+        }                                                                                                              \
+        break;
+
+// The transform of `radix` values, pass by pass from the source, or from `near`, to the sink; `wide` waves make one.
+static inline void passes(ARRAY from, const int *read, Vector *near, Vector *far, __global float *to, const int *write,
+                          int v, int first, int radix, __global const float2 *wave, int wide, float sign) {
+    for (int done = 1, part = 1; done < radix; done *= part, first = 0) {
+        part = radix_of(radix / done);
+        const int turns = radix / (done * part), last = done * part == radix;
+        switch (part) {
+            PASS(2) PASS(3) PASS(4) PASS(5) PASS(6) PASS(7) PASS(8) PASS(9) PASS(10)
+            default:
+                for (int start = 0; start < turns; start++) for (int inner = 0; inner < done; inner++)
+                    for (int k = 0, step = inner * turns; k < part; k++, step += done * turns) {
+                        Vector along = ZERO, across = ZERO;
+                        for (int r = 0, phase = 0; r < part; r++, phase = (phase + step) % radix) {
+                            const Vector given = GET((start + r * turns) * done + inner);
+                            const float2 turn = wave[phase * wide];
+                            along += turn.x * given;
+                            across += turn.y * given;
+                        }
+                        PUT(start * done * part + inner + k * done, along + sign * turned(across))
+                    }
+        }
+        Vector *next = near;
+        near = far;
+        far = next;
+    }
+}
+#endif
+
+#ifdef GPU
+// Of the two factors of a radix the greater, both of at most FACTOR; 0 where there are no such two.
+static inline int greater_factor(int radix) {
+    for (int a = 1; a <= FACTOR; a++)
+        if (a * a >= radix && radix % a == 0) return a;
+    return 0;
 }
 
 #define SLOTS ((int)get_local_size(0) / THREADS)
@@ -333,20 +330,17 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
             if (own % blocks) continue;
             const int which = own / blocks, ring = which % rings, inner = which / rings % done, start = which / rings / done;
             __global const float2 *wave = waves + belt[5];
-            Vector values[2 * AT_ONCE];
+            int read[AT_ONCE], write[AT_ONCE];
+            places_of(read, radix, start * done + inner, turns * done, belt + 6, ring);
+            places_of(write, radix, start * done * radix + inner, done, belt + 10, ring);
+            Vector near[AT_ONCE], far[AT_ONCE];
             EACH_VECTOR {
-                for (int r = 0, sample = start * done + inner; r < radix; r++, sample += turns * done) {
-                    const int at = belt[6] + sample % belt[7] * belt[8] + sample / belt[7] * belt[9] + ring;
-                    const Vector given = LOAD(from + SAMPLE(0, at, 0));
-                    const float2 turn = wave[(long)r * inner * turns % n];
-                    values[r] = inner ? turn.x * given + sign * turn.y * turned(given) : given;
-                }
-                const Vector *found = passes(values, values + AT_ONCE, radix, wave, n / radix, sign);
-                for (int b = 0; b < radix; b++) {
-                    const int out = start * done * radix + inner + b * done;
-                    const int at = belt[10] + out % belt[11] * belt[12] + out / belt[11] * belt[13] + ring;
-                    STORE(to + SAMPLE(0, at, 0), found[b]);
-                }
+                if (inner)
+                    for (int r = 0; r < radix; r++) {
+                        near[r] = LOAD(from + SAMPLE(0, read[r], 0));
+                        TURN(near[r], wave[(long)r * inner * turns % n].x, wave[(long)r * inner * turns % n].y);
+                    }
+                passes(from, read, near, far, to, write, v, !inner, radix, wave, n / radix, sign);
             }
             continue;
         }

@@ -26,7 +26,7 @@ AT_ONCE = 2048
 ONE_SUM = 20
 """Greatest radix of a pass that is a plain sum everywhere, where radices can be so small."""
 FACTOR = 10
-"""Greatest of two factors of a radix that GPUs compute through local memory, in OpenCL."""
+"""Greatest radix of a pass in registers, in OpenCL: a processor's own, and of two that GPUs make one of."""
 
 Light = Annotated[np.ndarray, Field(("k", "r", "z"))]
 LightOut = Annotated[np.ndarray, Field(("k", "r", "z"), writes=True)]
@@ -101,7 +101,7 @@ def unfold_columns(folded: Folded, mirrored: Integer, sinogram: LightOut) -> Non
     cpu=Tiling(major=1, minor=0),
     gpu=Tiling(major=1, minor=2, group=(128, 1)),
     constants={
-        "cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM},
+        "cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM, "FACTOR": FACTOR},
         "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 128},
     },
 )
