@@ -135,7 +135,9 @@ def direct(A: Projection | RingProjection) -> Projection: ...
 def direct(A: Any) -> Any: ...
 def direct(A: Any) -> Any:
     """The operator on voxels of one on rings; any other operator itself."""
-    return A.direct if isinstance(A, RingProjection) else A
+    from vamgpu.operators.defocus import Defocused
+
+    return A.direct if isinstance(A, RingProjection | Defocused) else A
 
 
 def against_rings(A: Any) -> str:
