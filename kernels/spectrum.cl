@@ -407,6 +407,10 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 #define MEMBERS ((int)(get_local_size(2) * get_local_size(0)))
 #define SPREAD ((int)get_local_size(2) * THREADS)
 #define GROUP_ITEM ((int)get_group_id(0) * ITEMS)
+// Two sides, one laid while the other is read; where a group has so many items that both do not fit, one.
+#define SIDES (THREADS > 1 ? 2 : 1)
+#define OTHER(side) (SIDES - 1 - (side))
+#define WAIT_FOR_READERS if (SIDES == 1) barrier(CLK_LOCAL_MEM_FENCE);
 #define PLACE \
     const int spread = SPREAD, item = MEMBER / spread, near = MEMBER % spread, last = (n_z - 1) / LANES;               \
     const int slab = get_group_id(2) * get_local_size(2) + near / THREADS, lane = near % THREADS;
@@ -433,7 +437,7 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
     const int k = ITEM_MAJOR, middle = mirrored ? n_pair / 2 : 0;
     ENTRIES
     PLACE
-    __local float4 light[2][2 * CHUNK * SLABS * THREADS], shares[2][ITEMS * EACH * CHUNK * 4];
+    __local float4 light[SIDES][2 * CHUNK * SLABS * THREADS], shares[SIDES][ITEMS * EACH * CHUNK * 4];
     __local int starts[ITEMS * EACH], counts[ITEMS * EACH];
     for (int m = MEMBER; m < ITEMS * EACH; m += MEMBERS) {
         const int tile = GROUP_ITEM * EACH + m;
@@ -456,7 +460,7 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
     (begin < counts[(m) / (CHUNK * 4)]                                                                                 \
          ? ((__global const float4 *)(frequency + starts[(m) / (CHUNK * 4)] + 2 * ROWS * begin))[(m) % (CHUNK * 4)]   \
          : (float4)(0.0f))
-    for (int begin = -CHUNK, side = 1; begin < most; side ^= 1) {
+    for (int begin = -CHUNK, side = SIDES - 1; begin < most; side = OTHER(side)) {
         const int done = begin;
         begin += CHUNK;
         if (begin < most) {
@@ -472,9 +476,10 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
                     ADD_EIGHT(imaginary[t], share + 2, difference)
                 }
             }
+        WAIT_FOR_READERS
         if (begin < most) {
-            LAY(next_light, 2 * CHUNK * SLABS * THREADS, 2 * CHUNK * spread, LIGHT_AT, light[side ^ 1])
-            LAY(next_shares, ITEMS * EACH * CHUNK * 4, ITEMS * EACH * CHUNK * 4, SHARES_AT, shares[side ^ 1])
+            LAY(next_light, 2 * CHUNK * SLABS * THREADS, 2 * CHUNK * spread, LIGHT_AT, light[OTHER(side)])
+            LAY(next_shares, ITEMS * EACH * CHUNK * 4, ITEMS * EACH * CHUNK * 4, SHARES_AT, shares[OTHER(side)])
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
@@ -534,7 +539,7 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
     ENTRIES
     PLACE
     const int first = begin + item * TILE_MINOR;
-    __local float4 light[2][ROWS * SLABS * THREADS], shares[2][ITEMS * TILE_MINOR * 4];
+    __local float4 light[SIDES][ROWS * SLABS * THREADS], shares[SIDES][ITEMS * TILE_MINOR * 4];
     __global const float4 *from =
         (__global const float4 *)(spectrum + ((size_t)min(slab, last) * n_k + k) * n_cell * LANES) + lane;
     Vector real[TILE_MINOR], imaginary[TILE_MINOR];
@@ -545,7 +550,7 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
 #define SHARES_OF(m)                                                                                                   \
     (begin + (m) / 4 < pairs ? ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[m] : (float4)(0.0f))
     int tile = -1, pairs = 0;
-    for (int side = 1; tile < n_tile; side ^= 1) {
+    for (int side = SIDES - 1; tile < n_tile; side = OTHER(side)) {
         const int lit = pairs;
         tile = next_lit(tile + 1, n_tile, begin, tiles, back, kept);
         __global const int *own = TILE_OF(min(tile, n_tile - 1));
@@ -564,9 +569,10 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
                     DOT_FOUR(imaginary[pair], share[4 * pair + 2], ring)
                 }
             }
+        WAIT_FOR_READERS
         if (tile < n_tile) {
-            LAY(next_light, ROWS * SLABS * THREADS, ROWS * spread, LIGHT_OF, light[side ^ 1])
-            LAY(next_shares, ITEMS * TILE_MINOR * 4, ITEMS * TILE_MINOR * 4, SHARES_OF, shares[side ^ 1])
+            LAY(next_light, ROWS * SLABS * THREADS, ROWS * spread, LIGHT_OF, light[OTHER(side)])
+            LAY(next_shares, ITEMS * TILE_MINOR * 4, ITEMS * TILE_MINOR * 4, SHARES_OF, shares[OTHER(side)])
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
