@@ -28,6 +28,7 @@ from vamgpu.methods.saved import (
     target_from,
     tolerances_from,
 )
+from vamgpu.operators.defocus import Defocused
 from vamgpu.operators.ring_projection import RingProjection, against_rings, pays_on_rings
 from vamgpu.schema.registry import family, find, nearest
 from vamgpu.storage.atomic import clear
@@ -200,9 +201,11 @@ def _on_rings(light: Any, A: Any, asked: bool) -> Any:
     Raises:
         JobError: They are asked for and do not take it.
     """
-    why = "the dose diffuses" if light is not A else against_rings(light)
-    if not why:
-        return RingProjection.of(light) if asked or pays_on_rings(light) else A
+    rays: Any = light.operator if isinstance(light, Defocused) else light
+    why = "the dose diffuses" if light is not A else against_rings(rays)
+    if not why and (asked or pays_on_rings(rays)):
+        on_rings = RingProjection.of(rays)
+        return on_rings if rays is light else Defocused(on_rings, light.defocus, light.tolerance)
     if asked:
         raise JobError(f'solve.operator: got "rings", which do not take this job: {why}; expected "voxels" or "auto"')
     return A
