@@ -55,82 +55,216 @@ FIELD_KERNEL unfold_columns(ARRAY folded, int mirrored, __global float *restrict
 #endif
 
 #ifdef COMPILE_fourier
-#ifdef AT_ONCE
+#define TURN(value, c, s) (value) = (c) * (value) + sign * (s) * turned(value)
+#define SWAP(a, b) { const Vector held = a; a = b; b = held; }
 
-// The radix of the next pass of a transform: of those that have a pass of their own the first, or the least factor.
+// Transforms of values that are `step` apart, in place.
+static inline void of_two(Vector *g, int step) {
+    const Vector a = g[0];
+    g[0] = a + g[step];
+    g[step] = a - g[step];
+}
+
+static inline void of_three(Vector *g, int step, float sign) {
+    const Vector a = g[step] + g[2 * step], b = sign * 0.86602540f * turned(g[step] - g[2 * step]), c = g[0] - 0.5f * a;
+    g[0] += a;
+    g[step] = c + b;
+    g[2 * step] = c - b;
+}
+
+static inline void of_four(Vector *g, int step, float sign) {
+    const Vector a = g[0] + g[2 * step], b = g[0] - g[2 * step], c = g[step] + g[3 * step];
+    const Vector d = sign * turned(g[step] - g[3 * step]);
+    g[0] = a + c;
+    g[step] = b + d;
+    g[2 * step] = a - c;
+    g[3 * step] = b - d;
+}
+
+static inline void of_five(Vector *g, int step, float sign) {
+    const Vector a = g[step] + g[4 * step], b = g[step] - g[4 * step], c = g[2 * step] + g[3 * step];
+    const Vector d = g[2 * step] - g[3 * step];
+    const Vector low = g[0] + 0.30901699f * a - 0.80901699f * c, high = g[0] - 0.80901699f * a + 0.30901699f * c;
+    const Vector slow = sign * turned(0.95105652f * b + 0.58778525f * d);
+    const Vector fast = sign * turned(0.58778525f * b - 0.95105652f * d);
+    g[0] += a + c;
+    g[step] = low + slow;
+    g[4 * step] = low - slow;
+    g[2 * step] = high + fast;
+    g[3 * step] = high - fast;
+}
+
+static inline void of_seven(Vector *g, float sign) {
+    const Vector a = g[1] + g[6], b = g[2] + g[5], c = g[3] + g[4];
+    const Vector d = sign * turned(g[1] - g[6]), e = sign * turned(g[2] - g[5]), f = sign * turned(g[3] - g[4]);
+    const Vector one = g[0] + 0.62348980f * a - 0.22252093f * b - 0.90096887f * c;
+    const Vector two = g[0] - 0.22252093f * a - 0.90096887f * b + 0.62348980f * c;
+    const Vector three = g[0] - 0.90096887f * a + 0.62348980f * b - 0.22252093f * c;
+    const Vector first = 0.78183148f * d + 0.97492791f * e + 0.43388374f * f;
+    const Vector second = 0.97492791f * d - 0.43388374f * e - 0.78183148f * f;
+    const Vector third = 0.43388374f * d - 0.78183148f * e + 0.97492791f * f;
+    g[0] += a + b + c;
+    g[1] = one + first;
+    g[6] = one - first;
+    g[2] = two + second;
+    g[5] = two - second;
+    g[3] = three + third;
+    g[4] = three - third;
+}
+
+// The transform of up to FACTOR values in registers, in order.
+static inline void of_few(Vector *g, int count, float sign) {
+    switch (count) {
+        case 2: of_two(g, 1); break;
+        case 3: of_three(g, 1, sign); break;
+        case 4: of_four(g, 1, sign); break;
+        case 5: of_five(g, 1, sign); break;
+        case 6: {
+            of_three(g, 2, sign); of_three(g + 1, 2, sign);
+            TURN(g[3], 0.5f, 0.86602540f); TURN(g[5], -0.5f, 0.86602540f);
+            of_two(g, 1); of_two(g + 2, 1); of_two(g + 4, 1);
+            const Vector b = g[1], c = g[2], d = g[3], e = g[4];
+            g[1] = c; g[2] = e; g[3] = b; g[4] = d;
+            break;
+        }
+        case 7: of_seven(g, sign); break;
+        case 8: {
+            of_four(g, 2, sign); of_four(g + 1, 2, sign);
+            TURN(g[3], 0.70710678f, 0.70710678f); g[5] = sign * turned(g[5]); TURN(g[7], -0.70710678f, 0.70710678f);
+            of_two(g, 1); of_two(g + 2, 1); of_two(g + 4, 1); of_two(g + 6, 1);
+            const Vector b = g[1], c = g[2], d = g[3], e = g[4], f = g[5], h = g[6];
+            g[1] = c; g[2] = e; g[3] = h; g[4] = b; g[5] = d; g[6] = f;
+            break;
+        }
+        case 9: {
+            of_three(g, 3, sign); of_three(g + 1, 3, sign); of_three(g + 2, 3, sign);
+            TURN(g[4], 0.76604444f, 0.64278761f); TURN(g[5], 0.17364818f, 0.98480775f);
+            TURN(g[7], 0.17364818f, 0.98480775f); TURN(g[8], -0.93969262f, 0.34202014f);
+            of_three(g, 1, sign); of_three(g + 3, 1, sign); of_three(g + 6, 1, sign);
+            SWAP(g[1], g[3]) SWAP(g[2], g[6]) SWAP(g[5], g[7])
+            break;
+        }
+        case 10: {
+            of_five(g, 2, sign); of_five(g + 1, 2, sign);
+            TURN(g[3], 0.80901699f, 0.58778525f); TURN(g[5], 0.30901699f, 0.95105652f);
+            TURN(g[7], -0.30901699f, 0.95105652f); TURN(g[9], -0.80901699f, 0.58778525f);
+            of_two(g, 1); of_two(g + 2, 1); of_two(g + 4, 1); of_two(g + 6, 1); of_two(g + 8, 1);
+            const Vector b = g[1], c = g[2], d = g[3], e = g[4], f = g[5], h = g[6], i = g[7], j = g[8];
+            g[1] = c; g[2] = e; g[3] = h; g[4] = j; g[5] = b; g[6] = d; g[7] = f; g[8] = i;
+            break;
+        }
+    }
+}
+
+#ifdef AT_ONCE
+// The radix of the next pass of a transform: the greatest factor that is small enough, else the least of all.
 static inline int radix_of(int n) {
-    if (n % 4 == 0) return 4;
-    if (n % 5 == 0) return 5;
-    int radix = 2;
-    while (n % radix) radix++;
+    int radix = FACTOR;
+    while (n % radix) radix--;
+    for (int more = FACTOR + 1; radix == 1; more++) radix = n % more ? 1 : more;
     return radix;
 }
 
-#define TIMES(wave, value) ((wave).x * (value) + sign * (wave).y * turned(value))
-// A pass of one radix: what it takes, `near`, is `apart` from the next; what it makes, `out`, is `done`. Waves of the first
-// input are 1.
-#define PASS(radix, ...)                                                                                               \
-    for (int inner = 0; inner < done; inner++) {                                                                       \
-        float2 turn[radix];                                                                                            \
-        UNROLL for (int r = 1; r < radix; r++) turn[r] = wave[r * inner * turns * wide];                               \
-        for (int start = 0; start < turns; start++) {                                                                  \
-            const Vector *near = from + start * done + inner;                                                          \
-            Vector *out = to + start * done * radix + inner, g[radix];                                                 \
-            g[0] = near[0];                                                                                            \
-            UNROLL for (int r = 1; r < radix; r++) g[r] = TIMES(turn[r], near[r * turns * done]);                      \
-            __VA_ARGS__                                                                                                \
-        }                                                                                                              \
+// Where samples lie, `step` apart from a first one on.
+static inline void places_of(int *places, int count, int sample, int step, __global const int *place, int ring) {
+    int within = sample % place[1], beyond = sample / place[1];
+    for (int r = 0; r < count; r++) {
+        places[r] = place[0] + within * place[2] + beyond * place[3] + ring;
+        for (within += step; within >= place[1]; beyond++) within -= place[1];
     }
+}
 
-// The transform of `radix` values, pass by pass between two private arrays; `wide` waves make one of theirs. Returns
-// where the result is.
-static inline Vector *passes(Vector *from, Vector *to, int radix, __global const float2 *wave, int wide, float sign) {
-    for (int done = 1, part = 1; done < radix; done *= part) {
+#define GET(at) (first ? LOAD(from + SAMPLE(0, read[at], 0)) : near[at])
+#define PUT(at, value)                                                                                                 \
+    if (last) STORE(to + SAMPLE(0, write[at], 0), value);                                                              \
+    else far[at] = value;
+// A pass of one radix: what it takes is `apart` from the next, what it makes `done`.
+#define PASS(radix)                                                                                                    \
+    case radix:                                                                                                        \
+        for (int inner = 0; inner < done; inner++) {                                                                   \
+            float2 turn[radix];                                                                                        \
+            UNROLL for (int r = 1; r < radix; r++) turn[r] = wave[r * inner * turns * wide];                           \
+            for (int start = 0; start < turns; start++) {                                                              \
+                Vector g[radix];                                                                                       \
+                UNROLL for (int r = 0; r < radix; r++) g[r] = GET((start + r * turns) * done + inner);                 \
+                if (inner) UNROLL for (int r = 1; r < radix; r++) TURN(g[r], turn[r].x, turn[r].y);                    \
+                of_few(g, radix, sign);                                                                                \
+                UNROLL for (int k = 0; k < radix; k++) { PUT(start * done * radix + inner + k * done, g[k]) }          \
+            }                                                                                                          \
+        }                                                                                                              \
+        break;
+
+// The transform of `radix` values, pass by pass from the source, or from `near`, to the sink; `wide` waves make one.
+static inline void passes(ARRAY from, const int *read, Vector *near, Vector *far, __global float *to, const int *write,
+                          int v, int first, int radix, __global const float2 *wave, int wide, float sign) {
+    for (int done = 1, part = 1; done < radix; done *= part, first = 0) {
         part = radix_of(radix / done);
-        const int turns = radix / (done * part);
-        if (part == 4) PASS(4, {
-            const Vector a = g[0] + g[2], b = g[0] - g[2], c = g[1] + g[3], d = sign * turned(g[1] - g[3]);
-            out[0] = a + c; out[done] = b + d; out[2 * done] = a - c; out[3 * done] = b - d;
-        })
-        else if (part == 5) PASS(5, {
-            const Vector a = g[1] + g[4], b = g[1] - g[4], c = g[2] + g[3], d = g[2] - g[3];
-            const Vector low = g[0] + 0.30901699f * a - 0.80901699f * c, high = g[0] - 0.80901699f * a + 0.30901699f * c;
-            const Vector slow = sign * turned(0.95105652f * b + 0.58778525f * d);
-            const Vector fast = sign * turned(0.58778525f * b - 0.95105652f * d);
-            out[0] = g[0] + a + c; out[done] = low + slow; out[4 * done] = low - slow;
-            out[2 * done] = high + fast; out[3 * done] = high - fast;
-        })
-        else if (part == 3) PASS(3, {
-            const Vector a = g[1] + g[2], b = sign * 0.86602540f * turned(g[1] - g[2]), c = g[0] - 0.5f * a;
-            out[0] = g[0] + a; out[done] = c + b; out[2 * done] = c - b;
-        })
-        else if (part == 2) PASS(2, { out[0] = g[0] + g[1]; out[done] = g[0] - g[1]; })
-        else for (int start = 0; start < turns; start++) for (int inner = 0; inner < done; inner++)
-            for (int k = 0, step = inner * turns; k < part; k++, step += done * turns) {
-                Vector along = ZERO, across = ZERO;
-                for (int r = 0, phase = 0; r < part; r++, phase = (phase + step) % radix) {
-                    const Vector given = from[(start + r * turns) * done + inner];
-                    const float2 turn = wave[phase * wide];
-                    along += turn.x * given;
-                    across += turn.y * given;
-                }
-                to[start * done * part + inner + k * done] = along + sign * turned(across);
-            }
-        Vector *next = from;
-        from = to;
-        to = next;
+        const int turns = radix / (done * part), last = done * part == radix;
+        switch (part) {
+            PASS(2) PASS(3) PASS(4) PASS(5) PASS(6) PASS(7) PASS(8) PASS(9) PASS(10)
+            default:
+                for (int start = 0; start < turns; start++) for (int inner = 0; inner < done; inner++)
+                    for (int k = 0, step = inner * turns; k < part; k++, step += done * turns) {
+                        Vector along = ZERO, across = ZERO;
+                        for (int r = 0, phase = 0; r < part; r++, phase = (phase + step) % radix) {
+                            const Vector given = GET((start + r * turns) * done + inner);
+                            const float2 turn = wave[phase * wide];
+                            along += turn.x * given;
+                            across += turn.y * given;
+                        }
+                        PUT(start * done * part + inner + k * done, along + sign * turned(across))
+                    }
+        }
+        Vector *next = near;
+        near = far;
+        far = next;
     }
-    return from;
 }
 #endif
 
-// An item computes OUTPUTS samples of a transform, which share what they are made of. Of a radix above ONE_SUM, where
-// there is room for it, it computes all or none.
+#ifdef GPU
+// Of the two factors of a radix the greater, both of at most FACTOR; 0 where there are no such two.
+static inline int greater_factor(int radix) {
+    for (int a = 1; a <= FACTOR; a++)
+        if (a * a >= radix && radix % a == 0) return a;
+    return 0;
+}
+
+#define SLOTS ((int)get_local_size(0) / THREADS)
+#define SLOT ((int)get_local_id(0) / THREADS)
+#define LANE_HERE ((int)get_local_id(0) % THREADS)
+
+// What a group computes at once of a belt: whole transforms of the pass, as many as HELD has room for, or SLOTS items
+// of direct sums where its radix has no two small factors.
+static inline int group_blocks(__global const int *belt, int *at_once) {
+    const int radix = belt[3], whole = greater_factor(radix) > 0;
+    const int tasks = belt[1] / radix * belt[2] * (whole ? 1 : (radix + OUTPUTS - 1) / OUTPUTS);
+    *at_once = whole ? HELD / radix : SLOTS;
+    return (tasks + *at_once - 1) / *at_once;
+}
+#endif
+
+// An item computes OUTPUTS samples of a transform, which share what they are made of. Of a radix above ONE_SUM a
+// processor's item computes all or none, where there is room for it; on GPUs, where the radix is a · b, the items of a
+// group transform a values each, pass them on through local memory, and transform b values each.
 FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global const float2 *restrict waves, float sign,
                      __global float *restrict sink, int n_a, int n_b, int n_z, int n_belt, int n_wave, int n_i, int n_j) {
-    if (ITEM_MAJOR >= n_i || ITEM_Z >= n_z) return;
     ARRAY from = source + slab_offset(n_a, n_b);
     __global float *to = sink + slab_offset(n_i, n_j);
+#ifdef GPU
+    __local Vector held[HELD * THREADS];
+    const int groups = get_num_groups(0) * get_num_groups(1);
+    for (int number = get_group_id(1) * get_num_groups(0) + get_group_id(0);; number += groups) {
+        __global const int *belt = belts;
+        int batch = number, at_once = 0, b = 0;
+        for (; b < n_belt; b++, belt += 14) {
+            const int count = group_blocks(belt, &at_once);
+            if (batch < count) break;
+            batch -= count;
+        }
+        if (b == n_belt) return;
+#else
+    if (ITEM_MAJOR >= n_i || ITEM_Z >= n_z) return;
     const int items = (n_j + 1) / 2, first = ITEM_MAJOR * items, begin = TILE_MINOR ? ITEM_MINOR : 0;
     for (int item = first + begin, end = first + (TILE_MINOR ? min(begin + 1, items) : items); item < end; item++) {
         __global const int *belt = belts;
@@ -142,26 +276,71 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
             own -= count;
         }
         if (b == n_belt) return;
+#endif
         const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], turns = n / (done * radix);
+#ifdef GPU
+        const int a = greater_factor(radix);
+        if (a) {
+            const int c = radix / a, units = min(at_once, n / radix * rings - batch * at_once);
+            __global const float2 *wave = waves + belt[5];
+            Vector g[FACTOR];
+            for (int task = SLOT; task < units * c; task += SLOTS) {
+                const int unit = batch * at_once + task % units, ring = unit % rings, q = task / units;
+                const int inner = unit / rings % done, start = unit / rings / done;
+                UNROLL for (int i = 0; i < FACTOR; i++) {
+                    if (i >= a) break;
+                    const int r = i * c + q, sample = start * done + inner + r * turns * done;
+                    const int at = belt[6] + sample % belt[7] * belt[8] + sample / belt[7] * belt[9] + ring;
+                    const Vector given = *(__global const Vector *)(from + SAMPLE(0, at, 0));
+                    const float2 turn = wave[r * inner * turns % n];
+                    g[i] = turn.x * given + sign * turn.y * turned(given);
+                }
+                of_few(g, a, sign);
+                UNROLL for (int i = 0; i < FACTOR; i++) {
+                    if (i >= a) break;
+                    const float2 turn = wave[q * i * (n / radix)];
+                    held[(((task % units) * a + i) * c + q) * THREADS + LANE_HERE] =
+                        turn.x * g[i] + sign * turn.y * turned(g[i]);
+                }
+            }
+            barrier(CLK_LOCAL_MEM_FENCE);
+            for (int task = SLOT; task < units * a; task += SLOTS) {
+                const int unit = batch * at_once + task % units, ring = unit % rings, p = task / units;
+                const int inner = unit / rings % done, start = unit / rings / done;
+                UNROLL for (int i = 0; i < FACTOR; i++) {
+                    if (i >= c) break;
+                    g[i] = held[(((task % units) * a + p) * c + i) * THREADS + LANE_HERE];
+                }
+                of_few(g, c, sign);
+                UNROLL for (int i = 0; i < FACTOR; i++) {
+                    if (i >= c) break;
+                    const int out = start * done * radix + inner + (p + a * i) * done;
+                    const int at = belt[10] + out % belt[11] * belt[12] + out / belt[11] * belt[13] + ring;
+                    *(__global Vector *)(to + SAMPLE(0, at, 0)) = g[i];
+                }
+            }
+            barrier(CLK_LOCAL_MEM_FENCE);
+            continue;
+        }
+        const int blocks = (radix + OUTPUTS - 1) / OUTPUTS, own = batch * SLOTS + SLOT;
+        if (own >= n / radix * rings * blocks) continue;
+#endif
 #ifdef AT_ONCE
         if (radix > ONE_SUM && radix <= AT_ONCE) {
             if (own % blocks) continue;
             const int which = own / blocks, ring = which % rings, inner = which / rings % done, start = which / rings / done;
             __global const float2 *wave = waves + belt[5];
-            Vector values[2 * AT_ONCE];
+            int read[AT_ONCE], write[AT_ONCE];
+            places_of(read, radix, start * done + inner, turns * done, belt + 6, ring);
+            places_of(write, radix, start * done * radix + inner, done, belt + 10, ring);
+            Vector near[AT_ONCE], far[AT_ONCE];
             EACH_VECTOR {
-                for (int r = 0, sample = start * done + inner; r < radix; r++, sample += turns * done) {
-                    const int at = belt[6] + sample % belt[7] * belt[8] + sample / belt[7] * belt[9] + ring;
-                    const Vector given = LOAD(from + SAMPLE(0, at, 0));
-                    const float2 turn = wave[(long)r * inner * turns % n];
-                    values[r] = inner ? turn.x * given + sign * turn.y * turned(given) : given;
-                }
-                const Vector *found = passes(values, values + AT_ONCE, radix, wave, n / radix, sign);
-                for (int b = 0; b < radix; b++) {
-                    const int out = start * done * radix + inner + b * done;
-                    const int at = belt[10] + out % belt[11] * belt[12] + out / belt[11] * belt[13] + ring;
-                    STORE(to + SAMPLE(0, at, 0), found[b]);
-                }
+                if (inner)
+                    for (int r = 0; r < radix; r++) {
+                        near[r] = LOAD(from + SAMPLE(0, read[r], 0));
+                        TURN(near[r], wave[(long)r * inner * turns % n].x, wave[(long)r * inner * turns % n].y);
+                    }
+                passes(from, read, near, far, to, write, v, !inner, radix, wave, n / radix, sign);
             }
             continue;
         }
@@ -207,36 +386,47 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 #define TILE_OF(tile) (tiles + 5 * (back ? tiles[5 * (tile) + 2] : (tile)))
 // How many pairs of columns light it at this frequency.
 #define PAIRS_OF(own) (kept >= (own)[3] && kept < (own)[4] ? 0 : (own)[1])
-// How far the slab after this item's own lies, for items of several; the last one again where there is none.
-#define NEXT_SLAB(u, n_major, n_minor) \
-    ((size_t)min(u, (n_z - 1) / LANES - ITEM_SLAB) * (n_major) * (n_minor) * LANES)
-#define EACH_SLAB UNROLL for (int u = 0; u < TILE_SLABS; u++)
 #define EACH_ROW(row) UNROLL for (int row = 0; row < ROWS; row++)
 
-// Sums of `ROWS` entries times a vector in each slab: eight entries that follow each other are two loads.
-#define ADD_EIGHT(sums, entry, values)                                                                                 \
+// Adds `ROWS` entries that follow each other, which are two loads, times a vector.
+#define ADD_EIGHT(sums, entry, value)                                                                                  \
     {                                                                                                                  \
         const float4 low = (entry)[0], high = (entry)[1];                                                              \
-        EACH_SLAB {                                                                                                    \
-            sums[u][0] += low.x * values[u]; sums[u][1] += low.y * values[u];                                          \
-            sums[u][2] += low.z * values[u]; sums[u][3] += low.w * values[u];                                          \
-            sums[u][4] += high.x * values[u]; sums[u][5] += high.y * values[u];                                        \
-            sums[u][6] += high.z * values[u]; sums[u][7] += high.w * values[u];                                        \
-        }                                                                                                              \
+        (sums)[0] += low.x * (value); (sums)[1] += low.y * (value); (sums)[2] += low.z * (value);                      \
+        (sums)[3] += low.w * (value); (sums)[4] += high.x * (value); (sums)[5] += high.y * (value);                    \
+        (sums)[6] += high.z * (value); (sums)[7] += high.w * (value);                                                  \
     }
 
 #ifdef GPU
-// A group computes TILES tiles of rows by all lanes of its slabs, from what its items fetch together.
-#define TILES (GROUP / THREADS > 0 ? GROUP / THREADS : 1)
-#define SLABS 4
-#define CHUNK 8
-#define LANE_ITEM ((int)get_local_id(0) % THREADS)
-#define TILE_ITEM ((int)get_local_id(0) / THREADS)
+// A group computes what its ITEMS items along minor, of TILE_MINOR cells or pairs each, make of the lanes of its slabs.
+// Items of a warp are lanes of the same cells, so that an entry is one read for all of them. What the next step takes is
+// fetched into registers while this one is computed, and then laid where all items read it.
+#define ITEMS (GROUP / THREADS > 0 ? GROUP / THREADS : 1)
+#define EACH (TILE_MINOR / ROWS)
 #define MEMBER ((int)(get_local_id(2) * get_local_size(0) + get_local_id(0)))
-#define MEMBERS ((int)(get_local_size(0) * get_local_size(2)))
-#define GROUP_SLAB ((int)(get_group_id(2) * get_local_size(2)) * TILE_SLABS)
-#define GROUP_TILE ((int)(get_group_id(0) * (get_local_size(0) / THREADS)))
-#define HELD ((int)get_local_size(2) * TILE_SLABS)
+#define MEMBERS ((int)(get_local_size(2) * get_local_size(0)))
+#define SPREAD ((int)get_local_size(2) * THREADS)
+#define GROUP_ITEM ((int)get_group_id(0) * ITEMS)
+// Two sides, one laid while the other is read; where a group has so many items that both do not fit, one.
+#define SIDES (THREADS > 1 ? 2 : 1)
+#define OTHER(side) (SIDES - 1 - (side))
+#define WAIT_FOR_READERS if (SIDES == 1) barrier(CLK_LOCAL_MEM_FENCE);
+#define PLACE \
+    const int spread = SPREAD, item = MEMBER / spread, near = MEMBER % spread, last = (n_z - 1) / LANES;               \
+    const int slab = get_group_id(2) * get_local_size(2) + near / THREADS, lane = near % THREADS;
+#define PART(total) ((total) / (ITEMS * THREADS * SLABS) > 0 ? (total) / (ITEMS * THREADS * SLABS) : 1)
+// Fetch `PART(total)` of values that are `VALUE` of m; the rest, where groups are small, when they are laid.
+#define FETCH(held, total, count, VALUE)                                                                               \
+    UNROLL for (int i = 0; i < PART(total); i++) {                                                                     \
+        const int m = MEMBER + i * MEMBERS;                                                                            \
+        if (m < (count)) held[i] = VALUE(m);                                                                           \
+    }
+#define LAY(held, total, count, VALUE, to)                                                                             \
+    {                                                                                                                  \
+        UNROLL for (int i = 0; i < PART(total); i++)                                                                   \
+            if (MEMBER + i * MEMBERS < (count)) (to)[MEMBER + i * MEMBERS] = held[i];                                  \
+        for (int m = MEMBER + PART(total) * MEMBERS; m < (count); m += MEMBERS) (to)[m] = VALUE(m);                    \
+    }
 #endif
 
 #ifdef COMPILE_light_rings
@@ -244,45 +434,63 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
                          int mirrored, __global float *restrict spectrum, int n_k, int n_pair, int n_z, int n_entry,
                          int n_tile, int n_cell) {
 #ifdef GPU
-    const int k = min(ITEM_MAJOR, n_k - 1), tile = ITEM_MINOR, middle = mirrored ? n_pair / 2 : 0;
-    const int last = (n_z - 1) / LANES;
+    const int k = ITEM_MAJOR, middle = mirrored ? n_pair / 2 : 0;
     ENTRIES
-    __local float4 light[2][CHUNK][SLABS][THREADS], shares[TILES][CHUNK][4];
-    int most = 0;
-    for (int t = 0; t < TILES && GROUP_TILE + t < n_tile; t++) most = max(most, PAIRS_OF(TILE_OF(GROUP_TILE + t)));
-    Vector real[TILE_SLABS][ROWS], imaginary[TILE_SLABS][ROWS];
-    EACH_SLAB EACH_ROW(row) real[u][row] = imaginary[u][row] = ZERO;
-    for (int begin = 0; begin < most; begin += CHUNK) {
-        barrier(CLK_LOCAL_MEM_FENCE);
-        for (int m = MEMBER; m < TILES * CHUNK * 4; m += MEMBERS) {
-            const int t = m / (CHUNK * 4), rest = m % (CHUNK * 4);
-            __global const int *own = TILE_OF(min(GROUP_TILE + t, n_tile - 1));
-            ((__local float4 *)shares)[m] =
-                begin < PAIRS_OF(own) ? ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[rest] : ZERO;
-        }
-        for (int m = MEMBER; m < 2 * CHUNK * HELD * THREADS; m += MEMBERS) {
-            const int lane = m % THREADS, u = m / THREADS % HELD, p = m / THREADS / HELD % CHUNK;
-            const int side = m / THREADS / HELD / CHUNK, slab = min(GROUP_SLAB + u, last);
-            light[side][p][u][lane] = ((__global const float4 *)(folded + ((size_t)slab * n_k + k) * n_pair * LANES))
-                [(begin + p + side * middle) * THREADS + lane];
-        }
-        barrier(CLK_LOCAL_MEM_FENCE);
-        UNROLL for (int p = 0; p < CHUNK; p++) {
-            __local const float4 *share = shares[TILE_ITEM][p];
-            Vector sum[TILE_SLABS], difference[TILE_SLABS];
-            EACH_SLAB {
-                sum[u] = light[0][p][get_local_id(2) * TILE_SLABS + u][LANE_ITEM];
-                difference[u] = light[1][p][get_local_id(2) * TILE_SLABS + u][LANE_ITEM];
-            }
-            ADD_EIGHT(real, share, sum)
-            ADD_EIGHT(imaginary, share + 2, difference)
-        }
+    PLACE
+    __local float4 light[SIDES][2 * CHUNK * SLABS * THREADS], shares[SIDES][ITEMS * EACH * CHUNK * 4];
+    __local int starts[ITEMS * EACH], counts[ITEMS * EACH];
+    for (int m = MEMBER; m < ITEMS * EACH; m += MEMBERS) {
+        const int tile = GROUP_ITEM * EACH + m;
+        __global const int *own = TILE_OF(min(tile, n_tile - 1));
+        starts[m] = own[0];
+        counts[m] = tile < n_tile ? PAIRS_OF(own) : 0;
     }
-    if (ITEM_MAJOR >= n_k || tile >= n_tile || ITEM_SLAB > last) return;
-    __global float *to = spectrum + slab_offset(n_k, n_cell) + SAMPLE(k, tile * ROWS, n_cell);
-    const int v = 0;
-    EACH_SLAB EACH_ROW(row) STORE(to + NEXT_SLAB(u, n_k, n_cell) + SAMPLE(0, row, 0),
-                                  real[u][row] + (back ? -1.0f : 1.0f) * turned(imaginary[u][row]));
+    barrier(CLK_LOCAL_MEM_FENCE);
+    int most = 0, mine = 0;
+    for (int t = 0; t < ITEMS * EACH; t++) most = max(most, counts[t]);
+    for (int t = 0; t < EACH; t++) mine = max(mine, counts[item * EACH + t]);
+    __global const float4 *from =
+        (__global const float4 *)(folded + ((size_t)min(slab, last) * n_k + k) * n_pair * LANES) + lane;
+    Vector real[EACH][ROWS], imaginary[EACH][ROWS];
+    UNROLL for (int t = 0; t < EACH; t++) EACH_ROW(row) real[t][row] = imaginary[t][row] = ZERO;
+    float4 next_light[PART(2 * CHUNK * SLABS * THREADS)], next_shares[PART(ITEMS * EACH * CHUNK * 4)];
+    // m counts lanes and slabs, pairs, then sums and differences; entries of a pair, pairs, then tiles.
+#define LIGHT_AT(m) from[(begin + (m) / spread % CHUNK + ((m) / spread >= CHUNK ? middle : 0)) * THREADS]
+#define SHARES_AT(m)                                                                                                   \
+    (begin < counts[(m) / (CHUNK * 4)]                                                                                 \
+         ? ((__global const float4 *)(frequency + starts[(m) / (CHUNK * 4)] + 2 * ROWS * begin))[(m) % (CHUNK * 4)]   \
+         : (float4)(0.0f))
+    for (int begin = -CHUNK, side = SIDES - 1; begin < most; side = OTHER(side)) {
+        const int done = begin;
+        begin += CHUNK;
+        if (begin < most) {
+            FETCH(next_light, 2 * CHUNK * SLABS * THREADS, 2 * CHUNK * spread, LIGHT_AT)
+            FETCH(next_shares, ITEMS * EACH * CHUNK * 4, ITEMS * EACH * CHUNK * 4, SHARES_AT)
+        }
+        if (done >= 0 && done < mine)
+            UNROLL for (int p = 0; p < CHUNK; p++) {
+                const Vector sum = light[side][p * spread + near], difference = light[side][(CHUNK + p) * spread + near];
+                UNROLL for (int t = 0; t < EACH; t++) {
+                    __local const float4 *share = shares[side] + ((item * EACH + t) * CHUNK + p) * 4;
+                    ADD_EIGHT(real[t], share, sum)
+                    ADD_EIGHT(imaginary[t], share + 2, difference)
+                }
+            }
+        WAIT_FOR_READERS
+        if (begin < most) {
+            LAY(next_light, 2 * CHUNK * SLABS * THREADS, 2 * CHUNK * spread, LIGHT_AT, light[OTHER(side)])
+            LAY(next_shares, ITEMS * EACH * CHUNK * 4, ITEMS * EACH * CHUNK * 4, SHARES_AT, shares[OTHER(side)])
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+    if (slab > last) return;
+    __global float4 *to = (__global float4 *)(spectrum + ((size_t)slab * n_k + k) * n_cell * LANES) + lane;
+    UNROLL for (int t = 0; t < EACH; t++) {
+        const int tile = (GROUP_ITEM + item) * EACH + t;
+        if (tile >= n_tile) break;
+        EACH_ROW(row) to[(tile * ROWS + row) * THREADS] =
+            real[t][row] + (back ? -1.0f : 1.0f) * turned(imaginary[t][row]);
+    }
 #else
     const int k = ITEM_MAJOR, tile = ITEM_MINOR, middle = mirrored ? n_pair / 2 : 0;
     if (k >= n_k || tile >= n_tile || ITEM_Z >= n_z) return;
@@ -291,32 +499,27 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
     ARRAY from = folded + slab_offset(n_k, n_pair) + SAMPLE(k, 0, n_pair);
     __global float *to = spectrum + slab_offset(n_k, n_cell) + SAMPLE(k, tile * ROWS, n_cell);
     EACH_VECTOR {
-        Vector real[TILE_SLABS][ROWS], imaginary[TILE_SLABS][ROWS];
-        EACH_SLAB EACH_ROW(row) real[u][row] = imaginary[u][row] = ZERO;
+        Vector real[ROWS], imaginary[ROWS];
+        EACH_ROW(row) real[row] = imaginary[row] = ZERO;
         __global const float *entry = frequency + own[0];
         for (int pair = 0, pairs = PAIRS_OF(own); pair < pairs; pair++, entry += 2 * ROWS) {
-            Vector sum[TILE_SLABS], difference[TILE_SLABS];
-            EACH_SLAB {
-                sum[u] = LOAD(from + NEXT_SLAB(u, n_k, n_pair) + SAMPLE(0, pair, 0));
-                difference[u] = LOAD(from + NEXT_SLAB(u, n_k, n_pair) + SAMPLE(0, middle + pair, 0));
-            }
+            const Vector sum = LOAD(from + SAMPLE(0, pair, 0)), difference = LOAD(from + SAMPLE(0, middle + pair, 0));
             ADD_EIGHT(real, (__global const float4 *)entry, sum)
             ADD_EIGHT(imaginary, (__global const float4 *)entry + 2, difference)
         }
-        EACH_SLAB EACH_ROW(row) STORE(to + NEXT_SLAB(u, n_k, n_cell) + SAMPLE(0, row, 0),
-                                      real[u][row] + (back ? -1.0f : 1.0f) * turned(imaginary[u][row]));
+        EACH_ROW(row) STORE(to + SAMPLE(0, row, 0), real[row] + (back ? -1.0f : 1.0f) * turned(imaginary[row]));
     }
 #endif
 }
 #endif
 
 #ifdef COMPILE_gather_rings
-// Σ over rows of an entry and the one beside it times a vector.
-#define DOT_EIGHT(sum, entry, values)                                                                                  \
+// Adds Σ of four entries that follow each other times a vector each.
+#define DOT_FOUR(sum, entry, values)                                                                                   \
     {                                                                                                                  \
-        const float4 low = (entry)[0], high = (entry)[1];                                                              \
-        EACH_SLAB sum[u] += low.x * values[u][0] + low.y * values[u][1] + low.z * values[u][2] + low.w * values[u][3] + \
-            high.x * values[u][4] + high.y * values[u][5] + high.z * values[u][6] + high.w * values[u][7];             \
+        const float4 four = entry;                                                                                     \
+        sum += four.x * (values)[0]; sum += four.y * (values)[1];                                                      \
+        sum += four.z * (values)[2]; sum += four.w * (values)[3];                                                      \
     }
 
 #ifdef GPU
@@ -330,72 +533,83 @@ static inline int next_lit(int tile, int n_tile, int pair, __global const int *t
 FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries, __global const int *restrict tiles,
                           int mirrored, __global float *restrict folded, int n_k, int n_cell, int n_z, int n_entry,
                           int n_tile, int n_pair) {
+    const int middle = mirrored ? n_pair / 2 : 0, end = mirrored ? middle : n_pair;
 #ifdef GPU
-    const int k = min(ITEM_MAJOR, n_k - 1), first = ITEM_MINOR * ROWS, middle = mirrored ? n_pair / 2 : 0;
-    const int last = (n_z - 1) / LANES, begin = GROUP_TILE * ROWS;
+    const int k = ITEM_MAJOR, begin = GROUP_ITEM * TILE_MINOR;
     ENTRIES
-    __local float4 light[ROWS][SLABS][THREADS], shares[TILES * ROWS][4];
-    Vector real[ROWS][TILE_SLABS], imaginary[ROWS][TILE_SLABS];
-    EACH_SLAB EACH_ROW(pair) real[pair][u] = imaginary[pair][u] = ZERO;
-    for (int tile = next_lit(0, n_tile, begin, tiles, back, kept); tile < n_tile;
-         tile = next_lit(tile + 1, n_tile, begin, tiles, back, kept)) {
-        __global const int *own = TILE_OF(tile);
-        barrier(CLK_LOCAL_MEM_FENCE);
-        for (int m = MEMBER; m < TILES * ROWS * 4; m += MEMBERS)
-            if (begin + m / 4 < PAIRS_OF(own))
-                shares[m / 4][m % 4] = ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[m];
-        for (int m = MEMBER; m < ROWS * HELD * THREADS; m += MEMBERS) {
-            const int lane = m % THREADS, u = m / THREADS % HELD, row = m / THREADS / HELD;
-            const int slab = min(GROUP_SLAB + u, last);
-            light[row][u][lane] = ((__global const float4 *)(spectrum + ((size_t)slab * n_k + k) * n_cell * LANES))
-                [(tile * ROWS + row) * THREADS + lane];
+    PLACE
+    const int first = begin + item * TILE_MINOR;
+    __local float4 light[SIDES][ROWS * SLABS * THREADS], shares[SIDES][ITEMS * TILE_MINOR * 4];
+    __global const float4 *from =
+        (__global const float4 *)(spectrum + ((size_t)min(slab, last) * n_k + k) * n_cell * LANES) + lane;
+    Vector real[TILE_MINOR], imaginary[TILE_MINOR];
+    UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) real[pair] = imaginary[pair] = ZERO;
+    float4 next_light[PART(ROWS * SLABS * THREADS)], next_shares[PART(ITEMS * TILE_MINOR * 4)];
+    // m counts lanes and slabs, then rows; entries of a pair, then pairs.
+#define LIGHT_OF(m) from[(tile * ROWS + (m) / spread) * THREADS]
+#define SHARES_OF(m)                                                                                                   \
+    (begin + (m) / 4 < pairs ? ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[m] : (float4)(0.0f))
+    int tile = -1, pairs = 0;
+    for (int side = SIDES - 1; tile < n_tile; side = OTHER(side)) {
+        const int lit = pairs;
+        tile = next_lit(tile + 1, n_tile, begin, tiles, back, kept);
+        __global const int *own = TILE_OF(min(tile, n_tile - 1));
+        pairs = PAIRS_OF(own);
+        if (tile < n_tile) {
+            FETCH(next_light, ROWS * SLABS * THREADS, ROWS * spread, LIGHT_OF)
+            FETCH(next_shares, ITEMS * TILE_MINOR * 4, ITEMS * TILE_MINOR * 4, SHARES_OF)
         }
-        barrier(CLK_LOCAL_MEM_FENCE);
-        if (PAIRS_OF(own) > first) {
-            Vector ring[TILE_SLABS][ROWS];
-            EACH_SLAB EACH_ROW(row) ring[u][row] = light[row][get_local_id(2) * TILE_SLABS + u][LANE_ITEM];
-            EACH_ROW(pair) {
-                __local const float4 *share = shares[first - begin + pair];
-                DOT_EIGHT(real[pair], share, ring)
-                DOT_EIGHT(imaginary[pair], share + 2, ring)
+        if (lit > first)
+            for (int upper = 0; upper < 2; upper++) {
+                Vector ring[4];
+                UNROLL for (int row = 0; row < 4; row++) ring[row] = light[side][(4 * upper + row) * spread + near];
+                __local const float4 *share = shares[side] + item * TILE_MINOR * 4 + upper;
+                UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) {
+                    DOT_FOUR(real[pair], share[4 * pair], ring)
+                    DOT_FOUR(imaginary[pair], share[4 * pair + 2], ring)
+                }
             }
+        WAIT_FOR_READERS
+        if (tile < n_tile) {
+            LAY(next_light, ROWS * SLABS * THREADS, ROWS * spread, LIGHT_OF, light[OTHER(side)])
+            LAY(next_shares, ITEMS * TILE_MINOR * 4, ITEMS * TILE_MINOR * 4, SHARES_OF, shares[OTHER(side)])
         }
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
-    if (ITEM_MAJOR >= n_k || first >= (mirrored ? middle : n_pair) || ITEM_SLAB > last) return;
-    __global float *to = folded + slab_offset(n_k, n_pair) + SAMPLE(k, first, n_pair);
-    const int v = 0;
-    EACH_SLAB EACH_ROW(pair) {
-        __global float *at = to + NEXT_SLAB(u, n_k, n_pair);
-        const Vector difference = (back ? 1.0f : -1.0f) * turned(imaginary[pair][u]);
-        STORE(at + SAMPLE(0, pair, 0), middle ? real[pair][u] : real[pair][u] + difference);
-        if (middle) STORE(at + SAMPLE(0, middle + pair, 0), difference);
+    if (slab > last) return;
+    __global float4 *to = (__global float4 *)(folded + ((size_t)slab * n_k + k) * n_pair * LANES) + lane;
+    UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) {
+        if (first + pair >= end) break;
+        const Vector difference = (back ? 1.0f : -1.0f) * turned(imaginary[pair]);
+        to[(first + pair) * THREADS] = middle ? real[pair] : real[pair] + difference;
+        if (middle) to[(middle + first + pair) * THREADS] = difference;
     }
 #else
-    const int k = ITEM_MAJOR, first = ITEM_MINOR * ROWS, middle = mirrored ? n_pair / 2 : 0;
-    if (k >= n_k || first >= (mirrored ? middle : n_pair) || ITEM_Z >= n_z) return;
+    const int k = ITEM_MAJOR, first = ITEM_MINOR * ROWS;
+    if (k >= n_k || first >= end || ITEM_Z >= n_z) return;
     ENTRIES
     ARRAY from = spectrum + slab_offset(n_k, n_cell) + SAMPLE(k, 0, n_cell);
     __global float *to = folded + slab_offset(n_k, n_pair) + SAMPLE(k, first, n_pair);
     EACH_VECTOR {
-        Vector real[ROWS][TILE_SLABS], imaginary[ROWS][TILE_SLABS];
-        EACH_SLAB EACH_ROW(pair) real[pair][u] = imaginary[pair][u] = ZERO;
+        Vector real[ROWS], imaginary[ROWS];
+        EACH_ROW(pair) real[pair] = imaginary[pair] = ZERO;
         for (int tile = 0; tile < n_tile; tile++) {
             __global const int *own = TILE_OF(tile);
             if (PAIRS_OF(own) <= first) continue;
-            __global const float *entry = frequency + own[0] + 2 * ROWS * first;
-            Vector ring[TILE_SLABS][ROWS];
-            EACH_SLAB EACH_ROW(row)
-                ring[u][row] = LOAD(from + NEXT_SLAB(u, n_k, n_cell) + SAMPLE(0, tile * ROWS + row, 0));
+            __global const float4 *entry = (__global const float4 *)(frequency + own[0] + 2 * ROWS * first);
+            Vector ring[ROWS];
+            EACH_ROW(row) ring[row] = LOAD(from + SAMPLE(0, tile * ROWS + row, 0));
             EACH_ROW(pair) {
-                DOT_EIGHT(real[pair], (__global const float4 *)(entry + 2 * ROWS * pair), ring)
-                DOT_EIGHT(imaginary[pair], (__global const float4 *)(entry + 2 * ROWS * pair + ROWS), ring)
+                DOT_FOUR(real[pair], entry[4 * pair], ring)
+                DOT_FOUR(real[pair], entry[4 * pair + 1], ring + 4)
+                DOT_FOUR(imaginary[pair], entry[4 * pair + 2], ring)
+                DOT_FOUR(imaginary[pair], entry[4 * pair + 3], ring + 4)
             }
         }
-        EACH_SLAB EACH_ROW(pair) {
-            __global float *at = to + NEXT_SLAB(u, n_k, n_pair);
-            const Vector difference = (back ? 1.0f : -1.0f) * turned(imaginary[pair][u]);
-            STORE(at + SAMPLE(0, pair, 0), middle ? real[pair][u] : real[pair][u] + difference);
-            if (middle) STORE(at + SAMPLE(0, middle + pair, 0), difference);
+        EACH_ROW(pair) {
+            const Vector difference = (back ? 1.0f : -1.0f) * turned(imaginary[pair]);
+            STORE(to + SAMPLE(0, pair, 0), middle ? real[pair] : real[pair] + difference);
+            if (middle) STORE(to + SAMPLE(0, middle + pair, 0), difference);
         }
     }
 #endif

@@ -25,6 +25,8 @@ AT_ONCE = 2048
 """Greatest radix of a pass that processors compute by passes of their own, within their caches."""
 ONE_SUM = 20
 """Greatest radix of a pass that is a plain sum everywhere, where radices can be so small."""
+FACTOR = 10
+"""Greatest radix of a pass in registers, in OpenCL: a processor's own, and of two that GPUs make one of."""
 
 Light = Annotated[np.ndarray, Field(("k", "r", "z"))]
 LightOut = Annotated[np.ndarray, Field(("k", "r", "z"), writes=True)]
@@ -97,8 +99,11 @@ def unfold_columns(folded: Folded, mirrored: Integer, sinogram: LightOut) -> Non
 @kernel(
     over="sink",
     cpu=Tiling(major=1, minor=0),
-    gpu=Tiling(major=1, minor=2),
-    constants={"cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM}, "gpu": {"OUTPUTS": 5}},
+    gpu=Tiling(major=1, minor=2, group=(128, 1)),
+    constants={
+        "cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM, "FACTOR": FACTOR},
+        "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 128},
+    },
 )
 def fourier(source: Source, belts: Belts, waves: Waves, sign: Real, sink: Sink) -> None:
     """One pass of the Fourier transforms of rings over their samples, of exponent ``sign``·i; in order after the last.
@@ -143,8 +148,8 @@ def _entries(entries: np.ndarray, tiles: np.ndarray, k: int, count: int) -> list
 @kernel(
     over="spectrum",
     cpu=Tiling(major=1, minor=ROWS),
-    gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(64, 1, 2)),
-    constants={"gpu": {"GROUP": 64}},
+    gpu=Tiling(major=1, minor=2 * ROWS, group=(32, 1, 4)),
+    constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 8}},
 )
 def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Integer, spectrum: SpectrumOut) -> None:
     """spectrum = entries · light: real parts take sums of columns that mirror each other, imaginary ones differences.
@@ -162,8 +167,8 @@ def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Intege
 @kernel(
     over="folded",
     cpu=Tiling(major=1, minor=ROWS),
-    gpu=Tiling(major=1, minor=ROWS, group=(64, 1, 4)),
-    constants={"gpu": {"GROUP": 64}},
+    gpu=Tiling(major=1, minor=2 * ROWS, group=(32, 1, 4)),
+    constants={"gpu": {"GROUP": 32, "SLABS": 4}},
 )
 def gather_rings(spectrum: Spectrum, entries: Entries, tiles: Tiles, mirrored: Integer, folded: FoldedOut) -> None:
     """The transpose of `light_rings`."""

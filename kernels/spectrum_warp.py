@@ -166,40 +166,51 @@ def pairs_of(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
 
 @wp.kernel
 def light_rings(
-    folded: Vectors, entries: wp.array[float], tiles: wp.array2d[int], mirrored: int, spectrum: Vectors,
+    folded: Flat, entries: wp.array[float], tiles: wp.array2d[int], mirrored: int, spectrum: Flat,
     n_k: int, n_pair: int, n_z: int, n_entry: int, n_tile: int, n_cell: int,
 ) -> None:  # fmt: skip
-    pair_of_slabs, k, tile, lane = wp.tid()
-    slab = 2 * pair_of_slabs
+    slab, k, here, lane = wp.tid()
+    tile = 2 * here
     if slab >= spectrum.shape[0] or k >= n_k or tile >= n_tile:
         return
-    other = wp.min(slab + 1, spectrum.shape[0] - 1)
+    lanes = spectrum.shape[1] // (n_k * n_cell)
     half = int(0)
     if mirrored != 0:
-        half = n_pair // 2
+        half = n_pair // 2 * lanes
     own = tile_at(tiles, tile, k, n_k)
+    other = tile_at(tiles, wp.min(tile + 1, n_tile - 1), k, n_k)
     entry = first_entry(entries, k, n_k) + tiles[own, 0]
+    other_entry = first_entry(entries, k, n_k) + tiles[other, 0]
+    pairs = pairs_of(tiles, own, k, n_k)
+    other_pairs = pairs_of(tiles, other, k, n_k)
     real = Rows()
     imaginary = Rows()
     other_real = Rows()
     other_imaginary = Rows()
-    for pair in range(pairs_of(tiles, own, k, n_k)):
-        a = eight(entries, entry)
-        b = eight(entries, entry + ROWS)
-        real += wp.outer(a, folded[slab, k, pair, lane])
-        imaginary += wp.outer(b, folded[slab, k, half + pair, lane])
-        other_real += wp.outer(a, folded[other, k, pair, lane])
-        other_imaginary += wp.outer(b, folded[other, k, half + pair, lane])
+    at = k * n_pair * lanes + lane
+    for pair in range(wp.max(pairs, other_pairs)):
+        total = read(folded, slab, at)
+        difference = read(folded, slab, at + half)
+        if pair < pairs:
+            real += wp.outer(eight(entries, entry), total)
+            imaginary += wp.outer(eight(entries, entry + ROWS), difference)
+        if pair < other_pairs:
+            other_real += wp.outer(eight(entries, other_entry), total)
+            other_imaginary += wp.outer(eight(entries, other_entry + ROWS), difference)
         entry += 2 * ROWS
+        other_entry += 2 * ROWS
+        at += lanes
     sign = wp.where(2 * k > n_k, -1.0, 1.0)
+    at = (k * n_cell + tile * ROWS) * lanes + lane
     for row in range(ROWS):
-        spectrum[slab, k, tile * ROWS + row, lane] = real[row] + sign * turned(imaginary[row])
-        spectrum[other, k, tile * ROWS + row, lane] = other_real[row] + sign * turned(other_imaginary[row])
+        write(spectrum, slab, at + row * lanes, real[row] + sign * turned(imaginary[row]))
+        if tile + 1 < n_tile:
+            write(spectrum, slab, at + (ROWS + row) * lanes, other_real[row] + sign * turned(other_imaginary[row]))
 
 
 @wp.kernel
 def gather_rings(
-    spectrum: Vectors, entries: wp.array[float], tiles: wp.array2d[int], mirrored: int, folded: Vectors,
+    spectrum: Flat, entries: wp.array[float], tiles: wp.array2d[int], mirrored: int, folded: Flat,
     n_k: int, n_cell: int, n_z: int, n_entry: int, n_tile: int, n_pair: int,
 ) -> None:  # fmt: skip
     slab, k, here, lane = wp.tid()
@@ -208,27 +219,31 @@ def gather_rings(
     if mirrored != 0:
         half = n_pair // 2
         pairs = half
-    first = here * ROWS
-    if slab >= folded.shape[0] or k >= n_k or first >= pairs:
+    if slab >= folded.shape[0] or k >= n_k:
         return
+    lanes = folded.shape[1] // (n_k * n_pair)
     frequency = first_entry(entries, k, n_k)
-    real = Rows()
-    imaginary = Rows()
-    for tile in range(n_tile):
-        own = tile_at(tiles, tile, k, n_k)
-        if pairs_of(tiles, own, k, n_k) > first:
-            entry = frequency + tiles[own, 0] + 2 * ROWS * first
-            rings = Rows()
-            for row in range(ROWS):
-                rings[row] = spectrum[slab, k, tile * ROWS + row, lane]
-            for pair in range(ROWS):
-                real[pair] += eight(entries, entry + 2 * ROWS * pair) @ rings
-                imaginary[pair] += eight(entries, entry + 2 * ROWS * pair + ROWS) @ rings
     sign = wp.where(2 * k > n_k, 1.0, -1.0)
-    for pair in range(ROWS):
-        difference = sign * turned(imaginary[pair])
-        if mirrored != 0:
-            folded[slab, k, first + pair, lane] = real[pair]
-            folded[slab, k, half + first + pair, lane] = difference
-        else:
-            folded[slab, k, first + pair, lane] = real[pair] + difference
+    for block in range(2):
+        first = (2 * here + block) * ROWS
+        if first < pairs:
+            real = Rows()
+            imaginary = Rows()
+            for tile in range(n_tile):
+                own = tile_at(tiles, tile, k, n_k)
+                if pairs_of(tiles, own, k, n_k) > first:
+                    entry = frequency + tiles[own, 0] + 2 * ROWS * first
+                    rings = Rows()
+                    for row in range(ROWS):
+                        rings[row] = read(spectrum, slab, (k * n_cell + tile * ROWS + row) * lanes + lane)
+                    for pair in range(ROWS):
+                        real[pair] += eight(entries, entry + 2 * ROWS * pair) @ rings
+                        imaginary[pair] += eight(entries, entry + 2 * ROWS * pair + ROWS) @ rings
+            for pair in range(ROWS):
+                difference = sign * turned(imaginary[pair])
+                at = (k * n_pair + first + pair) * lanes + lane
+                if mirrored != 0:
+                    write(folded, slab, at, real[pair])
+                    write(folded, slab, at + half * lanes, difference)
+                else:
+                    write(folded, slab, at, real[pair] + difference)

@@ -10,7 +10,7 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.operators.ring_projection import against_rings
+from vamgpu.operators.ring_projection import against_rings, direct
 
 VIAL = vam.Vial(radius=1.0, wall=0.08, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.5)
 GRID, TURN = vam.Grid((20, 22, 4), 0.05), vam.Turntable(24)
@@ -62,6 +62,21 @@ def test_strips_of_slices_give_the_same(device: Device, monkeypatch: Any, rows: 
     for _ in range(2):  # what is left in the strips changes nothing
         for got, wanted in ((strips(volume), whole(volume)), (strips.T(light), whole.T(light))):
             assert np.abs(np.asarray(got) - np.asarray(wanted)).max() <= least * np.asarray(wanted).max()
+
+
+@pytest.mark.parametrize("vessel", [None, VIAL], ids=["straight", "in a vial"])
+def test_light_out_of_focus_is_that_of_rays(vessel: Any) -> None:
+    grid, beam = vam.Grid((40, 40, 4), 0.025), vam.Beam((44, 6), 0.025 if vessel is None else 0.033)
+    R, lens = vam.RingProjection(grid, beam, vam.Turntable(48), vessel, "numpy"), vam.Defocus(0.06, 0.4, focus=0.1)
+    A, sharp = vam.Defocused(R, lens), R.T
+    wanted = direct(A)
+    assert isinstance(wanted.operator, vam.Projection) and direct(wanted) is wanted and len(A.nodes) > 2
+    assert A.dot_test() <= 1e-7
+    near, light = grid.cylinder()[:, :, None], np.random.default_rng(0).random(A.range.shape)
+    dose, rays = np.asarray(A.T(light)) * near, np.asarray(wanted.T(light)) * near
+    off = np.abs(dose - rays) / rays.max()
+    assert off.max() <= 0.02 and np.sqrt((off**2).mean()) <= 0.003
+    assert np.sqrt(np.mean((np.asarray(sharp(light)) * near - rays) ** 2)) > 0.02 * rays.max()
 
 
 def test_what_is_cubic_across_the_rings_is_met_everywhere_and_at_the_axis() -> None:

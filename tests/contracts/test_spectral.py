@@ -10,6 +10,7 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
+from vamgpu.kernels.spectrum import fourier
 from vamgpu.operators.polar import PolarGrid, pose_on_rings
 from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.spectral import SpectralProjection
@@ -62,6 +63,26 @@ def test_the_transpose_is_exact(device: Device, geometry: str) -> None:
     if np.prod(A.domain.shape) < 4000:
         matrix, transpose = A.dense(), A.T.dense()
         assert np.abs(matrix - transpose.T).max() <= 3e-6 * np.abs(matrix).max()
+
+
+def test_transforms_of_every_short_length(device: Device) -> None:
+    lengths = [n for n in range(2, 101) if any(n % a == 0 and n <= 10 * a for a in range(1, 11))]
+    firsts = np.cumsum([0, *lengths])
+    waves = np.concatenate([2.0 * np.pi * np.arange(n) / n for n in lengths])
+    places = [(first, n, 1, 0) for first, n in zip(firsts, lengths, strict=False)]
+    belts = [(at[0], n, 1, n, 1, at[0], *at, *at) for at, n in zip(places, lengths, strict=True)]
+    given = np.random.default_rng(0).random((1, int(firsts[-1]), 2))
+    for sign in (-1.0, 1.0):
+        found = device.empty(given.shape)
+        device.launch(
+            fourier, source=device.upload(given), belts=device.table(np.array(belts), "int32"),
+            waves=device.table(np.stack([np.cos(waves), np.sin(waves)], axis=1)), sign=sign, sink=found,
+        )  # fmt: skip
+        for first, n in zip(firsts, lengths, strict=False):
+            own = slice(first, first + n)
+            numbers, result = ((each[0, own] @ (1.0, 1.0j)) for each in (given, found.numpy()))
+            wanted = np.fft.fft(numbers) if sign < 0 else n * np.fft.ifft(numbers)
+            assert np.abs(result - wanted).max() <= 1e-6 * np.abs(wanted).max(), (n, sign)
 
 
 def test_faint_frequencies_are_left_out_both_ways(device: Device) -> None:

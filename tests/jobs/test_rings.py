@@ -68,6 +68,18 @@ def test_what_rings_do_not_take_is_told_with_the_way_out(tmp_path: Path, change:
         solve(job(tmp_path, JOB.replace(*change)), tmp_path / "boat.vam")
 
 
+def test_light_out_of_focus_is_solved_on_rings_and_proven_by_rays(tmp_path: Path) -> None:
+    blurred = JOB + '[defocus]\nfwhm = "1 mm"\ndepth_of_focus = "3 mm"\n'
+    solve(job(tmp_path, blurred), tmp_path / "boat.vam")
+    proven = prove(tmp_path / "boat.vam", "numpy")
+    frames: Any = vam.load(tmp_path / "boat.vam", device="numpy")
+    solved, judged = frames.plan.operator, proven.proof.operator
+    assert isinstance(solved, vam.Defocused) and isinstance(solved.operator, vam.RingProjection)
+    assert proven.plan.ran == "Defocused RingProjection on numpy"
+    assert isinstance(judged, vam.Defocused) and isinstance(judged.operator, vam.Projection)
+    assert solved.defocus == judged.defocus and solved.tolerance == judged.tolerance
+
+
 def test_auto_takes_rings_only_where_they_pay(tmp_path: Path) -> None:
     solve(job(tmp_path, JOB.replace('"rings"', '"auto"')), tmp_path / "boat.vam")
     assert prove(tmp_path / "boat.vam", "numpy").plan.ran == "Projection on numpy"
@@ -86,8 +98,9 @@ def test_auto_keeps_to_voxels_where_the_table_is_too_large(tmp_path: Path, monke
 
 
 def test_where_rings_pay(opencl_device: Any) -> None:
-    grid, beam = vam.Grid((96, 96, 2), 0.1), vam.Beam((96, 2), 0.1)
-    here = vam.Projection(grid, beam, vam.Turntable(180), device=opencl_device)
-    assert pays_on_rings(here) == (not opencl_device.is_gpu)
+    beam = vam.Beam((96, 2), 0.1)
+    for across, pays in ((40, False), (96, not opencl_device.is_gpu), (256, True)):
+        grid = vam.Grid((across, across, 2), 0.1)
+        assert pays_on_rings(vam.Projection(grid, beam, vam.Turntable(180), device=opencl_device)) == pays
     prime = vam.Projection(grid, beam, vam.Turntable(367), device=opencl_device)
     assert not pays_on_rings(prime)

@@ -32,6 +32,7 @@ from vamgpu.methods.saved import (
     target_from,
     tolerances_from,
 )
+from vamgpu.operators.defocus import Defocused
 from vamgpu.operators.ring_projection import RingProjection, against_rings, pays_on_rings
 from vamgpu.schema.registry import family, find, nearest
 from vamgpu.storage.atomic import clear
@@ -259,10 +260,12 @@ def _on_rings(light: Any, A: Any, asked: bool) -> Any:
     Raises:
         JobError: They are asked for and do not take it.
     """
-    why = "the dose diffuses" if light is not A else against_rings(light)
-    if not why:
+    rays: Any = light.operator if isinstance(light, Defocused) else light
+    why = "the dose diffuses" if light is not A else against_rings(rays)
+    if not why and (asked or pays_on_rings(rays)):
         try:
-            return RingProjection.of(light) if asked or pays_on_rings(light) else A
+            on_rings = RingProjection.of(rays)
+            return on_rings if rays is light else Defocused(on_rings, light.defocus, light.tolerance)
         except OutOfMemory:
             if asked:
                 raise

@@ -279,7 +279,8 @@ class Estimator:
             The factor of each voxel, [x, y, z].
         """
         along, level = values[4] * self._up, values[0]
-        return by_planes(lambda out: level * (1.0 + along + values[5] * out[..., None]), self._out)
+        out = np.broadcast_to(self._out[..., None], self.operator.domain.shape)
+        return by_planes(lambda out: (level * (1.0 + along + values[5] * out)).astype(np.float32), out)
 
     def delivering(self, values: np.ndarray) -> Delivering:
         """The operator with these parameters; its transpose is what light delivers.

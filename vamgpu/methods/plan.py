@@ -13,6 +13,7 @@ from vamgpu.card import card, drawable
 from vamgpu.deprecated import Renamed
 from vamgpu.methods.certificate import Bound
 from vamgpu.operators.compose import combine
+from vamgpu.operators.defocus import Defocused
 from vamgpu.operators.protocol import Operator
 
 if TYPE_CHECKING:
@@ -108,7 +109,10 @@ class Plan:
     @property
     def ran(self) -> str:
         """The operator and the device that found the light, in words."""
-        return f"{type(self.operator).__name__} on {self.operator.device.name}"
+        layers: list[Any] = [self.operator]
+        while isinstance(layers[-1], Defocused):
+            layers.append(layers[-1].operator)
+        return f"{' '.join(type(each).__name__ for each in layers)} on {self.operator.device.name}"
 
     def dose(self) -> DeviceArray:
         """Dose [x, y, z] of the light on the operator's device: Aᵀ sinogram."""

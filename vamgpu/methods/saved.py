@@ -18,6 +18,7 @@ from vamgpu.errors import BadInput, OpticsWarning, OutOfMemory, StorageError
 from vamgpu.geometry import Grid
 from vamgpu.methods.method import Criterion, Steps
 from vamgpu.methods.tolerances import CornerDose, CornerDoses, Tolerances
+from vamgpu.operators.defocus import Defocused
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection
@@ -93,6 +94,8 @@ def describe(A: LinearOperator, arrays: dict[str, np.ndarray] | None = None) -> 
     Raises:
         BadInput: what only Python can describe.
     """
+    if isinstance(A, Defocused) and A.direct is not A:
+        return {**write(A.direct, arrays=arrays), "rings": True}
     if not isinstance(A, Projection | RingProjection):
         return write(A, arrays=arrays)
     on_rings = isinstance(A, RingProjection)
@@ -125,7 +128,11 @@ def projection_from(
         table = dict(description)
         _weigh(table)
         if "kind" in table:
-            return read("operator", table, units=False, device=device, arrays=arrays)
+            on_rings = table.pop("rings", False)
+            found = read("operator", table, units=False, device=device, arrays=arrays)
+            if solved and on_rings:
+                return Defocused(RingProjection.of(found.operator), found.defocus, found.tolerance)
+            return found
         beam, vessel = _with_optics(table["beam"]), table["vessel"]
         footprint, motion = beam.pop("footprint"), turntable_from(table["turntable"])
         grid, light = (read(name, part, units=False) for name, part in (("grid", table["grid"]), ("beam", beam)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import hypot, log, pi, sqrt
 from typing import Any, final
 
@@ -12,13 +13,14 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Chords, Vessel, positive
+from vamgpu.geometry import Beam, Chords, Vessel, positive
 from vamgpu.operators.blur import Blur, gaussian
 from vamgpu.operators.compose import Composed, Derived, Sum, inherit
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.oblique import Oblique, Rising
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ray_table import EQUAL, OpenAir
+from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.space import Space
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length, Place, Positive
@@ -141,7 +143,7 @@ class Defocused(Derived):
     the rays from where they pass the axis. A projection costs as many as there are nodes.
 
     Args:
-        operator: A `Projection` or an `Oblique`.
+        operator: A `Projection`, a `RingProjection` or an `Oblique`.
         defocus: Width of its light at every depth.
         tolerance: Largest share by which the FWHM may miss the formula between nodes.
 
@@ -152,14 +154,17 @@ class Defocused(Derived):
     domain: Space
     range: Space
     device: Device
-    operator: Projection | Oblique
+    operator: Projection | RingProjection | Oblique
     defocus: Defocus
     tolerance: float
 
-    def __init__(self, operator: Projection | Oblique, defocus: Defocus, tolerance: Positive = 0.02) -> None:
-        if not isinstance(operator, (Projection, Oblique)):
+    def __init__(
+        self, operator: Projection | RingProjection | Oblique, defocus: Defocus, tolerance: Positive = 0.02
+    ) -> None:
+        if not isinstance(operator, (Projection, RingProjection, Oblique)):
             raise BadInput(
-                f"Defocused got {operator!r}; expected a Projection or an Oblique; wrap the result afterwards"
+                f"Defocused got {operator!r}; expected a Projection, a RingProjection or an Oblique; "
+                "wrap the result afterwards"
             )
         if not isinstance(defocus, Defocus):
             raise BadInput(f"Defocused got {defocus!r}; expected Defocus(fwhm=…, depth_of_focus=…)")
@@ -184,8 +189,10 @@ class Defocused(Derived):
 
     def _chosen(self, tolerance: float) -> np.ndarray:
         """Variances [mm²] that light is sorted by, from the sharpest to the widest in the volume."""
-        grid = self.operator.grid
+        A, grid = self.operator, self.operator.grid
         corner = hypot(*(0.5 * (n + 3) * grid.pitch for n in grid.shape[:2]))
+        if isinstance(A, RingProjection):
+            corner = A.rings.rings * A.rings.pitch
         reach = min(self._plane.lit_radius, corner)
         position = np.linspace(-reach, reach, 257)
         across, along = np.meshgrid(position, position, indexing="ij")
@@ -210,17 +217,26 @@ class Defocused(Derived):
 
         plane = WeightedVessel(self._plane, share)
         if isinstance(A, Projection):
-            beam = replace(A.beam, spread=self._spread(nodes[k]))
-            part = Projection(A.grid, beam, A.motion, plane, A.device)
-            part.range = A.range  # the same images, whatever lens each part of their light goes through
-            return part
-        light = _WeightedRows(plane, A.light.rows) if isinstance(A.light, Rising) else plane
-        return Composed(self._blur(nodes[k]), Oblique(A.grid, A.beam, A.motion, light, A.wobble, A.device))
+            part = Projection(A.grid, self._blurred(k), A.motion, plane, A.device)
+        elif isinstance(A, RingProjection):
+            part = RingProjection(A.grid, self._blurred(k), A.motion, plane, A.device, rings=A.rings)
+        else:
+            light = _WeightedRows(plane, A.light.rows) if isinstance(A.light, Rising) else plane
+            return Composed(self._blur(nodes[k]), Oblique(A.grid, A.beam, A.motion, light, A.wobble, A.device))
+        part.range = A.range  # the same images, whatever lens each part of their light goes through
+        return part
 
-    def _spread(self, variance: float) -> float:
-        """Standard deviation [mm] that makes pixels and voxels, boxes both, as wide as a node says; 0 if they are."""
+    def _blurred(self, k: int) -> Beam:
+        """Pixels whose point spread makes them and voxels, boxes both, as wide as a node says; sharp if they are."""
         beam, ratio = self.operator.beam, self.operator.grid.pitch / self.operator.beam.pitch
-        return sqrt(max(variance - (beam.fill + ratio**2) * beam.pitch**2 / 12.0, 0.0))
+        variance = self.nodes[k] - (beam.fill + ratio**2) * beam.pitch**2 / 12.0
+        return replace(beam, spread=sqrt(max(variance, 0.0)))
+
+    @cached_property
+    def direct(self) -> Defocused:
+        """The same by rays through voxels."""
+        A = self.operator
+        return Defocused(A.direct, self.defocus, self.tolerance) if isinstance(A, RingProjection) else self
 
     def _blur(self, variance: float) -> Blur:
         """The blur of a node, for images whose pixels are not blurred otherwise."""

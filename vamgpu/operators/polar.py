@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import groupby
@@ -16,11 +17,12 @@ from vamgpu.kernels.footprint import half_support, share, sides
 from vamgpu.kernels.spectrum import ROWS
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length
+from vamgpu.storage.shards import threads
 
 PARTS = 2
 """Parts of a cell along the radius and along the angle whose footprints are added."""
 ALIKE = 1e-5
-"""Difference of light from its mirror image, over the greatest, up to which one half stands for both."""
+"""Difference of light from its mirror image, over the greatest or in columns, up to which one half stands for both."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,11 @@ class Belt:
     @property
     def rings(self) -> int:
         return self.stop - self.begin
+
+    @property
+    def tiles(self) -> list[Belt]:
+        """Every `ROWS` of its rings."""
+        return [replace(self, begin=ring, stop=ring + ROWS) for ring in range(self.begin, self.stop, ROWS)]
 
 
 @dataclass(frozen=True)
@@ -167,95 +174,98 @@ def pose_on_rings(
         of the squares is the pitch where there are some.
     """
     for belt in grid.belts:
-        yield _Seen.of(grid, belt, beam, vessel, square).cells()
+        found = np.zeros((belt.rings, grid.angles * belt.samples, beam.pixels[0]))
+        _footprints(grid, belt, beam, vessel, square).add(found, beam)
+        yield found
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """How a beam sees parts of cells: columns of their middles, light, sides; ``parts`` a cell each way."""
+class _Footprints:
+    """Trapezoids that parts of cells are to light, each (parts · rings, parts · cells of a ring).
 
-    beam: Beam
+    column: that lights the middle.  strength: of a column's light.  a, b: widths [columns].
+    """
+
     column: np.ndarray
     strength: np.ndarray
     a: np.ndarray
     b: np.ndarray
     parts: int
 
-    @classmethod
-    def of(cls, grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, square: float | None) -> _Seen:
-        """Of a belt; arguments as for `pose_on_rings`."""
-        if square is not None:
-            return cls._of_squares(grid, belt, beam, vessel, square)
-        count = PARTS * grid.angles * belt.samples
-        rho = (np.arange(PARTS * belt.rings) + 0.5)[:, None] / PARTS + belt.begin
-        psi = FULL_TURN / count * (np.arange(count) - 0.5 * (PARTS - 1))
-        across, along = rho * grid.pitch * np.sin(psi), -rho * grid.pitch * np.cos(psi)
-        u, weight = vessel.illuminate(across, along)
-        column = u / beam.pitch + 0.5 * (beam.pixels[0] - 1)
-        a = np.abs(np.gradient(column, axis=0, edge_order=2))
-        b = 0.5 * np.abs(np.roll(column, -1, axis=1) - np.roll(column, 1, axis=1))
-        lit = np.hypot(across, along) <= vessel.lit_radius
-        strength = weight * lit * (rho / _middle(rho)) * grid.pitch**2 / beam.pitch / PARTS**2
-        return cls(beam, column, strength, a, b, PARTS)
+    def rings(self, begin: int, stop: int) -> _Footprints:
+        """Those of some of the rings."""
+        own = slice(begin * self.parts, stop * self.parts)
+        return _Footprints(self.column[own], self.strength[own], self.a[own], self.b[own], self.parts)
 
-    @classmethod
-    def _of_squares(cls, grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: float) -> _Seen:
-        """Squares about the middles of a belt's cells."""
-        count = grid.angles * belt.samples
-        rho = (np.arange(belt.begin, belt.stop) + 0.5)[:, None] * grid.pitch
-        psi = FULL_TURN / count * np.arange(count)
+    def is_mirrored(self, columns: int) -> bool:
+        """Whether cells on either side see columns on either side."""
 
-        def column(outward: float, onward: float) -> tuple[np.ndarray, np.ndarray]:
-            across = (rho + outward) * np.sin(psi) + onward * np.cos(psi)
-            along = -(rho + outward) * np.cos(psi) + onward * np.sin(psi)
-            u, weight = vessel.illuminate(across, along)
-            return u / beam.pitch, weight
+        def beyond(values: np.ndarray) -> np.ndarray:  # parts lie on both sides of a cell's middle
+            return np.roll(values[:, ::-1], 1 if self.parts == 1 else self.parts, axis=1)
 
-        middle, weight = column(0.0, 0.0)
-        a, b = (
-            np.abs(column(*way)[0] - column(*(-step for step in way))[0])
-            for way in ((0.5 * side, 0.0), (0.0, 0.5 * side))
+        most = float(self.strength.max())
+        return bool(
+            np.abs(self.strength - beyond(self.strength)).max() <= ALIKE * most
+            and (np.abs(self.column + beyond(self.column) - (columns - 1)) * (self.strength > 0.0)).max() <= ALIKE
+            and all((np.abs(w - beyond(w)) * (self.strength > 0.0)).max() <= ALIKE for w in (self.a, self.b))
         )
-        first = middle + 0.5 * (beam.pixels[0] - 1)
-        return cls(beam, first, weight * (rho <= vessel.lit_radius) * side**2 / beam.pitch, a, b, 1)
 
-    def rings(self, first: int) -> _Seen:
-        """`ROWS` of the rings."""
-        own = slice(self.parts * first, self.parts * (first + ROWS))
-        return replace(self, **{name: getattr(self, name)[own] for name in ("column", "strength", "a", "b")})
-
-    @cached_property
-    def _reach(self) -> np.ndarray:
-        return half_support(*sides(self.a, self.b, self.beam.sigma), self.beam.fill**0.5, self.beam.sigma)
-
-    @property
-    def last(self) -> int:
+    def last(self, beam: Beam) -> int:
         """The last column that may light a cell; −1 where none does."""
-        ends = np.floor(self.column + self._reach)[self.strength > 0.0]
-        return min(int(ends.max(initial=-1)), self.beam.pixels[0] - 1)
+        reach = half_support(*sides(self.a, self.b, beam.sigma), beam.fill**0.5, beam.sigma)
+        return min(int(np.floor(self.column + reach)[self.strength > 0.0].max(initial=-1)), beam.pixels[0] - 1)
 
-    def cells(self) -> np.ndarray:
-        """Shares of columns in parts of cells, added up by cell, (rings, cells of a ring, columns)."""
-        columns, parts = self.beam.pixels[0], self.parts
-        rings, cells = self.column.shape
-        found = np.zeros((rings // parts, cells // parts, columns))
-        first = np.ceil(self.column - self._reach).astype(int)
-        ring, cell = np.arange(found.shape[0])[:, None], np.arange(found.shape[1])
-        for tap in range(int(np.floor(2.0 * self._reach.max())) + 1):
-            at = first + tap
-            value = self.strength * share(self.column - at, self.a, self.b, self.beam.fill**0.5, self.beam.sigma)
-            value *= (at >= 0) & (at < columns)
-            at = np.clip(at, 0, columns - 1)
-            for i in range(parts):
-                for j in range(parts):
-                    part = (slice(i, None, parts), slice(j, None, parts))
-                    found[ring, cell, at[part]] += value[part]
-        return found
+    def add(self, found: np.ndarray, beam: Beam, first_column: int = 0) -> None:
+        """Add shares of the columns from one on to cells, (rings, cells of a ring, columns)."""
+        fill, sigma, parts = beam.fill**0.5, beam.sigma, self.parts
+        for part in np.ndindex(parts, parts):
+            own = tuple(slice(each, None, parts) for each in part)
+            column, strength, a, b = (each[own] for each in (self.column, self.strength, self.a, self.b))
+            reach = half_support(*sides(a, b, sigma), fill, sigma)
+            first = np.ceil(column - reach).astype(int)
+            for tap in range(int(np.floor(2.0 * reach.max())) + 1):
+                at = first + (tap - first_column)
+                hit = np.nonzero((strength != 0.0) & (at >= 0) & (at < found.shape[2]))
+                apart = column[hit] - (first[hit] + tap)
+                found[(*hit, at[hit])] += strength[hit] * share(apart, a[hit], b[hit], fill, sigma)
 
 
-def _middle(rho: np.ndarray) -> np.ndarray:
-    """Middle of the ring that each part lies in."""
-    return np.floor(rho) + 0.5
+def _footprints(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, square: float | None) -> _Footprints:
+    """Of the parts of a belt's cells, or of squares in their place."""
+    if square is not None:
+        return _in_squares(grid, belt, beam, vessel, square)
+    count = PARTS * grid.angles * belt.samples
+    rho = (np.arange(PARTS * belt.rings) + 0.5)[:, None] / PARTS + belt.begin
+    psi = FULL_TURN / count * (np.arange(count) - 0.5 * (PARTS - 1))
+    across, along = rho * grid.pitch * np.sin(psi), -rho * grid.pitch * np.cos(psi)
+    u, weight = vessel.illuminate(across, along)
+    column = u / beam.pitch + 0.5 * (beam.pixels[0] - 1)
+    a = np.abs(np.gradient(column, axis=0, edge_order=2))
+    b = 0.5 * np.abs(np.roll(column, -1, axis=1) - np.roll(column, 1, axis=1))
+    lit = np.hypot(across, along) <= vessel.lit_radius
+    strength = weight * lit * (rho / (np.floor(rho) + 0.5)) * grid.pitch**2 / beam.pitch / PARTS**2
+    return _Footprints(column, strength, a, b, PARTS)
+
+
+def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: float) -> _Footprints:
+    """Of squares about the middles of a belt's cells."""
+    count = grid.angles * belt.samples
+    rho = (np.arange(belt.begin, belt.stop) + 0.5)[:, None] * grid.pitch
+    psi = FULL_TURN / count * np.arange(count)
+
+    def column(outward: float, onward: float) -> tuple[np.ndarray, np.ndarray]:
+        across = (rho + outward) * np.sin(psi) + onward * np.cos(psi)
+        along = -(rho + outward) * np.cos(psi) + onward * np.sin(psi)
+        u, weight = vessel.illuminate(across, along)
+        return u / beam.pitch, weight
+
+    middle, weight = column(0.0, 0.0)
+    a, b = (
+        np.abs(column(*way)[0] - column(*(-step for step in way))[0]) for way in ((0.5 * side, 0.0), (0.0, 0.5 * side))
+    )
+    lit = rho <= vessel.lit_radius
+    first = middle + 0.5 * (beam.pixels[0] - 1)
+    return _Footprints(first, weight * lit * side**2 / beam.pitch, a, b, 1)
 
 
 @dataclass(frozen=True)
@@ -270,52 +280,85 @@ class RingTable:
 
 def ring_table(
     grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None = None, faint: float = 0.0,
-    room: Callable[[tuple[int, ...]], np.ndarray] = partial(np.empty, dtype=np.float32), mirrored: bool = True,
+    room: Callable[[tuple[int, ...]], np.ndarray] = partial(np.empty, dtype=np.float32),
 ) -> RingTable:  # fmt: skip
     """The products of each angular frequency, from the light of one pose; arguments as for `pose_on_rings`.
 
     faint: share of the greatest entry up to which those of a tile at neighboring frequencies count as none.
     room: makes the array of the entries, which may be most of what memory holds.
-    mirrored: whether columns are taken to mirror each other; where they turn out not to, they are not.
+    """
+    with ThreadPoolExecutor(threads()) as pool:
+        # squares of a ring do not depend on those of another: as many pieces as tiles
+        pieces = [tile for belt in grid.belts for tile in belt.tiles] if square is not None else list(grid.belts)
+        footprints = list(pool.map(lambda piece: _footprints(grid, piece, beam, vessel, square), pieces))
+        if square is None:
+            whole = zip(grid.belts, footprints, strict=True)
+            footprints = [
+                each.rings(begin, begin + ROWS) for belt, each in whole for begin in range(0, belt.rings, ROWS)
+            ]
+        columns, mirrored = beam.pixels[0], all(each.is_mirrored(beam.pixels[0]) for each in footprints)
+        half = columns // 2 if mirrored else 0
+        wide = [_in_rows(each.last(beam) + 1 - half) for each in footprints]
+        tiles, own = [], [[] for _ in footprints]
+        start = number = 0
+        for belt in grid.belts:
+            for j in range(belt.samples):
+                for ring in range(len(belt.tiles)):
+                    own[number + ring].append(len(tiles))
+                    mate = (belt.cell + (belt.samples - 1 - j) * belt.rings) // ROWS + ring
+                    tiles.append((start, wide[number + ring], mate))
+                    start += 2 * ROWS * wide[number + ring]
+            number += len(belt.tiles)
+        entries = room((grid.angles // 2 + 1, start))
+
+        def fill(footprint: _Footprints, width: int, numbers: list[int]) -> list[np.ndarray]:
+            found = _spectrum(footprint, beam, grid.angles, len(numbers), half, width)
+            for number, (values, _) in zip(numbers, found, strict=True):
+                begin = tiles[number][0]
+                entries[:, begin : begin + 2 * ROWS * width] = values.reshape(len(values), -1)
+            return [peak for _, peak in found]
+
+        peaks = list(pool.map(fill, footprints, wide, own))
+    greatest = {
+        number: peak
+        for numbers, some in zip(own, peaks, strict=True)
+        for number, peak in zip(numbers, some, strict=True)
+    }
+    most = max(float(peak.max()) for peak in greatest.values())
+    if most == 0.0:
+        raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
+    dark = [_dark(greatest[number] <= faint * most) for number in range(len(tiles))]
+    return RingTable(entries.ravel(), np.column_stack([tiles, dark]), _in_rows(columns - half), mirrored)
+
+
+def _in_rows(count: int) -> int:
+    """The least multiple of `ROWS` that holds so many."""
+    return -(-max(count, 0) // ROWS) * ROWS
+
+
+def _spectrum(
+    footprints: _Footprints, beam: Beam, turns: int, samples: int, first_column: int, width: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Of `ROWS` rings and each j < samples, frequencies k + j·turns for k up to half of the turns.
+
+    Entries (k, ``width`` columns from the first on, 2, `ROWS`), real and imaginary, and the greatest (k,).
     """
     from scipy.fft import rfft
 
-    columns, turns = beam.pixels[0], grid.angles
-    middle = columns // 2 if mirrored else 0
-    seen = [_Seen.of(grid, belt, beam, vessel, square) for belt in grid.belts]
-    wide = [
-        [-(-max(own.rings(ring).last + 1 - middle, 0) // ROWS) * ROWS for ring in range(0, belt.rings, ROWS)]
-        for belt, own in zip(grid.belts, seen, strict=True)
-    ]
-    pairs = np.concatenate([own * belt.samples for belt, own in zip(grid.belts, wide, strict=True)]).astype(int)
-    first = np.cumsum(np.concatenate([[0], 2 * ROWS * pairs]))
-    entries = room((turns // 2 + 1, int(first[-1])))
-    greatest, mates, off = np.zeros((len(pairs), turns // 2 + 1)), np.zeros(len(pairs), int), 0.0
-    for belt, own in zip(grid.belts, seen, strict=True):
-        for ring in range(0, belt.rings, ROWS):
-            pose = own.rings(ring).cells()
-            if mirrored:
-                image = pose[:, -np.arange(pose.shape[1]), ::-1]
-                off = max(off, float(np.abs(pose - image).mean(axis=1).max()))  # no frequency differs by more
-            spectrum = rfft(pose[..., middle:], axis=1, workers=-1) / pose.shape[1]
-            for j in range(belt.samples):
-                tile = (belt.cell + j * belt.rings + ring) // ROWS
-                mates[tile] = (belt.cell + (belt.samples - 1 - j) * belt.rings + ring) // ROWS
-                rows = _harmonics(spectrum, turns, j, belt.samples)
-                greatest[tile] = np.abs(rows).max(axis=(1, 2))
-                held = rows[..., : pairs[tile]].swapaxes(1, 2)
-                block = np.zeros((len(rows), pairs[tile], 2, ROWS), np.float32)
-                block[:, : held.shape[1], 0], block[:, : held.shape[1], 1] = np.real(held), np.imag(held)
-                entries[:, first[tile] : first[tile + 1]] = block.reshape(len(rows), -1)
-    most = greatest.max(initial=0.0)
-    if most == 0.0:
-        raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
-    if off > ALIKE * most:
-        return ring_table(grid, beam, vessel, square, faint, room, mirrored=False)
-    dark = [_dark(each <= faint * most) for each in greatest]
-    tiles = np.column_stack([first[:-1], pairs, mates, np.array(dark).reshape(-1, 2)])
-    half = -(-((columns + 1) // 2 if mirrored else columns) // ROWS) * ROWS
-    return RingTable(entries.ravel(), tiles, half, mirrored)
+    columns = min(width, beam.pixels[0] - first_column)
+    pose = np.zeros((ROWS, columns, turns * samples), np.float32)
+    footprints.add(pose.swapaxes(1, 2), beam, first_column)
+    spectrum = np.asarray(rfft(pose, axis=2)) / np.float32(turns * samples)
+    found = []
+    for j in range(samples):
+        kappa, n = np.arange(turns // 2 + 1) + j * turns, turns * samples
+        back = 2 * kappa > n
+        entries = np.zeros((len(kappa), width, 2, ROWS), np.float32)
+        own = spectrum[..., np.where(back, n - kappa, kappa)].transpose(2, 1, 0)
+        entries[:, :columns, 0] = np.real(own)
+        entries[:, :columns, 1] = np.where(back, np.float32(-1.0), np.float32(1.0))[:, None, None] * np.imag(own)
+        found.append((entries, np.abs(own).max(axis=(1, 2), initial=0.0)))
+    return found
 
 
 def _dark(vanish: np.ndarray) -> tuple[int, int]:
@@ -323,11 +366,3 @@ def _dark(vanish: np.ndarray) -> tuple[int, int]:
     ends = np.flatnonzero(np.diff(np.concatenate([[0], vanish, [0]])))
     runs = ends.reshape(-1, 2)
     return tuple(runs[np.argmax(runs[:, 1] - runs[:, 0])].tolist()) if len(runs) else (0, 0)
-
-
-def _harmonics(spectrum: np.ndarray, turns: int, j: int, samples: int) -> np.ndarray:
-    """Frequencies k + j·turns of rings for k up to half of the turns, (k, ring, column)."""
-    kappa, n = np.arange(turns // 2 + 1) + j * turns, turns * samples
-    back = 2 * kappa > n
-    found = spectrum[:, np.where(back, n - kappa, kappa)]
-    return np.where(back[:, None], found.conj(), found).swapaxes(0, 1)

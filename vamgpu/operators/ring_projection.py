@@ -212,7 +212,9 @@ def direct(A: Projection | RingProjection) -> Projection: ...
 def direct(A: Any) -> Any: ...
 def direct(A: Any) -> Any:
     """The operator on voxels of one on rings; any other operator itself."""
-    return A.direct if isinstance(A, RingProjection) else A
+    from vamgpu.operators.defocus import Defocused
+
+    return A.direct if isinstance(A, RingProjection | Defocused) else A
 
 
 def against_rings(A: Any) -> str:
@@ -238,11 +240,12 @@ def pays_on_rings(A: Projection) -> bool:
         A: The operator.
 
     Returns:
-        True for volumes of 48 voxels or more across and 90 angles or more, in short transforms, on OpenCL processors.
+        True in OpenCL for 48 voxels or more across (256 on GPUs) and 90 angles or more, in short transforms.
     """
-    is_processor = A.device.name.startswith("opencl") and not getattr(A.device, "is_gpu", False)
     across, angles = min(A.grid.shape[:2]), A.motion.angles
-    return is_processor and across >= 48 and angles >= 90 and max(passes([angles], ONE_SUM)[0]) <= ONE_SUM
+    enough = across >= (256 if getattr(A.device, "is_gpu", False) else 48) and angles >= 90
+    short = max(passes([angles], ONE_SUM.__ge__)[0]) <= ONE_SUM
+    return A.device.name.startswith("opencl") and enough and short
 
 
 def _against(grid: Grid, motion: Turntable) -> str:

@@ -15,7 +15,16 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Turntable, Vessel
-from vamgpu.kernels.spectrum import AT_ONCE, ONE_SUM, fold_columns, fourier, gather_rings, light_rings, unfold_columns
+from vamgpu.kernels.spectrum import (
+    AT_ONCE,
+    FACTOR,
+    ONE_SUM,
+    fold_columns,
+    fourier,
+    gather_rings,
+    light_rings,
+    unfold_columns,
+)
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid, ring_table
 from vamgpu.operators.ray_table import OpenAir
@@ -155,7 +164,7 @@ class _Passes:
 
     def __init__(self, device: Device, belts: list[tuple[int, int, Place, Place]]) -> None:
         self._device = device
-        radices = passes([n for n, *_ in belts], ONE_SUM if getattr(device, "is_gpu", True) else AT_ONCE)
+        radices = passes([n for n, *_ in belts], _fits(device))
         waves = [FULL_TURN * np.arange(n) / n for n, *_ in belts]
         self._waves = device.table(np.concatenate([np.stack([np.cos(w), np.sin(w)], axis=1) for w in waves]))
         self._tables = [device.table(self._pass(belts, radices, number), "int32") for number in range(len(radices[0]))]
@@ -185,16 +194,31 @@ class _Passes:
         return source
 
 
-def passes(lengths: list[int], longest: int) -> list[tuple[int, ...]]:
-    """Radices of each transform, as many for all: as few passes as keep them short, else those of the least work."""
+def _fits(device: Device) -> Callable[[int], bool]:
+    """Which radices a device has short work with."""
+    if not device.name.startswith("opencl"):
+        return ONE_SUM.__ge__
+    return _is_split if getattr(device, "is_gpu", False) else AT_ONCE.__ge__
+
+
+def _is_split(radix: int) -> bool:
+    """Whether a radix has two factors that are small enough."""
+    return any(radix % a == 0 and radix <= a * FACTOR for a in range(1, FACTOR + 1))
+
+
+def passes(lengths: list[int], fits: Callable[[int], bool]) -> list[tuple[int, ...]]:
+    """Radices of each transform, as many for all: as few passes as make them all fit, else those of the least work."""
+    for count in range(1, MOST + 1):
+        short = [_radices(n, count, fits) for n in lengths]
+        if all(short):
+            return short
     choices = [found for count in range(1, MOST + 1) if all(found := [_radices(n, count) for n in lengths])]
-    short = [found for found in choices if max(map(max, found)) <= longest]
-    return short[0] if short else min(choices, key=lambda found: sum(map(sum, found)))
+    return min(choices, key=lambda found: sum(map(sum, found)))
 
 
-def _radices(n: int, passes: int) -> tuple[int, ...]:
-    """Factors of n, one a pass, none of them 1, whose sum is least; nothing where there are none."""
+def _radices(n: int, passes: int, fits: Callable[[int], bool] = bool) -> tuple[int, ...]:
+    """Factors of n that fit, one a pass, none of them 1, whose sum is least; nothing where there are none."""
     if passes == 1:
-        return (n,) if n > 1 else ()
-    rest = ((d, *_radices(n // d, passes - 1)) for d in range(2, n) if n % d == 0)
+        return (n,) if n > 1 and fits(n) else ()
+    rest = ((d, *_radices(n // d, passes - 1, fits)) for d in range(2, n) if n % d == 0 and fits(d))
     return min((found for found in rest if len(found) == passes), key=sum, default=())

@@ -10,7 +10,7 @@ from vamgpu.optics.faces import Face, turn
 from vamgpu.optics.inputs import Floats
 
 NODES = 64  # of the scan that brackets the first root
-CHUNK = 8192  # points at once, so that the scan stays in the cache
+CHUNK = 2048  # points at once, so that the scan stays in the cache
 STEP_DONE = 1e-8  # Newton doubles the digits: a step of this size leaves an error near rounding
 MOST_STEPS = 100
 
