@@ -74,7 +74,7 @@ def of_slab(A: vamgpu.Projection, fractions: np.ndarray, first: int, off: Tolera
     beam = vamgpu.Beam((A.beam.pixels[0], fractions.shape[2] + 2 * SPILLED), A.beam.pitch)
     part = vamgpu.Projection(grid, beam, A.motion, None, A.device)
     print(f"slices {first} to {first + fractions.shape[2] - 1}", flush=True)
-    return vamgpu.optimize(part, fractions, "widest", steps, tolerances=off, progress=False)
+    return vamgpu.optimize(part, fractions, "best", steps, tolerances=off, progress=False)
 
 
 def tabled(size: int, budgets: list[int], device: Any) -> dict[str, Any]:
@@ -133,6 +133,8 @@ def main() -> None:
                 A, target, args.method, iterations, tolerances=tolerances, resume=plan, progress=False
             )
             record[f"{name} {iterations}"] = judged(plan, target, off)
+            if plan.bound is not None:
+                record[f"{name} {iterations}"]["bound"] = round(plan.bound.value, 5)
             print(name, json.dumps(record[f"{name} {iterations}"]), flush=True)
     if args.bound:
         if args.slab:
@@ -142,7 +144,7 @@ def main() -> None:
             record["slices"] = [first, first + args.slab]
         else:
             record["nominal bound"] = round(bound(A, target, evaluations=args.bound).value, 5)
-            plan = vamgpu.optimize(A, target, "widest", args.bound, tolerances=off, progress=False)
+            plan = vamgpu.optimize(A, target, "best", args.bound, tolerances=off, progress=False)
         record["robust bound"] = round(plan.bound.value, 5) if plan.bound is not None else None
         print({name: value for name, value in record.items() if "bound" in name}, round(plan.seconds, 1), flush=True)
     print(write_record(args.records, f"robust-{args.n}-{args.label}", record))

@@ -32,7 +32,7 @@ def frames(
     black: float = 0.002,
     quantile: float = 0.9999,
 ) -> Picture:
-    """Light for the boat packed three ways, for a projector of a gamma and a black level."""
+    """Light for the boat packed four ways, for a projector of a gamma and a black level."""
     target = scene.boat(device, 0.6 if quick else pitch)
     A = scene.straight(target, 24 if quick else int(angles), device)
     plan = optimize(A, target, iterations=4 if quick else 40)
@@ -41,6 +41,7 @@ def frames(
         "8 bits": pack(plan, 8, curve, quantile=quantile),
         "1 bit, error diffusion": pack(plan, 1, GrayCurve.linear(black), quantile=quantile, dither="error-diffusion"),
         "1 bit, nearest": pack(plan, 1, GrayCurve.linear(black), quantile=quantile),
+        "1 bit, chosen by dose": pack(plan, 1, GrayCurve.linear(black), dither="fit"),
     }
     light = plan.sinogram.numpy()
     scores = {"float": score(plan.dose(), target.on(device))}
@@ -64,6 +65,7 @@ def frames(
         Fact("brightest pixel over a full-on one", brightest / packed["8 bits"].scale, "", 3),
         Fact("window lost by 8 bits", rows[0][1][0] - rows[1][1][0], "", 2),
         Fact("window lost by 1 bit, error diffusion", rows[0][1][0] - rows[2][1][0], "", 2),
+        Fact("window lost by 1 bit, chosen by dose", rows[0][1][0] - rows[4][1][0], "", 2),
         Fact("largest gap between light asked for and that of the nearest level, over full-on", 100 * gap, "%", 2),
         Fact("light of a mirror that is off, over full-on", 100 * curve.black, "%", 2),
     )
@@ -71,8 +73,9 @@ def frames(
         "The light of a plan becomes bytes: a full-on pixel stands for a high quantile of the lit pixels, so that one "
         "hot pixel does not dim the print; each level is the one whose measured light is nearest, black level too. "
         "With one bit a pixel carries its error on to the next angle, so that the dose, which sums over angles, keeps "
-        "most of the part, where the nearest bit loses it. What that costs is in the table, which judges the dose of "
-        "the bytes alone, decoded as the mirrors show them; the error is the norm of what is wrong with the light over "
+        "most of the part, where the nearest bit loses it; chosen by the dose of all pixels together, bits keep nearly "
+        "the window of the plan. What that costs is in the table, which judges the dose of the bytes alone, decoded as "
+        "the mirrors show them; the error is the norm of what is wrong with the light over "
         "the norm of the light."
     )
     return Picture(figure, caption, facts, table, plan.papers)

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 import vamgpu as vam
+from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ToleranceError, ToleranceWarning
+from vamgpu.methods import default
 from vamgpu.methods.active import ActiveScenarios
 from vamgpu.methods.state import OptimizerState
 from vamgpu.methods.tolerances import Corner, Tolerances, at
@@ -165,6 +167,24 @@ def test_thresholds_are_asked_for_little_beyond_what_there_is_at_few_scenarios()
     half = vam.optimize(A, ring(), "window", iterations=35, tolerances=off)
     rest = vam.optimize(A, ring(), "window", iterations=60, tolerances=off, resume=half)
     assert np.array_equal(plan.sinogram.numpy(), rest.sinogram.numpy())
+
+
+@pytest.mark.slow
+def test_weights_are_the_first_prices_and_a_resumed_run_is_the_whole_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without them 80 steps of prices have a bound twice as far away."""
+    monkeypatch.setattr(default, "FIRST", 50.0)
+    monkeypatch.setattr(default, "CORNERS", 100.0)
+    A = projection(open_device())
+    whole = vam.optimize(A, ring(), iterations=140, tolerances=BOTH)
+    thresholds = vam.optimize(A, ring(), "window", iterations=50, tolerances=BOTH)
+    prices = vam.optimize(A, ring(), "widest", iterations=140, tolerances=BOTH)
+    assert whole.bound is not None and prices.bound is not None and whole.window > thresholds.window
+    assert whole.window < whole.bound.value < prices.bound.value, (whole.bound, prices.bound)
+    for split in (30, 100):
+        half = vam.optimize(A, ring(), iterations=split, tolerances=BOTH)
+        rest = vam.optimize(A, ring(), iterations=140, tolerances=BOTH, resume=half)
+        assert np.array_equal(whole.sinogram.numpy(), rest.sinogram.numpy())
+        assert rest.bound is not None and rest.bound.value == whole.bound.value
 
 
 @pytest.mark.slow

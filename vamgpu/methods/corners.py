@@ -12,16 +12,39 @@ from vamgpu.methods.exposure import DoseObjective
 from vamgpu.methods.minimize import Pace
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import combine
-from vamgpu.operators.reductions import extent
+from vamgpu.operators.reductions import extent, total
+from vamgpu.operators.scenarios import Scenarios
 
 AHEAD = 0.03
 """Window that is asked for beyond the widest one so far."""
 MIDDLE = 0.65
 """Dose midway between the thresholds, a share of the most: light that a point spread leaves an edge of is far brighter
 without it."""
+BRIGHT = 4.0
+"""Dose that light has nowhere."""
 HEAVIER, LIGHTER, HEAVIEST = 0.3, 0.05, 100.0
 """Share by which a look raises the weight of the voxel that is off the most, others as far as they are off; share by
 which it lowers all weights, never below 1; and the greatest weight."""
+
+
+def owed(state: OptimizerState) -> None:
+    """Leave in the memory what voxels that are off weigh, as prices of their limits that come to 1 either side.
+
+    Args:
+        state: Of a run by `ThresholdsOfCorners`; its light is exposed at all scenarios.
+    """
+    scenarios, window = state.operator, state.number("asked")
+    assert isinstance(scenarios, Scenarios)
+    scenarios.rest((False,) * len(scenarios), None)
+    low, wall, void = MIDDLE - 0.5 * window, state.volume(), state.volume()
+    state.expose(state.buffer("light"), wall)
+    limits = Band.thresholds(low, low + window, BRIGHT).weighted(state.buffer("heavy"))
+    limits.value_and_gradient(wall, state.target, wall, state.reach)
+    combine(1.0, wall, 0.0, wall, void, floor=0.0)
+    combine(-1.0, wall, 0.0, wall, wall, floor=0.0)
+    inside, outside = total(wall), total(void)
+    if inside > 0.0 and outside > 0.0:
+        state.memory["owed"] = combine(1.0 / inside, wall, 1.0 / outside, void, wall)
 
 
 class ThresholdsOfCorners(DoseObjective):

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from vamgpu.errors import OutOfMemory
 from vamgpu.methods.certificate import Bound
+from vamgpu.methods.corners import owed
 from vamgpu.methods.method import Criterion, Method, Steps
 from vamgpu.methods.state import OptimizerState
 from vamgpu.methods.widest import WidestWindow
@@ -18,8 +19,8 @@ MANY = 64.0
 """Evaluations from which on prices lead to a wider window than thresholds, on slices."""
 VOXELS = 110.0
 """Voxels of a solid that each evaluation must stand for at most for prices to lead."""
-CORNERS = 300.0
-"""Evaluations of every scenario from which on prices lead to a wider window for all corners of tolerances."""
+CORNERS, FIRST = 400.0, 200.0
+"""Evaluations of every scenario from which on prices follow the thresholds, and those that thresholds have before."""
 VOLUMES, SINOGRAMS = 12, 6
 """Memory that prices take."""
 
@@ -28,7 +29,8 @@ VOLUMES, SINOGRAMS = 12, 6
 class BestWindow(Method):
     """`WidestWindow` where a run may spend 64 evaluations, and one for every 110 voxels; else `ProcessWindow`.
 
-    With tolerances it is `WidestWindow` from 300 evaluations of every corner on, or more as above.
+    With tolerances thresholds come first. A run that may spend 400 evaluations of every corner goes on by prices after
+    200, and begins with what voxels that stay off weigh.
 
     Bodies with weights, and gray ones, which prices hold from below alone, are `ProcessWindow`'s at any number.
 
@@ -43,14 +45,20 @@ class BestWindow(Method):
     takes_start: ClassVar[bool] = True
 
     def steps(self, state: OptimizerState) -> Steps:
-        memory = state.memory
-        if not memory.get("priced") and not _by_thresholds(state) and _many(state) and _fits(state):
+        memory, scenarios = state.memory, state.operator
+        corners = len(scenarios) if isinstance(scenarios, Scenarios) and len(scenarios) > 1 else 0
+        if not memory.get("priced") and not _by_thresholds(state) and _many(state, corners) and _fits(state):
             memory["priced"] = 1.0
-            if "best" in memory:
-                state.scale(1.0, state.buffer("best"), state.buffer("light"))
-                memory["stage"] = state.iteration
-                for name in ("ahead", "dose", "resting"):
-                    memory.pop(name, None)
+            memory["thresholds until"] = max(state.evaluations, FIRST * corners) if state.brightness == inf else 0.0
+            if not corners:
+                _turn(state)
+        if corners and memory.get("priced") and not memory.get("turned"):
+            own = ProcessWindow().steps(state)
+            while state.evaluations < state.number("thresholds until") and (record := next(own, None)) is not None:
+                yield record
+            own.close()
+            _turn(state)
+            memory["turned"] = 1.0
         yield from (WidestWindow() if memory.get("priced") else ProcessWindow()).steps(state)
 
     def certify(self, state: OptimizerState) -> Bound | None:
@@ -65,10 +73,21 @@ class BestWindow(Method):
         return WidestWindow().certify(state)
 
 
-def _many(state: OptimizerState) -> bool:
+def _turn(state: OptimizerState) -> None:
+    """From the best light by thresholds to prices."""
+    memory = state.memory
+    if "heavy" in memory:
+        owed(state)
+    if "best" in memory:
+        state.scale(1.0, state.buffer("best"), state.buffer("light"))
+        memory["stage"] = state.iteration
+    for name in ("ahead", "dose", "resting", "heavy"):
+        memory.pop(name, None)
+
+
+def _many(state: OptimizerState, corners: int) -> bool:
     """Whether prices lead: for a run that may spend enough, and for one whose light may not be too bright."""
-    many = CORNERS * len(state.operator) if isinstance(state.operator, Scenarios) and len(state.operator) > 1 else MANY
-    enough = max(many, prod(state.operator.domain.shape) / VOXELS)
+    enough = CORNERS * corners if corners else max(MANY, prod(state.operator.domain.shape) / VOXELS)
     return state.budget - state.evaluations >= enough or state.brightness < inf
 
 

@@ -160,7 +160,7 @@ def optimize(
     elif "brightness" in memory:
         raise BadInput("the plan to resume has an exposure limit; resume it with that, or start with its light")
     state.most_evaluations = inf if evaluations is None else positive("evaluations", evaluations)
-    state.budget = min(limit * how.cost, state.most_evaluations)
+    state.budget = min(limit * how.cost * getattr(asked, "cost", 1.0), state.most_evaluations)
     if start is not None:
         begin(state, how, start, resume)
     run = _Run(posed, how, state, target, resume, tolerances=tolerances)

@@ -182,7 +182,7 @@ class _Saddle:
 
     # ---- a round ---------------------------------------------------------------------------------------------
     def _begin(self) -> float:
-        """The light of before, scaled to a dose of 1 at most, without prices; lengths of all steps. Its window."""
+        """The light of before, scaled to a dose of 1 at most, with the prices owed; lengths of steps. Its window."""
         state, memory, upload = self.state, self.memory, self.state.device.upload
         light = state.buffer("light")
         for name in ("rows", "columns", "held"):
@@ -194,7 +194,9 @@ class _Saddle:
             state.device.launch(multiply, x=rows, y=upload(_near(state)), out=rows)
         state.expose(light, held)
         found, greatest = state.window(held)
-        self.active.begin(held)
+        owed = memory.pop("owed", None)
+        if owed is None:
+            self.active.begin(held)
         near = _near(state)
         unit = MEAN_ROW * float(np.count_nonzero(near)) / max(dot(rows, upload(near)), 1e-30)
         state.scale(unit, rows, rows)
@@ -204,11 +206,14 @@ class _Saddle:
             state.scale(1.0 / greatest, field, field)
         for name in ("wall", "cap"):
             memory[name] = upload(np.zeros(held.shape, np.float32))
+        if owed is not None:
+            memory["wall"] = owed
         if state.brightness < inf:
             state.best.forget()
             self._dim(light, held)
         least, leak, _ = state.extremes(held)
-        memory |= dict(zip(LEVELS, (least, max(leak, 0.0), 0.0, 0.0), strict=True))
+        sums = (0.0, 0.0) if owed is None else (1.0, 1.0)
+        memory |= dict(zip(LEVELS, (least, max(leak, 0.0), *sums), strict=True))
         prices = 2.0 * (MEAN_ROW + 1.0) / (ACTIVE * max(memory["inside voxels"], 1.0))
         far = max(dot(light, light) * self._mean_column(), 1e-30)
         memory |= {"length": 1.0, "weight": sqrt(prices / far), "made": 0.0}
