@@ -169,9 +169,20 @@ def test_thresholds_are_asked_for_little_beyond_what_there_is_at_few_scenarios()
     assert np.array_equal(plan.sinogram.numpy(), rest.sinogram.numpy())
 
 
+def test_the_first_prices_are_what_voxels_that_are_off_weigh(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(default, "FIRST", 20.0)
+    monkeypatch.setattr(default, "CORNERS", 25.0)
+    A = projection()
+    plan = vam.optimize(A, ring(), evaluations=130, tolerances=BOTH)
+    prices, part = plan.state["wall anchor"].numpy(), np.tile(ring() >= 0.5, (1, 1, 5))
+    assert prices.min() == 0.0 and prices[part].sum() == pytest.approx(1.0) == plan.state["inside anchor"]
+    assert prices[~part].sum() == pytest.approx(1.0) == plan.state["outside anchor"]
+    signed = np.where(part, -prices, prices).astype(np.float32)
+    assert BOTH.scenarios(A)(signed).min() > -0.2 * BOTH.scenarios(A)(prices).max(), "few pixels gain by them"
+
+
 @pytest.mark.slow
-def test_weights_are_the_first_prices_and_a_resumed_run_is_the_whole_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without them 80 steps of prices have a bound twice as far away."""
+def test_prices_that_follow_thresholds_are_resumed_bit_by_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(default, "FIRST", 50.0)
     monkeypatch.setattr(default, "CORNERS", 100.0)
     A = projection(open_device())
