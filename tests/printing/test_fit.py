@@ -42,7 +42,8 @@ def plan() -> vam.Plan:
 
 
 def proved(plan: vam.Plan, frames: vam.Frames) -> float:
-    return float(vam.simulate(plan.operator, frames, plan.target).scores.window)
+    A: Any = plan.operator
+    return float(vam.simulate(A, frames, plan.target).scores.window)
 
 
 @pytest.mark.slow

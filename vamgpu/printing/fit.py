@@ -105,9 +105,9 @@ class _Fit:
     @cached_property
     def share(self) -> float:
         """What a pixel's light gives a voxel that it lights, usually: Σ A² / Σ A, by a random sign for every voxel."""
-        A, signs = self.poses[0], np.random.default_rng(0).choice(np.float32([-1.0, 1.0]), self.A.grid.shape)
+        A, signs = self.poses[0], 2 * np.random.default_rng(0).integers(0, 2, self.A.grid.shape, np.int8) - 1
         lit = self.A.device.upload(np.abs(self.side.numpy()))
-        shadow = A(self.A.device.upload(signs * lit.numpy()))
+        shadow = A(self.A.device.upload((signs * lit.numpy()).astype(np.float32)))
         return dot(shadow, shadow) / total(A(lit))
 
     def window(self, dose: DeviceArray) -> float:

@@ -94,7 +94,7 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
         settings, gray, known = Placement(quantile=QUANTILE), GrayCurve.linear(), {"bits": 8}
         if packed or "bits" in details:
             settings = Placement(**{**details["settings"], "shift": tuple(details["settings"]["shift"])})
-            known = {key: details[key] for key in ("bits", "scale")}
+            known: dict[str, Any] = {key: details[key] for key in ("bits", "scale")}
             gray = GrayCurve.parse(details["gray"])
     except (KeyError, TypeError, AttributeError, BadInput) as error:
         raise StorageError(f"the manifest of {name!r} garbles its frames: {error}; write the job again") from error
