@@ -35,6 +35,7 @@ class ActiveScenarios:
 
     scenarios: Scenarios | None
     state: OptimizerState
+    void: float
 
     def __init__(self, state: OptimizerState, void: float = -1.0) -> None:
         operator, self.void = state.operator, void

@@ -64,6 +64,11 @@ class ThresholdsOfCorners(DoseObjective):
         weight: Of the voxels; None for 1.
     """
 
+    active: ActiveScenarios
+    widest: float
+    most: float
+    weight: DeviceArray | None
+
     def __init__(
         self, state: OptimizerState, active: ActiveScenarios, widest: float, most: float, pace: Pace,
         weight: DeviceArray | None,
