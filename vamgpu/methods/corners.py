@@ -7,6 +7,7 @@ from math import inf
 from vamgpu.backend.array import DeviceArray
 from vamgpu.kernels.update import multiply
 from vamgpu.losses.band import Band
+from vamgpu.losses.loss import Loss
 from vamgpu.methods.active import ActiveScenarios
 from vamgpu.methods.exposure import DoseObjective
 from vamgpu.methods.minimize import Pace
@@ -65,6 +66,7 @@ class ThresholdsOfCorners(DoseObjective):
     """
 
     active: ActiveScenarios
+    loss: Loss
     widest: float
     most: float
     weight: DeviceArray | None
@@ -131,4 +133,5 @@ class ThresholdsOfCorners(DoseObjective):
         self.state.memory["asked"] = window
         loss = self._thresholds(window)
         loss = loss if self.weight is None else loss.weighted(self.weight)
-        self.loss = loss.weighted(self.state.buffer("heavy")).on(self.state.field)
+        weighted: Loss = loss.weighted(self.state.buffer("heavy"))
+        self.loss = weighted.on(self.state.field)
