@@ -89,7 +89,7 @@ def sample(stack: Stack, threshold: int = 128, side: int = 48) -> Sample:
     )
 
 
-def cured(machine: Machine, shown: np.ndarray) -> np.ndarray:
+def cured(machine: Machine, shown: np.ndarray, critical: float = 1.0) -> np.ndarray:
     """Share of every slice's height that reaches the critical dose; shown: uint8 [slice, column]; float64, same shape.
 
     Between borders the dose follows its own curve (S22, S48), so the place where it crosses is exact.
@@ -100,26 +100,29 @@ def cured(machine: Machine, shown: np.ndarray) -> np.ndarray:
     else:
         start, stop, rest = borders[1:], borders[:-1], machine.doses[shown] / machine.decay
     with np.errstate(divide="ignore", invalid="ignore"):
-        done = np.log((1.0 - rest) / (start - rest)) * machine.fade_scale
-    crosses = (start >= 1.0) != (stop >= 1.0)
+        done = np.log((critical - rest) / (start - rest)) * machine.fade_scale
+    crosses = (start >= critical) != (stop >= critical)
     share = np.where(crosses, np.clip(done, 0.0, 1.0), 1.0)
-    return np.where(start >= 1.0, share, 1.0 - share)
+    return np.where(start >= critical, share, 1.0 - share)
 
 
-def features(machine: Machine, shown: np.ndarray, solid: np.ndarray) -> Features:
+def features(machine: Machine, shown: np.ndarray, solid: np.ndarray, critical: float = 1.0) -> Features:
     """Features of columns and how they print. shown: uint8 [slice, column]; solid: bool, as many slices or fewer."""
     count = shown.shape[1]
     wanted = np.zeros(shown.shape, bool)
     wanted[: len(solid)] = solid
     found = [
-        _features(machine, shown[:, k : k + AT_ONCE], wanted[:, k : k + AT_ONCE], k) for k in range(0, count, AT_ONCE)
+        _features(machine, shown[:, k : k + AT_ONCE], wanted[:, k : k + AT_ONCE], k, critical)
+        for k in range(0, count, AT_ONCE)
     ]
     return Features(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
-def _features(machine: Machine, shown: np.ndarray, wanted: np.ndarray, first: int) -> tuple[np.ndarray, ...]:
+def _features(
+    machine: Machine, shown: np.ndarray, wanted: np.ndarray, first: int, critical: float
+) -> tuple[np.ndarray, ...]:
     slices = len(shown)
-    share, inside = cured(machine, shown).T.ravel(), wanted.T.ravel()
+    share, inside = cured(machine, shown, critical).T.ravel(), wanted.T.ravel()
     change = np.flatnonzero(inside[1:] != inside[:-1]) + 1
     starts = np.union1d(change, np.arange(0, len(inside), slices))
     ends = np.append(starts[1:], len(inside))
