@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.backend.cores import threads
 from vamgpu.curethrough.images import encode
-from vamgpu.curethrough.stack import ARCHIVES, ZipStack, threads
+from vamgpu.curethrough.stack import ARCHIVES, ZipStack
 from vamgpu.errors import StorageError
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.manifest import plain

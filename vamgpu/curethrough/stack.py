@@ -14,6 +14,7 @@ from zipfile import ZipInfo
 
 import numpy as np
 
+from vamgpu.backend.cores import threads
 from vamgpu.curethrough.buffers import SliceBuffers
 from vamgpu.curethrough.images import HEAD, Header, decode, header
 from vamgpu.curethrough.names import is_slice, ordered
@@ -34,11 +35,6 @@ BLOCKS_HELD = 6
 """Blocks of slices in memory at once: two that are read, two on their way to the disk, and the device's."""
 PIXEL_HELD = 40
 """Bytes a pixel that the state of a print takes beside."""
-
-
-def threads() -> int:
-    """Processors that pictures are coded on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class FileStack(ABC):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
+
+from vamgpu.backend.cores import threads
 
 TOGETHER = 1 << 17
 """Numbers of an array that are worked on at once."""
@@ -37,6 +38,6 @@ def by_planes(function: Callable[..., np.ndarray], *arrays: Any) -> np.ndarray:
     def put(first: int) -> None:
         found[first : first + step] = part(first)
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(threads()) as pool:
         list(pool.map(put, range(step, count, step)))
     return found

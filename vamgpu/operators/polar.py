@@ -11,13 +11,13 @@ from math import ceil, pi
 
 import numpy as np
 
+from vamgpu.backend.cores import threads
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Grid, Vessel, centers, counts
 from vamgpu.kernels.footprint import half_support, share, sides
 from vamgpu.kernels.spectrum import ROWS
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length
-from vamgpu.storage.shards import threads
 
 PARTS = 2
 """Parts of a cell along the radius and along the angle whose footprints are added."""

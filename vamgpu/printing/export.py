@@ -14,6 +14,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 
+from vamgpu.backend.cores import threads
 from vamgpu.curethrough.images import deflated, encode, encode_bits
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import counts, positive
@@ -21,7 +22,6 @@ from vamgpu.printing.folder import describe
 from vamgpu.quantity import positive as number
 from vamgpu.storage.atomic import as_path, replacing
 from vamgpu.storage.manifest import plain
-from vamgpu.storage.shards import threads
 
 if TYPE_CHECKING:
     from vamgpu.printing.frames import Frames

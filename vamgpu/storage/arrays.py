@@ -14,10 +14,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from vamgpu.backend.cores import threads
 from vamgpu.errors import StorageError
 from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import is_file, parse_json, read_text
-from vamgpu.storage.shards import ALONE, LEVEL, decode, threads, write_files
+from vamgpu.storage.shards import ALONE, LEVEL, decode, write_files
 
 SHARD_BYTES = 64 * 2**20
 SHARD_CHUNKS = 512

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vamgpu.backend.cores import threads
 from vamgpu.storage.reading import is_file, open_file
 
 LEVEL = -1
@@ -25,12 +26,6 @@ ABSENT = np.uint64(2**64 - 1)
 """What the index says of an entry that is not there."""
 ALONE = 1 << 20
 """Bytes up to which entries are decoded without threads, which take as long to start."""
-
-
-def threads() -> int:
-    """Threads that compress or unpack at once: one a core that this process may use."""
-    usable = getattr(os, "sched_getaffinity", None)
-    return max(1, min(len(usable(0)) if usable else os.cpu_count() or 1, 16))
 
 
 def write_files(
