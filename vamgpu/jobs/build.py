@@ -191,9 +191,13 @@ def _covering(target: Target, light: Any, pitch: float, wobble: Wobble | None) -
 
 
 def packing_of(section: FramesSection, folder: Path) -> dict[str, Any]:
-    """Arguments of `pack`. Raises `StorageError`, `BadInput` for a gray curve that cannot be read."""
+    """Arguments of `pack`. Raises `StorageError`, `BadInput` for a gray curve that cannot be read, or a wrong "fit"."""
+    from vamgpu.printing.fit import check_fit
     from vamgpu.printing.gray import GrayCurve
+    from vamgpu.printing.placement import FIT
 
     options = section.model_dump()
+    if section.dither == FIT:
+        check_fit(section.bits, section.shift)
     options["gray"] = GrayCurve.load(folder / section.gray) if section.gray is not None else None
     return options

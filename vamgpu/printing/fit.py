@@ -40,6 +40,15 @@ Packed = Callable[[DeviceArray, float | None, str], Frames]
 """Frames of light, by the irradiance of a full-on pixel (None: the quantile's) and a name of `DITHERS`."""
 
 
+def check_fit(bits: int, shift: tuple[float, float]) -> None:
+    """Raise `BadInput` unless pixels of these bits, moved by ``shift``, can be chosen by their dose."""
+    if bits != 1:
+        raise BadInput(f'dither="fit" got {bits} bits; expected 1: rounding costs 8 bits next to nothing')
+    if any(moved % 1 for moved in shift):
+        raise BadInput(f'dither="fit" got shift={shift}; expected whole pixels: take those, or '
+                       'dither="error-diffusion"')  # fmt: skip
+
+
 def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, float]:
     """Frames of 1 bit whose dose has nearly the window of the plan's light.
 

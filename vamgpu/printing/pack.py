@@ -20,7 +20,7 @@ from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot
 from vamgpu.operators.space import require
 from vamgpu.printing.dark import no_light
-from vamgpu.printing.fit import fitted
+from vamgpu.printing.fit import check_fit, fitted
 from vamgpu.printing.frames import Frames, flat_table, flattened
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import Placement
@@ -140,11 +140,7 @@ def _fitted(
     quantile: float,
 ) -> Frames:  # fmt: skip
     """Frames whose pixels are chosen by their dose."""
-    if bits != 1:
-        raise BadInput(f'dither="fit" got {bits} bits; expected 1: rounding costs 8 bits next to nothing')
-    if any(moved % 1 for moved in settings.shift):
-        raise BadInput(f'dither="fit" got shift={settings.shift}; expected whole pixels: take those, or '
-                       'dither="error-diffusion"')  # fmt: skip
+    check_fit(bits, settings.shift)
 
     def packed(light: DeviceArray, full: float | None, dither: str) -> Frames:
         return pack(
