@@ -15,6 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.backend.remote import DeviceLost
 from vamgpu.errors import Cancelled, ClusterWarning, DeviceError
 from vamgpu.jobs import cluster, run
 from vamgpu.jobs.demo import JOB, WEB_JOB
@@ -116,6 +119,34 @@ def test_slabs_on_workers_find_the_light_of_one_process(tmp_path: Path, monkeypa
     assert len(alive) >= 2 and len(set().union(*alive)) > 2
     np.testing.assert_array_equal(found, whole)
     assert not run.is_interrupted(tmp_path / "killed")
+
+
+@pytest.mark.timeout(300)
+def test_a_job_that_is_replaced_is_solved_anew_whoever_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plans are kept beside what stands at the place, which stays until the new job is whole."""
+    begun = list[bool]()
+
+    @contextmanager
+    def slabs(*_: Any) -> Iterator[Any]:
+        def made() -> Device:
+            begun.append(bool(sum(one.is_dir() for one in tmp_path.glob(".boat-*/boat"))))
+            if len(begun) == 3:
+                raise DeviceLost("the worker is gone")
+            return open_device("numpy")
+
+        yield made
+
+    other, job = (Job.parse(JOB, [*VIAL, f"solve.iterations={count}"]) for count in (2, 5))
+    alone = light_of(solve(job, tmp_path / "alone").path)
+    standing = light_of(solve(other, tmp_path / "boat").path)
+    monkeypatch.setattr(cluster, "slabs", slabs)
+    monkeypatch.setattr(run, "CHECKPOINT", 0.0)
+    monkeypatch.setattr(run, "RARELY", 0.0)
+    with pytest.warns(ClusterWarning, match="kept last"):
+        found = light_of(solve(job, tmp_path / "boat", overwrite=True, cluster="local:1").path)
+    assert not np.array_equal(standing, alone) and np.array_equal(found, alone)
+    assert begun[:2] == [False, True] and all(begun[1:]) and len(begun) > 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["alone", "boat"]
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import STRIP, Device, from_host
-from vamgpu.errors import DeviceError
+from vamgpu.errors import DeviceError, VamError
 from vamgpu.kernels.signature import Kernel
 
 Order = tuple[Any, ...]
@@ -76,9 +76,14 @@ class Served:
             The answers to those that ask.
 
         Raises:
-            VamError: As the device does.
+            VamError: As the device does; what else fails is a `DeviceError`, for a process that answers is not lost.
         """
-        return [answer for name, *given in orders if (answer := getattr(self, f"_{name}")(*given)) is not None]
+        try:
+            return [answer for name, *given in orders if (answer := getattr(self, f"_{name}")(*given)) is not None]
+        except VamError:
+            raise
+        except Exception as error:
+            raise DeviceError(f"{self._device.name} fails: {type(error).__name__}: {error}") from error
 
     def _empty(self, number: int, shape: tuple[int, ...], dtype: str, lanes: int) -> None:
         kind = np.dtype(dtype)

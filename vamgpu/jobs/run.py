@@ -6,12 +6,14 @@ import hashlib
 import os
 import time
 import warnings
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from inspect import signature
 from itertools import count
 from math import inf
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,6 +50,8 @@ if TYPE_CHECKING:
 
 CHECKPOINT = 300.0
 """Seconds of a run on a cluster after which its plan is kept: so much is lost with a worker, at most."""
+RARELY = 10.0
+"""Times as long as a run takes to begin, its plan is not kept again."""
 TRIES = 100
 """How often a run goes on after workers were lost."""
 BLOCK = 1 << 26
@@ -120,18 +124,17 @@ def solve(
     file, place = job.file, Path(path)
     for taken in (place, second(place)) if file.colors is not None else (place,):
         _refuse_taken(taken, overwrite)
-    method = file.method or _method(file.solve.method)
+    method, onward = file.method or _method(file.solve.method), start is None and not overwrite
+    given: dict[str, Any] = {"overwrite": overwrite, "start": start, "pareto": pareto, "progress": progress}
     if cluster is None:
-        device = open_device(file.solve.device)
-        return _solve(job, method, place, device, overwrite=overwrite, start=start, pareto=pareto, progress=progress)
+        return _solve(job, method, place, open_device(file.solve.device), kept=place if onward else None, **given)
     from vamgpu.jobs.cluster import slabs
 
-    with slabs(cluster, file.solve.device) as made:
+    with slabs(cluster, file.solve.device) as made, _kept_on_the_way(place, onward) as kept:
         for tried in count():
             due = _Due(CHECKPOINT if file.colors is None else inf)
             try:
-                begun = {"overwrite": overwrite and not tried, "start": None if is_interrupted(place) else start}
-                return _solve(job, method, place, made(), pareto=pareto, progress=progress, due=due, **begun)
+                return _solve(job, method, place, made(), kept=kept, due=due, **given)
             except DeviceLost as error:
                 if tried >= TRIES or _while_stopped(error):
                     raise
@@ -140,6 +143,16 @@ def solve(
                 if not due.came:
                     raise
     raise AssertionError("counted to the end")
+
+
+@contextmanager
+def _kept_on_the_way(place: Path, onward: bool) -> Iterator[Path]:
+    """Where plans are kept until a job is done: at its place, or beside it where other light stands that is to go."""
+    if not os.path.lexists(place) or (onward and is_interrupted(place)):
+        yield place
+        return
+    with TemporaryDirectory(prefix=f".{place.name}-", dir=place.parent) as beside:
+        yield Path(beside) / place.name
 
 
 def _while_stopped(error: BaseException | None) -> bool:
@@ -151,24 +164,29 @@ def _while_stopped(error: BaseException | None) -> bool:
 
 @dataclass
 class _Due:
-    """Whether it is time to keep a plan, so many seconds after the first iteration was begun."""
+    """Whether it is time to keep a plan, so many seconds after the first iteration was begun.
+
+    A run goes on from its plan as it began, so one that takes long to begin keeps its plan less often.
+    """
 
     period: float
     came: bool = False
+    made: float = field(default_factory=time.monotonic)
     begun: float | None = None
 
     def __call__(self) -> bool:
+        now = time.monotonic()
         if self.begun is None:
-            self.begun = time.monotonic()
-        self.came = time.monotonic() - self.begun > self.period
+            self.begun = now
+        self.came = now - self.begun > max(self.period, RARELY * (self.begun - self.made))
         return self.came
 
 
 def _solve(
     job: Job, method: Any, place: Path, device: Device, *, overwrite: bool, start: str | Path | None, pareto: bool,
-    progress: StageProgress, due: Callable[[], bool] | None = None,
+    progress: StageProgress, kept: Path | None, due: _Due | None = None,
 ) -> Folder:  # fmt: skip
-    """`solve` on a device."""
+    """`solve` on a device. What is ``due`` is kept at ``kept``, which the run goes on from if it is there."""
     from vamgpu.printing.folder import save_frames
     from vamgpu.printing.pack import pack
 
@@ -184,11 +202,12 @@ def _solve(
         inputs |= {"plan": asdict(record), "colors": {"strength": file.colors.strength}}
     else:
         try:
-            begun = start if start is not None or overwrite or not is_interrupted(place) else place
+            begun = kept if kept is not None and is_interrupted(kept) else start
             lights = [_one(job, method, target, device, progress, begun, due)]
         except Cancelled as error:
-            if not os.path.lexists(place) or is_interrupted(place):
-                _keep(error, place, inputs)
+            where = kept if kept is not None and due is not None and due.came else place
+            if where != place or not os.path.lexists(place) or is_interrupted(place):
+                _keep(error, where, inputs)
             raise
     if pareto:
         inputs["pareto"] = [asdict(point) for point in _traded(job, lights[0], progress)]
