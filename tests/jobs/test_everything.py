@@ -285,6 +285,31 @@ def test_what_does_not_go_together_is_named(text: str, said: str) -> None:
         parse_job(HEAD + text)
 
 
+ONE_BIT = '[frames]\nbits = 1\ndither = "fit"\n'
+VIAL_TABLE = f"[vial]\n{ROUND.partition(chr(10))[2]}"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f'{VIAL_TABLE}[defocus]\nfwhm = "1 mm"\ndepth_of_focus = "3 mm"\n{ONE_BIT}', "light of Defocused.*expected"),
+        (
+            f'{VIAL_TABLE}[resin.diffusion]\ndiffusivity = "1e-2 mm2/s"\nseconds = "9 s"\n{ONE_BIT}',
+            "light of .*expected that of a Projection",
+        ),
+        (f'{VIAL_TABLE}[colors]\nabsorption = "0.1 1/mm"\n{ONE_BIT}', "frames.dither: got 'fit'.*one color"),
+        (ONE_BIT.replace("bits = 1", "bits = 8"), "8 bits; expected 1"),
+    ],
+)
+def test_frames_that_cannot_be_made_are_refused_before_light_is_sought(
+    text: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for work in ("vamgpu.methods.optimize", "vamgpu.jobs.colors.superposed"):
+        monkeypatch.setattr(work, lambda *_, **__: pytest.fail("light was sought"))
+    with pytest.raises(BadInput, match=said):
+        solve(parse_job(HEAD + text, SMALL), tmp_path / "x.vam")
+
+
 def test_a_web_has_every_option_of_its_roller_and_film() -> None:
     from vamgpu.jobs.demo import WEB_JOB as WEB
 

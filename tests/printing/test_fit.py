@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -107,6 +108,18 @@ def test_a_job_folder_keeps_the_bits(plan: vam.Plan, tmp_path: Path) -> None:
     assert np.array_equal(kept.levels(), fitted.levels()) and kept.settings.dither == "fit"
 
 
+@pytest.mark.filterwarnings("ignore:the light does not print at every corner")
+def test_corners_are_those_of_the_bits() -> None:
+    """Bits are chosen by the dose where nothing is off; what is claimed of all corners is what they leave there."""
+    A = vam.Projection(vam.Grid((N, N, 2), PITCH), vam.Beam((48, 2), PITCH), vam.Turntable(90), VIAL)
+    off = vam.Tolerances(axis=0.25 * PITCH, spread=(0.5 * PITCH, PITCH))
+    plan = vam.optimize(A, cross(), "window", iterations=15, tolerances=off, progress=False)
+    kept = vam.pack(plan, 1, dither="fit").plan
+    shown = off.doses(A, kept, cross())
+    assert kept.window == pytest.approx(shown.window) != pytest.approx(plan.window)
+    assert kept.corners is not None and kept.corners.statement() == shown.statement()
+
+
 def test_rings_are_fitted_by_rays() -> None:
     A = vam.RingProjection(vam.Grid((N, N, 2), PITCH), vam.Beam((48, 2), PITCH), vam.Turntable(60), VIAL)
     plan = vam.optimize(A, cross(), "window", evaluations=20, progress=False)
@@ -114,11 +127,13 @@ def test_rings_are_fitted_by_rays() -> None:
 
 
 def test_what_cannot_be_fitted_is_told(plan: vam.Plan) -> None:
+    bodies = SimpleNamespace(name="two", limits=object())
     cases: tuple[tuple[Any, dict[str, Any], str], ...] = (
         (plan, {"bits": 8}, "8 bits; expected 1"),
         (plan, {"bits": 1, "shift": (0.5, 0.0)}, "expected whole pixels"),
         (Solved(plan.sinogram, plan.operator), {"bits": 1}, "without a target"),
         (Solved(plan.sinogram, None, cross()), {"bits": 1}, "light of None"),
+        (Solved(plan.sinogram, plan.operator, bodies), {"bits": 1}, "'two', whose voxels have limits of their own"),
     )
     for given, how, message in cases:
         with pytest.raises(BadInput, match=message):

@@ -36,6 +36,7 @@ from vamgpu.methods.saved import (
 )
 from vamgpu.operators.defocus import Defocused
 from vamgpu.operators.ring_projection import RingProjection, against_rings, pays_on_rings
+from vamgpu.printing.placement import FIT
 from vamgpu.schema.registry import family, find, nearest
 from vamgpu.storage.atomic import clear
 from vamgpu.storage.folder import Folder, digest
@@ -253,13 +254,15 @@ def _one(
 ) -> Plan:  # fmt: skip
     """The light of a job, found anew or from the light of an earlier plan on."""
     from vamgpu.methods import optimize
+    from vamgpu.printing.pack import check_dither
 
     file, limit = job.file, job.file.solve.iterations or method.iterations
     light = projection_of(file, target, device, job.folder)
     A = with_diffusion(file, light, job.folder)
     if file.solve.operator != "voxels":
         light, A = (_on_rings(light, A, file.solve.operator == "rings"),) * 2
-    describe(A, {})  # refuse what no manifest can describe before the long work
+    describe(A, {})  # refuse what no manifest can describe, and no frames can show, before the long work
+    check_dither(file.frames.dither, A, target)
     progress("light", 0.0)
     if file.resin.precompensate:  # the method itself lets the dose of the plain light diffuse
         method = replace(method, diffusion=A.inner.diffusion)
@@ -355,6 +358,8 @@ def _both(job: Job, target: Target, device: Device, progress: StageProgress) -> 
 
     if job.file.solve.operator == "rings":
         raise JobError('solve.operator: got "rings", which take one color; expected "voxels" or "auto"')
+    if job.file.frames.dither == FIT:
+        raise JobError(f"frames.dither: got {FIT!r}, which knows the dose of one color; expected 'error-diffusion'")
     operators: list[Any] = []
     for file in (job.file, recolored(job.file)):
         light = projection_of(file, target, device, job.folder)

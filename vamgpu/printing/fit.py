@@ -49,29 +49,34 @@ def check_fit(bits: int, shift: tuple[float, float]) -> None:
                        'dither="error-diffusion"')  # fmt: skip
 
 
+def check_dose(operator: Any, target: Any) -> None:
+    """Raise `BadInput` unless pixels can be chosen by the dose that an operator makes for a target."""
+    other = 'take dither="error-diffusion"'
+    if not isinstance(direct(operator), Projection):
+        raise BadInput(f'dither="fit" got light of {operator!r}; expected that of a Projection or a RingProjection: '
+                       f"{other}")  # fmt: skip
+    if target is None:
+        raise BadInput('dither="fit" got light without a target; expected a plan of optimize(), whose window is to be '
+                       f"kept: {other}")  # fmt: skip
+    if getattr(target, "limits", None) is not None:
+        raise BadInput(f'dither="fit" got {target.name!r}, whose voxels have limits of their own; expected a part '
+                       f"without bodies: {other}")  # fmt: skip
+
+
 def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, float]:
     """Frames of 1 bit whose dose has nearly the window of the plan's light.
 
     Args:
-        plan: With its light, its operator and its target.
+        plan: With its light, its operator and its target, that `check_dose` takes.
         packed: What makes frames of light.
         scale: Irradiance of a full-on pixel; None tries those of `FULL_ON`.
 
     Returns:
         The frames of the widest strict window, made of the light that they show, and that window; rounded ones, with a
         `PackWarning`, where theirs is as wide.
-
-    Raises:
-        BadInput: The operator is no projection, or the target is not known.
     """
-    A, target, light = direct(plan.operator), getattr(plan, "target", None), plan.sinogram
-    if not isinstance(A, Projection):
-        raise BadInput(f'dither="fit" got light of {A!r}; expected that of a Projection or a RingProjection: take '
-                       'dither="error-diffusion"')  # fmt: skip
-    if target is None:
-        raise BadInput('dither="fit" got light without a target; expected a plan of optimize(), whose window is to be '
-                       'kept: take dither="error-diffusion"')  # fmt: skip
-    fit = _Fit(A, fractions_of(A, target), light)
+    A, light = direct(plan.operator), plan.sinogram
+    fit = _Fit(A, fractions_of(A, plan.target), light)
     bright = dot(light, light) / total(light)
     scales = [share * bright for share in FULL_ON] if scale is None else [scale]
     frames, lit, window = fit.flipped([packed(light, full, "error-diffusion") for full in scales])

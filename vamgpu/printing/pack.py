@@ -20,10 +20,10 @@ from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot
 from vamgpu.operators.space import require
 from vamgpu.printing.dark import no_light
-from vamgpu.printing.fit import check_fit, fitted
+from vamgpu.printing.fit import check_dose, check_fit, fitted
 from vamgpu.printing.frames import Frames, flat_table, flattened
 from vamgpu.printing.gray import GrayCurve
-from vamgpu.printing.placement import Placement
+from vamgpu.printing.placement import FIT, Placement
 
 ROUNDS = (21, 11, 1)
 """Bits dropped in each round of the search for a quantile: ten a round, from the sign of a float32 down."""
@@ -103,12 +103,8 @@ def pack(
         raise BadInput(f"gray is {gray!r}; expected a GrayCurve, such as GrayCurve.gamma(2.2)")
     motion = getattr(getattr(plan, "operator", None), "motion", None)
     motion = motion if isinstance(motion, Turntable) else None
-    if dither != "round" and motion is not None and motion.dwell is not None:
-        raise BadInput(
-            f"{dither} got {motion} angles; expected angles that are lit as long, for the error of one is made "
-            'up for at the next: take dither="round"'
-        )
-    if dither == "fit":
+    check_dither(dither, getattr(plan, "operator", None), getattr(plan, "target", None))
+    if dither == FIT:
         return _fitted(plan, bits, curve, flat_field, settings, scale, quantile)
     angles, columns, rows = light.shape
     flat = None if flat_field is None else flattened(flat_field, (rows, columns))
@@ -150,12 +146,38 @@ def _fitted(
 
     frames, window = fitted(plan, packed, scale)
     light, motion = frames.irradiance(plan.sinogram.device), getattr(plan.operator, "motion", None)
-    shown = (
-        replace(plan, sinogram=light, window=window, state={})
-        if isinstance(plan, Plan)
-        else Solved(light, plan.operator, getattr(plan, "target", None))
-    )
-    return replace(frames, settings=settings, motion=motion, packed=(frames.images, shown))
+    return replace(frames, settings=settings, motion=motion, packed=(frames.images, _showing(plan, light, window)))
+
+
+def _showing(plan: Any, light: DeviceArray, window: float) -> Patterns:
+    """A plan of other light, of this strict window where nothing is off."""
+    if not isinstance(plan, Plan):
+        return Solved(light, plan.operator, plan.target)
+    if plan.tolerances is None:
+        return replace(plan, sinogram=light, window=window, state={})
+    corners = plan.tolerances.doses(plan.operator, light, plan.target)
+    return replace(plan, sinogram=light, window=corners.window, corners=corners, state={})
+
+
+def check_dither(dither: str, operator: Any, target: Any) -> None:
+    """Check that light can be packed so, which is known before there is any.
+
+    Args:
+        dither: As for `pack`.
+        operator: That makes dose of the light.
+        target: Of the light; None where it is not known.
+
+    Raises:
+        BadInput: It cannot.
+    """
+    motion = getattr(operator, "motion", None)
+    if dither != "round" and isinstance(motion, Turntable) and motion.dwell is not None:
+        raise BadInput(
+            f"{dither} got {motion} angles; expected angles that are lit as long, for the error of one is made "
+            'up for at the next: take dither="round"'
+        )
+    if dither == FIT:
+        check_dose(operator, target)
 
 
 def repack(
