@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -31,19 +32,27 @@ def light(device: Any) -> np.ndarray:
 
 
 def test_devices_of_other_processes_find_the_light_of_one() -> None:
-    served = [Served("numpy"), Served("numpy")]
-    found = light(SlabDevice("both", [remote(each) for each in served]))
+    members = [remote(Served("numpy")) for _ in range(2)]
+    assert {member.kind for member in members} == {"numpy"}
+    found = light(SlabDevice("both", members))
     np.testing.assert_allclose(found, light("numpy"), rtol=1e-6, atol=1e-7)
 
 
 def test_what_nobody_holds_is_freed_there() -> None:
-    served = Served("numpy")
-    device = remote(served)
+    gc.collect()
+    ledger, served = vam.open_device("numpy").ledger, Served("numpy")
+    before, device = ledger.allocated, remote(served)
     array = device.upload(np.ones((4, 4, 4), np.float32))
-    assert array.numpy().sum() == 64 and len(served._handles) == 1 and served._device.ledger.allocated > 0
+    assert array.numpy().sum() == 64 and len(served._handles) == 1 and ledger.allocated > before
     del array
     device.synchronize()
-    assert not served._handles and served._device.ledger.allocated == 0
+    assert not served._handles and ledger.allocated == before
+    kept = device.upload(np.ones((4, 4, 4), np.float32))
+    device.synchronize()
+    assert ledger.allocated > before
+    del kept, device, served  # as when a run is begun anew
+    gc.collect()
+    assert ledger.allocated == before
 
 
 def test_a_process_that_fails_at_an_order_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:

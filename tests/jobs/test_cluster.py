@@ -109,6 +109,8 @@ def test_slabs_on_workers_find_the_light_of_one_process(tmp_path: Path, monkeypa
     alone = light_of(solve(job, tmp_path / "alone").path)
     print("alone", time.perf_counter() - began)
     began = time.perf_counter()
+    shared = solve(Job.parse(JOB, [*VIAL[:-1], "solve.iterations=1"]), tmp_path / "best", cluster="local:2")
+    assert shared.manifest.device.startswith(f"{open_device(None).name} on local:2 ")
     whole = light_of(solve(job, tmp_path / "whole", cluster="local:2").path)
     print("cluster", time.perf_counter() - began)
     np.testing.assert_allclose(whole, alone, rtol=1e-6, atol=1e-6 * alone.max())

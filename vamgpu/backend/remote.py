@@ -33,8 +33,9 @@ class DeviceLost(DeviceError):
 
 
 class Facts(NamedTuple):
-    """What a device says of itself: whether it is a GPU, its floating-point type, and what it is."""
+    """What a device says of itself: its name, whether it is a GPU, its floating-point type, and what it is."""
 
+    name: str
     is_gpu: bool
     real: str
     description: str
@@ -61,10 +62,11 @@ class Served:
         if hasattr(self._device, "members"):
             raise DeviceError(f"got {name!r}, several devices, for a worker; expected one: begin a worker for each")
         self._handles: dict[int, tuple[Any, int]] = {}
+        weakref.finalize(self, _let_go, self._handles, self._device).atexit = False
 
     def facts(self) -> Facts:
         """What it says of itself."""
-        return Facts(self._device.is_gpu, self._device.real.name, self._device.description)
+        return Facts(self._device.name, self._device.is_gpu, self._device.real.name, self._device.description)
 
     def act(self, orders: list[Order]) -> list[Any]:
         """Carry out orders.
@@ -120,6 +122,13 @@ class Served:
         return 0
 
 
+def _let_go(handles: dict[int, tuple[Any, int]], device: Device) -> None:
+    """Count out what nobody asks for any more; the device goes on for whoever comes next."""
+    for _, count in handles.values():
+        device.ledger.give(count)
+    handles.clear()
+
+
 class _Handle:
     """Memory of the other process."""
 
@@ -138,6 +147,8 @@ class RemoteDevice(Device):
 
     def __init__(self, name: str, facts: Facts, send: Send) -> None:
         super().__init__(name, facts.description)
+        self.kind: str = facts.name
+        """Its name where it is."""
         self.is_gpu: bool = facts.is_gpu
         self._real = np.dtype(facts.real)
         self._send = send

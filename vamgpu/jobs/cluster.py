@@ -108,13 +108,11 @@ def slabs(where: str, device: str | None = None) -> Iterator[Callable[[], SlabDe
     try:
         _refuse_unlike(client, device)
         count = len(client.nthreads())
-        lost: list[Any] = []
 
         def made() -> SlabDevice:
-            lost.clear()
             members = [_remote(client, device, number, count) for number in range(count)]
-            lost.extend(members)
-            return SlabDevice(f"{device or 'best'} on {where}", members)
+            kinds = dict.fromkeys(member.kind for member in members)
+            return SlabDevice(f"{' and '.join(kinds)} on {where}", members)
 
         yield made
     finally:
