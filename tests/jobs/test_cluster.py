@@ -179,3 +179,18 @@ def test_a_worker_takes_one_device(tmp_path: Path) -> None:
     job = Job.parse(JOB, [*VIAL, "solve.device=numpy+numpy"])
     with pytest.raises(DeviceError, match="several devices, for a worker; expected one"):
         solve(job, tmp_path / "boat", cluster="local:1")
+
+
+@pytest.mark.slow
+def test_a_task_that_fails_is_told_at_once(tmp_path: Path) -> None:
+    """Only what a dead worker was at is begun anew."""
+    calls = tmp_path / "calls"
+
+    def fails(_: int) -> None:
+        with calls.open("a", encoding="utf-8") as file:
+            file.write("x")
+        raise ValueError("wrong in itself")
+
+    with cluster.workers("local:1", "numpy") as each, pytest.raises(ValueError, match="wrong in itself"):
+        list(each(fails, [1]))
+    assert calls.read_text(encoding="utf-8") == "x"

@@ -214,7 +214,7 @@ def _results(
     done = as_completed()
 
     def begin(number: int) -> None:
-        future = client.submit(function, items[number], pure=False, retries=TRIES)
+        future = client.submit(function, items[number], pure=False)
         numbers[future] = number
         done.add(future)
 
