@@ -23,6 +23,7 @@ from vamgpu.operators.projection import Projection
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.pack import pack
+from vamgpu.printing.placement import FIT
 from vamgpu.storage.folder import Folder
 
 PLACE = "live"
@@ -44,9 +45,10 @@ def levels_of(light: np.ndarray, frames: Frames, planned: int, operator: Project
         sinogram=operator.device.upload((planned / dose * light).astype(np.float32)), operator=operator
     )  # fmt: skip
     placed = frames.settings
+    dither = "error-diffusion" if placed.dither == FIT else placed.dither  # choosing by dose takes longer than a turn
     return pack(
         plan, frames.bits, frames.gray, frames.flat_field, placed.flip_r, placed.flip_z, placed.shift,
-        dither=placed.dither, scale=frames.scale,
+        dither=dither, scale=frames.scale,
     ).levels()  # fmt: skip
 
 

@@ -82,6 +82,18 @@ def test_levels_show_the_light_that_was_decided(nut: Path) -> None:
     assert not levels_of(0 * light, frames, TURNS, operator).any()
 
 
+@pytest.mark.filterwarnings("ignore:at 40 angles rounding")
+def test_light_for_bits_that_were_chosen_by_dose_is_shown_too() -> None:
+    part = np.zeros((16, 16, 2), np.float32)
+    part[5:11, 5:11] = 1.0
+    A = vamgpu.Projection(vamgpu.Grid((16, 16, 2), 0.1), vamgpu.Beam((24, 2), 0.1), vamgpu.Turntable(40))
+    frames = vamgpu.pack(vamgpu.optimize(A, part, "window", 4, progress=False), 1, dither="fit")
+    given = light_of(frames, TURNS)
+    shown = levels_of(0.5 * given, frames, TURNS, A)
+    assert shown.dtype == np.uint8 and set(np.unique(shown)) == {0, 1}
+    assert shown.sum() == pytest.approx(0.5 * frames.levels().sum(), rel=0.1)
+
+
 def test_a_watched_print_reaches_the_resin_and_repeats_bit_by_bit(nut: Path, run: Path) -> None:
     board = Board()
     ended = live(nut, turns=TURNS, folder=run, truth=OFF, evaluations=4.0, board=board)

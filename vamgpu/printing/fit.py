@@ -85,7 +85,7 @@ def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, floa
     if plain >= window:
         warnings.warn(f"at {frames.shape[0]} angles rounding keeps a window of {plain:+.3f}, choosing pixels by their "
                       f"dose {window:+.3f}; the frames are rounded: take more angles, or 8 bits",
-                      PackWarning, stacklevel=3)  # fmt: skip
+                      PackWarning, stacklevel=4)  # fmt: skip
         return rounded, plain
     return packed(lit, frames.scale, "round"), window
 
