@@ -29,7 +29,7 @@ from vamgpu.metrics import score
 from vamgpu.targets import shapes
 from vamgpu.units import mJ_cm3, mW_cm2
 
-LAMP = {"irradiance": 65 * mW_cm2, "critical_dose": 50 * mJ_cm3, "absorption": 0.1}
+LAMP: dict[str, Any] = {"irradiance": 65 * mW_cm2, "critical_dose": 50 * mJ_cm3, "absorption": 0.1}
 BUDGETS = (10, 40, 120, 400)
 PITCH, ANGLES, SIZE = 0.1, 60, 32
 REFERENCED = 100_000

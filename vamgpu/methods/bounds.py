@@ -69,7 +69,7 @@ def bound(
         operator, target = _of_slices(operator, target, *slices, tolerances)
     how = prices.method if prices is not None else WidestWindow()
     least = WidestWindow.passes + TOLD + 1
-    if tolerances is not None and prices is None and evaluations >= CORNERS * tolerances.count:
+    if tolerances is not None and prices is None and evaluations >= CORNERS * len(tolerances.corners()):
         how = BestWindow()
     if not evaluations >= least:
         raise BadInput(f"evaluations is {evaluations!r}; expected {least} or more: fewer steps tell no bound")
@@ -79,7 +79,7 @@ def bound(
             cancel=cancel,
         ).bound  # fmt: skip
     except Cancelled as error:
-        found = error.plan.bound if error.plan is not None else None
+        found = error.plan.bound if isinstance(error.plan, Plan) else None
         if found is None:
             raise
     before = None if prices is None else prices.bound
