@@ -114,7 +114,7 @@ def main() -> None:
     parser.add_argument("--angles", type=int, default=360)
     parser.add_argument("--method", default="window", help="of both lights")
     parser.add_argument("--iterations", type=int, nargs="+", default=[120], help="each goes on from the one before")
-    parser.add_argument("--only", choices=("nominal", "robust"), default=None)
+    parser.add_argument("--only", choices=("nominal", "robust", "neither"), default=None)
     parser.add_argument("--bound", type=int, default=0, help="evaluations of the robust bound")
     parser.add_argument("--slab", type=int, nargs="+", default=[0], help="slices of each bound; 0 for all")
     parser.add_argument("--first", type=int, nargs="+", default=[], help="first slices, one a slab; else the hardest")
