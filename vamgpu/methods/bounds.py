@@ -19,6 +19,7 @@ from vamgpu.methods.run import Progress, optimize
 from vamgpu.methods.tolerances import Tolerances
 from vamgpu.methods.widest import TOLD, WidestWindow
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.ring_projection import RingProjection
 
 REACHED = 6.0
 """Standard deviations that a point spread reaches."""
@@ -93,6 +94,7 @@ def _of_slices(
     operator: Any, target: Any, first: int, behind: int, tolerances: Tolerances | None
 ) -> tuple[Projection, np.ndarray]:
     """A projector of some slices, with all the rows of light that reach them, and their fractions [x, y, z]."""
+    operator = operator.direct if isinstance(operator, RingProjection) else operator
     if type(operator) is not Projection or not np.isclose(operator.beam.pitch, operator.grid.pitch):
         raise BadInput(f"slices of {operator!r} cannot be asked for alone; expected a Projection whose pixels are as "
                        "large as its voxels")  # fmt: skip
