@@ -35,9 +35,9 @@ def light_step(
 
 @wp.kernel
 def limit_step(
-    ahead: Vectors, held: Vectors, target: Vectors, rows: Vectors, least: float, leak: float, step: float,
-    reach: float, wall: Vectors, cap: Vectors, wall_after: Vectors, cap_after: Vectors, inside: wp.array[float],
-    outside: wp.array[float], moved: wp.array[float], crossed: wp.array[float],
+    ahead: Vectors, held: Vectors, target: Vectors, rows: Vectors, least: float, leak: float, loose: float,
+    step: float, reach: float, wall: Vectors, cap: Vectors, wall_after: Vectors, cap_after: Vectors,
+    inside: wp.array[float], outside: wp.array[float], moved: wp.array[float], crossed: wp.array[float],
     n_i: int, n_j: int, n_z: int, n_part: int,
 ) -> None:  # fmt: skip
     slab, tile, j, lane = wp.tid()
@@ -60,21 +60,40 @@ def limit_step(
             weight = float(1.0)
             if circle and row[k] > 0.0:
                 weight = row[k]
+            of_wall = weight + 1.0
+            of_cap = weight
+            least_share = float(1.0)
+            top_share = float(0.0)
+            on_leak = float(0.0)
+            lower = least
+            upper = float(1.0)
+            if body[k] >= 1.5:
+                share = body[k] - 2.0
+                of_wall = weight + 1.5
+                of_cap = weight + 1.5
+                if share < loose:
+                    lower = 0.5 * (1.0 - share + (2.0 - share) * least - leak)
+                    least_share = 1.0 - 0.5 * share
+                    upper = 0.5 * (1.0 + share + share * least + leak)
+                    top_share = 0.5 * share
+                    on_leak = 0.5
+            if circle and row[k] > 0.0:
                 excess = dose[k] - leak
                 if body[k] >= 0.5:
-                    excess = least - dose[k]
-                    most[k] = wp.max(0.0, top[k] + step * (dose[k] - 1.0) / weight)
-                to[k] = wp.max(0.0, before[k] + step * excess / (weight + 1.0))
+                    excess = lower - dose[k]
+                    most[k] = wp.max(0.0, top[k] + step * (dose[k] - upper) / of_cap)
+                to[k] = wp.max(0.0, before[k] + step * excess / of_wall)
             if k < count:
                 higher = to[k] - before[k]
                 tighter = most[k] - top[k]
                 change = higher
                 if body[k] >= 0.5:
-                    within += to[k]
+                    within += least_share * to[k] - top_share * most[k]
+                    beyond += on_leak * (to[k] + most[k])
                     change = tighter - higher
                 else:
                     beyond += to[k]
-                far += (weight + 1.0) * higher * higher + weight * tighter * tighter
+                far += of_wall * higher * higher + of_cap * tighter * tighter
                 product += change * 0.5 * (dose[k] - past[k])
         wall_after[slab, i, j, lane] = to
         cap_after[slab, i, j, lane] = most

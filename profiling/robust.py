@@ -4,8 +4,9 @@ n^3 voxels, straight light, nothing absorbed. The corner of the tolerance table:
 an axis that is a quarter of a pixel off, either side; one threshold for all, the nominal print without a spread
 included. Nominal light and light with tolerances may spend the same iterations; the evaluations of the latter count
 every scenario that was computed. A light counts by its 8-bit frames, exposed at every corner along rays traced for it.
-With --bound, the prices of as many steps tell what no light exceeds; with --slab too, of so many slices alone, those
-whose voxels the robust light holds the hardest: what no light exceeds on a part of the voxels, none exceeds on all.
+With --bound, prices tell what no light exceeds where the point spread is the greatest; with --slab too, of so many
+slices alone, those whose voxels the robust light holds the hardest: what no light exceeds at some corners on some of
+the voxels, none exceeds at all corners on all of them.
 
 With --parts, the ten parts of `best_light.py` instead: windows at all corners by each method's own operators, at equal
 projector evaluations, those of corners counted; "nominal" is light of the default that knows no corner.
@@ -15,7 +16,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -56,10 +59,6 @@ def judged(plan: vamgpu.Plan, target: Any, off: Tolerances) -> dict[str, Any]:
     }
 
 
-SPILLED = 6
-"""Rows of light above and below a slab: the point spread reaches no farther than six of its standard deviations."""
-
-
 def hardest(plan: vamgpu.Plan, slices: int, deep: int) -> int:
     """The first of so many slices in a row whose voxels are heaviest; the middle ones where none has a weight."""
     if "heavy" not in plan.state:
@@ -68,13 +67,26 @@ def hardest(plan: vamgpu.Plan, slices: int, deep: int) -> int:
     return int(np.argmax(np.convolve(each, np.ones(slices), "valid")))
 
 
-def of_slab(A: vamgpu.Projection, fractions: np.ndarray, first: int, off: Tolerances, steps: int) -> vamgpu.Plan:
-    """Light and bound of slices from one on alone."""
-    grid = vamgpu.Grid(fractions.shape, A.grid.pitch)
-    beam = vamgpu.Beam((A.beam.pixels[0], fractions.shape[2] + 2 * SPILLED), A.beam.pitch)
-    part = vamgpu.Projection(grid, beam, A.motion, None, A.device)
-    print(f"slices {first} to {first + fractions.shape[2] - 1}", flush=True)
-    return vamgpu.optimize(part, fractions, "best", steps, tolerances=off, progress=False)
+def bounded(
+    A: vamgpu.Projection, target: Any, off: Tolerances, plan: vamgpu.Plan | None, slab: int, evaluations: float,
+    seconds: float, at: int | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """What no light exceeds, on all slices or on the hardest alone."""
+    deep, until = A.grid.shape[2], time.perf_counter() + seconds
+    first = (
+        at if at is not None else 0 if not slab else (deep - slab) // 2 if plan is None else hardest(plan, slab, deep)
+    )
+    slices = (first, first + slab) if slab else (0, deep)
+    steps: list[Any] = []
+    found = bound(
+        A, target, evaluations=evaluations, tolerances=off, slices=slices if slab else None, progress=steps.append,
+        cancel=lambda: time.perf_counter() > until,
+    )  # fmt: skip
+    return {
+        "slices": list(slices), "spread": list(off.spread or ()), "bound": round(found.value, 5), "steps": len(steps),
+        "window": round(steps[-1].window, 5), "evaluations": found.evaluations,
+        "seconds": round(time.perf_counter() - until + seconds, 1),
+    }  # fmt: skip
 
 
 def tabled(size: int, budgets: list[int], device: Any) -> dict[str, Any]:
@@ -102,11 +114,11 @@ def main() -> None:
     parser.add_argument("--angles", type=int, default=360)
     parser.add_argument("--method", default="window", help="of both lights")
     parser.add_argument("--iterations", type=int, nargs="+", default=[120], help="each goes on from the one before")
-    parser.add_argument("--only", choices=("nominal", "robust"), default=None)
-    parser.add_argument(
-        "--bound", type=int, default=0, help="evaluations of the nominal bound, steps of the robust one"
-    )
-    parser.add_argument("--slab", type=int, default=0, help="slices of the bound; 0 for all")
+    parser.add_argument("--only", choices=("nominal", "robust", "neither"), default=None)
+    parser.add_argument("--bound", type=int, default=0, help="evaluations of the robust bound")
+    parser.add_argument("--slab", type=int, nargs="+", default=[0], help="slices of each bound; 0 for all")
+    parser.add_argument("--first", type=int, nargs="+", default=[], help="first slices, one a slab; else the hardest")
+    parser.add_argument("--seconds", type=float, default=600.0, help="of each bound at most")
     parser.add_argument("--device", default=None)
     parser.add_argument("--records", type=Path, default=HERE / "records")
     parser.add_argument("--label", default="here", help="of the machine, part of the record's name")
@@ -136,17 +148,12 @@ def main() -> None:
             if plan.bound is not None:
                 record[f"{name} {iterations}"]["bound"] = round(plan.bound.value, 5)
             print(name, json.dumps(record[f"{name} {iterations}"]), flush=True)
-    if args.bound:
-        if args.slab:
-            first = hardest(plan, args.slab, args.n) if plan is not None else (args.n - args.slab) // 2
-            fractions = np.ascontiguousarray(target.numpy()[:, :, first : first + args.slab])
-            plan = of_slab(A, fractions, first, off, args.bound)
-            record["slices"] = [first, first + args.slab]
-        else:
-            record["nominal bound"] = round(bound(A, target, evaluations=args.bound).value, 5)
-            plan = vamgpu.optimize(A, target, "best", args.bound, tolerances=off, progress=False)
-        record["robust bound"] = round(plan.bound.value, 5) if plan.bound is not None else None
-        print({name: value for name, value in record.items() if "bound" in name}, round(plan.seconds, 1), flush=True)
+    blurred = replace(off, spread=(SPREADS[1] * pitch, SPREADS[1] * pitch))
+    for k, slab in enumerate(args.slab if args.bound else ()):
+        at = args.first[k] if k < len(args.first) else None
+        found = bounded(A, target, blurred, plan, slab, args.bound, args.seconds, at)
+        record.setdefault("bounds", []).append(found)
+        print(json.dumps(found), flush=True)
     print(write_record(args.records, f"robust-{args.n}-{args.label}", record))
 
 

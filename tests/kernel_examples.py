@@ -251,6 +251,12 @@ def _partial(n: int, **given: Any) -> Example:
     return Example({**_array_sizes(n), "part": 0, "sample": 2}, given, combine=kinds)
 
 
+def _with_gray(device: Device, arguments: dict[str, Any]) -> Any:
+    """Voids, parts, and gray bodies of a tight and of a loose tolerance."""
+    kinds = np.array([0.0, 0.7, 2.1, 2.5], np.float32)
+    return device.upload(np.random.default_rng(3).choice(kinds, arguments["ahead"].shape))
+
+
 def _elementwise(n: int, **given: Any) -> Example:
     return Example(_array_sizes(n), given)
 
@@ -584,7 +590,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "multiply": lambda n: _elementwise(n),
     "apply_penalty": lambda n: _partial(n, weight=0.1, power=3.0, hold=1),
     "light_step": lambda n: _partial(n, step=0.7, most=0.8),
-    "limit_step": lambda n: _partial(n, step=0.7, least=0.6, leak=0.3, reach=0.4 * n),
+    "limit_step": lambda n: _partial(n, step=0.7, least=0.6, leak=0.3, loose=0.3, reach=0.4 * n, target=_with_gray),
     "price_dose": _elementwise,
     "reflect": lambda n: _elementwise(n, share=0.8),
     "divide_prices": lambda n: _elementwise(n, inside=0.3, outside=0.7),

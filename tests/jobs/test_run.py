@@ -168,5 +168,18 @@ def test_a_proof_tells_how_wide_a_window_any_light_can_have(tmp_path: Path) -> N
     lines = {line.name: line for line in proven.proof.lines()}
     assert lines["process window, at most"].value == f"{bound.value:+.4f}"
     assert proven.plan.bound is not None and proven.plan.window < proven.plan.bound
+    some = prove(tmp_path / "boat.vam", "numpy", evaluations=120, slices=(2, 4)).proof.bound
+    assert some is not None and some.prices.shape[2] == 2 and proven.proof.claimed.window < some.value
     page = proven.report(tmp_path / "boat.html").read_text(encoding="utf-8")
     assert "process window, at most" in page and f"{proven.plan.bound:+.4f}, by what its solver found" in page
+
+
+def test_a_proof_at_corners_tells_how_wide_a_window_is_at_all_of_them(tmp_path: Path) -> None:
+    coarse = ["target.pitch=900 um", "beam.pitch=900 um", "turntable.angles=12", "solve.device=numpy"]
+    off = ["tolerances.axis=225 um", "solve.iterations=20"]
+    solve(parse_job(JOB, [*coarse, *off]), tmp_path / "boat.vam")
+    proven = prove(tmp_path / "boat.vam", "numpy", evaluations=70, tolerances=True, slices=(2, 4)).proof
+    assert proven.bound is not None and proven.bound.prices.shape[2] == 2 * 3
+    assert proven.corners is not None and proven.corners.window < proven.bound.value
+    (line,) = (line for line in proven.lines() if line.name == "process window, at most")
+    assert f"{proven.corners.window:+.4f} at all corners" in line.meaning

@@ -11,6 +11,8 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 import vamgpu as vam
+from vamgpu.errors import BadInput, Cancelled
+from vamgpu.methods import bound
 from vamgpu.methods.tolerances import Tolerances, at
 
 SIZE, PITCH = 20, 0.1
@@ -82,3 +84,38 @@ def test_it_comes_near_the_optimum_for_all_corners_and_never_beyond(
     assert share * top < plan.window <= top + 2e-5, plan.window / top
     if method == "widest":
         assert plan.bound is not None and top <= plan.bound.value
+
+
+def stacked() -> tuple[vam.Projection, np.ndarray]:
+    """A ring of two slices on bars of three, with light of the same rows."""
+    fractions = np.stack([part("bars")] * 3 + [part("ring")] * 2, axis=2).astype(np.float32)
+    grid = vam.Grid(fractions.shape, PITCH)
+    return vam.Projection(grid, vam.Beam((30, 5), PITCH), vam.Turntable(30)), fractions
+
+
+@pytest.mark.slow
+def test_the_bound_of_some_slices_holds_for_all_light_at_all_corners() -> None:
+    A, fractions = stacked()
+    ring = bound(A, fractions, evaluations=3000, tolerances=OFF, slices=(4, 5))
+    alone = bound(projection(), part("ring")[:, :, None].astype(np.float32), evaluations=3000, tolerances=OFF)
+    assert ring.prices.shape == (SIZE, SIZE, len(OFF.corners())) == alone.prices.shape
+    # without a point spread along z one row would be all there is; with one, others add no more than it
+    assert optimum("ring") - 2e-4 <= ring.value <= alone.value + 0.03
+    pair = bound(A, fractions, evaluations=3000, tolerances=OFF, slices=(2, 4))
+    plan = vam.optimize(A, fractions, "window", 60, tolerances=OFF)
+    assert plan.window < min(ring.value, pair.value) < 0.5
+
+
+def test_a_bound_ends_with_what_its_prices_tell_so_far() -> None:
+    A, fractions = stacked()
+    asked: list[int] = []
+    found = bound(A, fractions, evaluations=9000, slices=(0, 1), cancel=lambda: asked.append(0) or len(asked) > 150)
+    assert found.evaluations < 170 and 0.0 < found.value < 1.0
+    with pytest.raises(Cancelled):
+        bound(A, fractions, evaluations=9000, slices=(0, 1), cancel=lambda: True)
+
+
+@pytest.mark.parametrize(("slices", "said"), [((2, 2), "first"), ((-1, 2), "first"), ((3, 6), "of 5")])
+def test_slices_that_are_not_there_are_refused(slices: tuple[int, int], said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        bound(*stacked(), slices=slices)

@@ -62,15 +62,9 @@ def test_methods_without_weights_say_which_take_them(method: str) -> None:
         error(method, "keep out", 0.5, 2.0)
 
 
-def test_prices_refuse_gray_bodies() -> None:
-    able = ", ".join(name for name in METHODS if name != "widest")
-    with pytest.raises(BadInput, match=re.escape(f"from below alone; expected none, or one of these methods: {able}")):
-        error("widest", "gray", 0.5, 1.0)
-
-
 @pytest.mark.parametrize("method", sorted(HOW))
 def test_the_body_of_higher_priority_has_the_dose_of_what_it_shares(method: str) -> None:
-    asked: dict[str, Any] = {"role": "keep out" if method == "widest" else "gray", "dose": 0.4}
+    asked: dict[str, Any] = {"role": "gray", "dose": 0.4}
     doses = []
     for priority in (-1.0, 1.0):
         target, _ = target_of(SQUARE, vam.Body(rod(0.45, 0.9), priority=priority, **asked))
@@ -81,7 +75,7 @@ def test_the_body_of_higher_priority_has_the_dose_of_what_it_shares(method: str)
     assert doses[1] < 0.85 * doses[0]
 
 
-@pytest.mark.parametrize("method", sorted(set(HOW) - {"widest"}))
+@pytest.mark.parametrize("method", sorted(HOW))
 def test_a_gray_body_beside_a_part_gets_its_share_of_the_parts_dose(method: str) -> None:
     target, limits = target_of(vam.Body(rod(0.6, -0.8)), vam.Body(rod(0.5, 0.8), "gray", dose=0.6))
     dose = solved(method, target)

@@ -138,7 +138,7 @@ def _measured(job: Path, rig: Path, settings: Settings) -> list[str]:
 def prove(
     job: Path, /, *, report: Path | None = None, device: str | None = None,
     bound: Annotated[bool, Parameter(negative="")] = False,
-    tolerances: Annotated[bool, Parameter(negative="")] = False,
+    tolerances: Annotated[bool, Parameter(negative="")] = False, slices: tuple[int, int] | None = None,
     printed: Annotated[list[Path] | None, Parameter(name="--job", negative="")] = None, memory: str | None = None,
 ) -> None:  # fmt: skip
     """Simulate a written job from its frames alone, or what a run has really shown, and draw a report.
@@ -147,8 +147,11 @@ def prove(
         job: the job folder, or the folder of a vial's run
         report: the HTML file; the folder's name with .html by default
         device: where to compute; the best device here by default
-        bound: find the widest window that any light can have too, by 1500 projector evaluations
+        bound: find the widest window that any light can have too, by 1500 projector evaluations, of each corner with
+            --tolerances
         tolerances: prove it at every corner of the job's [tolerances] too, with one threshold for all
+        slices: first slice, and the one behind the last, that alone are looked at for --bound: sooner, and the bound
+            of some slices holds for all
         printed: folder of a job that a run printed, where it was moved since; one for each that was
         memory: what the proof may take, such as 8GB; fields beyond it lie in files, in the folder TMPDIR, and a report
             that takes more is left out
@@ -167,6 +170,8 @@ def prove(
     place = page_path(report or job.with_suffix(".html"))
     if bound and ((job / "run.json").is_file() or is_web_folder(job)):
         raise BadInput(f"--bound is for the job of a vial, and {str(job)!r} is none; leave it out")
+    if slices is not None and not bound:
+        raise BadInput(f"--slices {slices[0]} {slices[1]} are those of --bound; give it too, or leave them out")
     if tolerances and ((job / "run.json").is_file() or is_web_folder(job)):
         raise BadInput(f"--tolerances is for the job of a vial, and {str(job)!r} is none; leave it out")
     if (job / "run.json").is_file():
@@ -177,7 +182,8 @@ def prove(
         return _prove_web(job, place, device)
     screen = console()
     with shown(screen) as progress:
-        proven = run(job, device, evaluations=1500.0 if bound else 0.0, tolerances=tolerances, progress=progress)
+        evaluations = 1500.0 if bound else 0.0
+        proven = run(job, device, evaluations=evaluations, tolerances=tolerances, slices=slices, progress=progress)
         needs = report_bytes(proven.proof)
         fits = memory is None or needs <= (bytes_of(memory) or 0)
         if fits:

@@ -377,15 +377,18 @@ def _both(job: Job, target: Target, device: Device, progress: StageProgress) -> 
 
 def prove(
     path: str | Path, device: str | None = None, *, evaluations: float = 0.0, tolerances: bool = False,
-    progress: StageProgress = _quietly,
+    slices: tuple[int, int] | None = None, progress: StageProgress = _quietly,
 ) -> Proven:  # fmt: skip
     """Simulate a written job from its frames' bytes and gray curve.
 
     Args:
         path: The folder; that of the first of two colors stands for both.
         device: Device by name; None takes the best one.
-        evaluations: Projector evaluations to find the widest window that any light can have; 0 leaves it unknown.
-        tolerances: Prove it at every corner of the job's tolerances too; by rays traced for each.
+        evaluations: Projector evaluations, of every corner, to find the widest window that any light can have; 0 leaves
+            it unknown.
+        tolerances: Prove it at every corner of the job's tolerances too, by rays traced for each; the widest window is
+            then that at all of them.
+        slices: First slice, and the one behind the last, that alone are asked for the widest window.
         progress: Is told the stage and its share that is done.
 
     Returns:
@@ -428,18 +431,21 @@ def prove(
         frames = frames_of(folder, place)
         progress("proof", 0.0)
         proof = simulate(A, frames, target, progress=lambda share: progress("proof", share), **exposure)
+        off = tolerances_from(folder) if tolerances else None
+        if tolerances and (off is None or strength):
+            what = "two colors" if strength else "no tolerances"
+            raise BadInput(f"{str(path)!r} has {what}; expected [tolerances] in the job it was solved for, and one "
+                           "color")  # fmt: skip
         if evaluations:
             if strength:
                 raise BadInput(f"{str(path)!r} has two colors, whose doses no bound is known for; prove it without one")
             progress("bound", 0.0)
-            found = bound(A, target, evaluations=evaluations, progress=_spent(progress, evaluations))
+            most = evaluations * (len(off.corners()) if off is not None else 1)
+            found = bound(
+                A, target, evaluations=most, tolerances=off, slices=slices, progress=_spent(progress, most)
+            )  # fmt: skip
             proof = replace(proof, bound=found)
-        if tolerances:
-            off = tolerances_from(folder)
-            if off is None or strength:
-                what = "two colors" if strength else "no tolerances"
-                raise BadInput(f"{str(path)!r} has {what}; expected [tolerances] in the job it was solved for, and one "
-                               "color")  # fmt: skip
+        if off is not None:
             proof = replace(proof, corners=prove_corners(A, frames, target, off))
         if strength and os.path.exists(second(Path(path))):
             from vamgpu.jobs.colors import subtracted

@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from math import ceil
 from typing import Any
 
-from vamgpu.errors import BadInput
+import numpy as np
+
+from vamgpu.errors import BadInput, Cancelled
+from vamgpu.geometry import Grid
 from vamgpu.methods.certificate import Bound
+from vamgpu.methods.default import CORNERS, BestWindow
 from vamgpu.methods.plan import Plan
 from vamgpu.methods.projector import Projector
 from vamgpu.methods.run import Progress, optimize
+from vamgpu.methods.tolerances import Tolerances
 from vamgpu.methods.widest import TOLD, WidestWindow
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.ring_projection import RingProjection
+
+REACHED = 6.0
+"""Standard deviations that a point spread reaches."""
 
 
 def bound(
@@ -19,6 +31,8 @@ def bound(
     plan: Plan | None = None,
     evaluations: float = 1500.0,
     *,
+    tolerances: Tolerances | None = None,
+    slices: tuple[int, int] | None = None,
     progress: bool | Progress | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Bound:
@@ -28,28 +42,72 @@ def bound(
     evaluations, 1 to 3 % after 1000 and some 1 % after 1500. Whoever wants the light of such a run too asks
     `optimize` for it: its plan holds the bound.
 
+    With tolerances it is the window at all corners. What no light exceeds on some slices it exceeds on none but these,
+    so that a bound of the few that are hardest is one of the whole print, sooner near and at a fraction of the cost.
+
     Args:
         operator: The projector.
         target: A `Target`, or fractions [x, y, z].
         plan: One with a bound for the same operator and target, to go on from; any other has no prices.
         evaluations: Projector evaluations of the run, those of such a plan included; six more make the bound.
+        tolerances: How far machine and resin may be off; evaluations of every corner count.
+        slices: First slice, and the one behind the last, of those that alone are asked for; prices are theirs. For a
+            `Projection` whose rows are as high as its voxels.
         progress: As for `optimize`.
-        cancel: As for `optimize`.
+        cancel: Asked before each step; the bound is that of the prices so far.
 
     Returns:
         The bound; that of the plan where it is lower.
 
     Raises:
-        BadInput: As `optimize` does, and for too few evaluations.
+        BadInput: As `optimize` does, for too few evaluations, and for slices that are not there.
+        Cancelled: Before there are prices that tell.
     """
     prices = plan if plan is not None and plan.bound is not None else None
-    how = WidestWindow() if prices is None else prices.method
+    if slices is not None:
+        if prices is not None:
+            raise BadInput("got a plan with a bound, and slices; expected one of them: its prices are of all slices")
+        operator, target = _of_slices(operator, target, *slices, tolerances)
+    how = prices.method if prices is not None else WidestWindow()
     least = WidestWindow.passes + TOLD + 1
+    if tolerances is not None and prices is None and evaluations >= CORNERS * len(tolerances.corners()):
+        how = BestWindow()
     if not evaluations >= least:
         raise BadInput(f"evaluations is {evaluations!r}; expected {least} or more: fewer steps tell no bound")
-    found = optimize(
-        operator, target, how, evaluations=evaluations, resume=prices, progress=progress, cancel=cancel
-    ).bound
+    try:
+        found = optimize(
+            operator, target, how, evaluations=evaluations, resume=prices, tolerances=tolerances, progress=progress,
+            cancel=cancel,
+        ).bound  # fmt: skip
+    except Cancelled as error:
+        found = error.plan.bound if isinstance(error.plan, Plan) else None
+        if found is None:
+            raise
     before = None if prices is None else prices.bound
     known = [each for each in (found, before) if each is not None]
+    if not known:
+        raise BadInput(f"{evaluations:g} evaluations of all corners tell no bound; expected more")
     return min(known, key=lambda each: each.value)
+
+
+def _of_slices(
+    operator: Any, target: Any, first: int, behind: int, tolerances: Tolerances | None
+) -> tuple[Projection, np.ndarray]:
+    """A projector of some slices, with all the rows of light that reach them, and their fractions [x, y, z]."""
+    operator = operator.direct if isinstance(operator, RingProjection) else operator
+    if type(operator) is not Projection or not np.isclose(operator.beam.pitch, operator.grid.pitch):
+        raise BadInput(f"slices of {operator!r} cannot be asked for alone; expected a Projection whose pixels are as "
+                       "large as its voxels")  # fmt: skip
+    if getattr(target, "limits", None) is not None:
+        raise BadInput("slices of a target with bodies cannot be asked for alone; expected a part: leave slices out")
+    shape, (columns, rows), pitch = operator.grid.shape, operator.beam.pixels, operator.grid.pitch
+    if not 0 <= first < behind <= shape[2] or (shape[2] - rows) % 2:
+        raise BadInput(f"slices are {(first, behind)!r} of {shape[2]}, in light of {rows} rows; expected 0 ≤ first < "
+                       "behind, and rows on slices")  # fmt: skip
+    spreads = [operator.beam.spread, *(tolerances.spread or () if tolerances is not None else ())]
+    beyond = 2 * ceil(REACHED * max((each for each in spreads if isinstance(each, float)), default=0.0) / pitch)
+    grid = Grid((*shape[:2], behind - first), pitch)
+    beam = replace(operator.beam, pixels=(columns, behind - first + beyond))
+    values = target.numpy() if hasattr(target, "numpy") else np.asarray(target)
+    small = Projection(grid, beam, operator.motion, operator.vessel, operator.device, footprint=operator.footprint)
+    return small, np.ascontiguousarray(values[:, :, first:behind], np.float32)

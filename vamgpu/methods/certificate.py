@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from vamgpu.backend.array import DeviceArray
 from vamgpu.kernels.covering import NEVER, cover_scale, divide_prices, level_cover, light_short_pixels
 from vamgpu.kernels.reduce import HIGH
+from vamgpu.methods.graylimits import GrayPrices
 from vamgpu.methods.projector import Projector
 from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import folded, parts_for, total
@@ -78,7 +79,7 @@ def _window(plan: Plan | float) -> float:
 
 def certified(
     operator: Projector, target: DeviceArray, reach: float, wall: DeviceArray, cap: DeviceArray,
-    rows: DeviceArray, columns: DeviceArray, evaluations: float = 0.0,
+    rows: DeviceArray, columns: DeviceArray, evaluations: float = 0.0, gray: GrayPrices | None = None,
 ) -> Bound:  # fmt: skip
     """The bound by the prices of a run, made to hold; takes `SWEEPS` and one more evaluations.
 
@@ -91,6 +92,7 @@ def certified(
         rows: Dose of light 1 everywhere; any scale.
         columns: Shadow of the voxels that count; any scale.
         evaluations: Spent before.
+        gray: What prices of gray doses come to; None without any.
 
     Returns:
         The bound.
@@ -108,7 +110,14 @@ def certified(
     outside = divide(1.0, 1.0)[1] - caps
     if not inside > 0.0:
         return Bound(1.0, combine(0.0, paid, 0.0, paid, paid), spent)
-    divide(1.0 / inside, 1.0 / outside if outside > 0.0 else 0.0)
+    if gray is None:
+        gray = GrayPrices(inside, 0.0, caps)
+    if not gray.on_least > 0.0:
+        return Bound(1.0, combine(0.0, paid, 0.0, paid, paid), spent)
+    share = 1.0 / gray.on_least
+    left_over = max(0.0, 1.0 - share * gray.on_leak)
+    divide(share, left_over / outside if outside > 0.0 else 0.0)
+    beyond = max(0.0, share * gray.on_leak - 1.0)  # a dose outside is 1 at most
     gain, loss = operator(paid), operator(cost)
     cover, light = columns, combine(0.0, columns, 0.0, columns, device.empty(columns.shape), floor=1.0)
     for sweep in range(SWEEPS):
@@ -121,10 +130,10 @@ def certified(
         cover = operator(raised, out=None if sweep == 0 else cover)
     price = total(raised)
     value, left, scale = min(
-        (caps / inside + left + scale * price, left, scale)
+        (share * (gray.fixed + left * inside) + beyond + scale * price, left, scale)
         for left in KEPT for scale in (_scale(gain, loss, cover, 1.0 - left),)
     )  # fmt: skip
-    value += ROUNDING
+    value += ROUNDING * share * inside
     if not value < 1.0:
         return Bound(1.0, combine(0.0, paid, 0.0, paid, paid), spent)
     combine(1.0, cost, left + ROUNDING - 1.0, paid, cost)

@@ -32,7 +32,8 @@ class BestWindow(Method):
     With tolerances thresholds come first. A run that may spend 400 evaluations of every corner goes on by prices after
     200, and begins with what voxels that stay off weigh.
 
-    Bodies with weights, and gray ones, which prices hold from below alone, are `ProcessWindow`'s at any number.
+    Bodies with weights are `ProcessWindow`'s at any number, and gray ones, whose doses it keeps right where no light
+    has a window above 0.
 
     A plan that is resumed with so many more goes on by prices, from its best light. Where the device lacks the memory
     for prices it stays with thresholds.
@@ -92,7 +93,7 @@ def _many(state: OptimizerState, corners: int) -> bool:
 
 
 def _by_thresholds(state: OptimizerState) -> bool:
-    """Whether bodies ask for what prices do not know."""
+    """Whether bodies ask for what thresholds do better."""
     return state.limits is not None and (state.limits.weighted or bool(state.limits.gray.any()))
 
 

@@ -231,10 +231,11 @@ class _Run:
                 self.history.append(Step(len(self.history) + 1, state.evaluations, *record))
                 state.iteration = len(self.history)
                 report(self.history[-1])
-                trajectory = self._trajectory()
-                if trajectory.lost:
+                ends = LossTrajectory([self.history[self._start()].loss, self.history[-1].loss])
+                if ends.lost:
+                    trajectory = self._trajectory()
                     raise Diverged(trajectory.message(), self._plan_of_best(), trajectory.began)
-                if trajectory.blown or record[0] <= tolerance * trajectory.losses[0]:
+                if ends.blown or record[0] <= tolerance * ends.losses[0]:
                     break
         except KeyboardInterrupt:
             raise self._cancelled("interrupted") from None
@@ -243,9 +244,13 @@ class _Run:
         if self.history and self._trajectory().risen:
             warnings.warn(self._trajectory().message(), DivergenceWarning, stacklevel=4)
 
+    def _start(self) -> int:
+        """Iterations before losses meant the same as now."""
+        return min(int(self.state.number("stage")), len(self.history) - 1)
+
     def _trajectory(self) -> LossTrajectory:
         """Losses since they mean the same."""
-        start = min(int(self.state.number("stage")), len(self.history) - 1)
+        start = self._start()
         return LossTrajectory([step.loss for step in self.history[start:]], start)
 
     def _plan_of_best(self) -> Plan | None:

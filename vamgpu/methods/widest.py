@@ -17,6 +17,7 @@ from vamgpu.kernels.saddle import light_step, limit_step, price_dose, reflect
 from vamgpu.kernels.update import multiply
 from vamgpu.methods.active import ActiveScenarios
 from vamgpu.methods.certificate import Bound, certified
+from vamgpu.methods.graylimits import GrayLimits
 from vamgpu.methods.limit import MARGIN
 from vamgpu.methods.method import Criterion, Method, Steps
 from vamgpu.methods.papers import ANCHORED, DIAGONAL, PRIMAL_DUAL, SAFE_STEPS
@@ -57,6 +58,9 @@ class WidestWindow(Method):
     safe, go beyond where they lead, and are held back by where their round began. There is nothing to choose. Takes
     twelve volumes and six sinograms of memory.
 
+    A gray dose has two limits: it keeps half of the window from both ends of its tolerance about the dose midway
+    between the part's least and its greatest. The window is then twice what all doses may be off by.
+
     Args:
         passes: Passes of the recipe that come first.
 
@@ -71,7 +75,7 @@ class WidestWindow(Method):
     criterion: ClassVar[Criterion] = "window"
     takes_start: ClassVar[bool] = True
     takes_weights: ClassVar[bool] = False
-    takes_gray: ClassVar[bool] = False
+    takes_gray: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if isinstance(self.passes, bool) or not isinstance(self.passes, int) or self.passes < 1:
@@ -103,6 +107,11 @@ class _Saddle:
         self.levels = dict.fromkeys(LEVELS, 0.0)
         self.pull, self.descent = state.volume(), state.sinogram()
         self.active = ActiveScenarios(state)
+        self.gray: GrayLimits | None = None
+        if state.limits is not None and state.limits.gray.any() and state.piece is None:
+            self.gray = GrayLimits(state.target, state.limits, state.reach)
+            self.active.scenarios = None  # one that rests has no dose that lies between all limits
+        self.classes = state.target if self.gray is None else self.gray.classes
 
     def steps(self) -> Steps:
         """Lengths of steps and the dose to begin with, then one primal-dual step each."""
@@ -136,7 +145,7 @@ class _Saddle:
     def _offer(self, fields: Mapping[str, Any]) -> float:
         """Offer light by its dose; returns its window, and keeps what is too bright behind all that is not."""
         state, light = self.state, fields["light"]
-        found, _ = state.window(fields["held"])
+        found = self._window(fields["held"])
         kept = found
         if state.brightness < inf:
             least, leak, _ = state.extremes(fields["held"])
@@ -147,6 +156,14 @@ class _Saddle:
             self.memory["round best"] = max(state.number("round best", -inf), kept)
         state.best.offer(light, 1.0 - kept, kept, state.iteration + 1)
         return found
+
+    def _window(self, held: DeviceArray) -> float:
+        """Strict window of a dose, the limits of gray bodies included."""
+        state = self.state
+        if self.gray is None:
+            return state.window(held)[0]
+        least, leak, greatest = state.extremes(held)
+        return self.gray.window(held, least, leak, greatest)
 
     def _most(self) -> float:
         """Greatest light of a pixel, by the dose at the threshold that levels keep to."""
@@ -174,7 +191,7 @@ class _Saddle:
         with self.active.awake():
             return certified(
                 state.operator, state.target, state.reach, after["wall"], after["cap"], memory["rows"],
-                memory["columns"], spent,
+                memory["columns"], spent, self.gray and self.gray.owed(after["wall"], after["cap"], memory["loose"]),
             )  # fmt: skip
 
     def _empty(self, name: str) -> DeviceArray:
@@ -193,7 +210,7 @@ class _Saddle:
         if state.piece is not None:
             state.device.launch(multiply, x=rows, y=upload(_near(state)), out=rows)
         state.expose(light, held)
-        found, greatest = state.window(held)
+        found, greatest = self._window(held), state.window(held)[1]
         owed = memory.pop("owed", None)
         if owed is None:
             self.active.begin(held)
@@ -239,7 +256,8 @@ class _Saddle:
         state, memory = self.state, self.memory
         counted = self.active.counted(_counted(state))
         inside, outside = (float(np.count_nonzero(counted == limits)) for limits in (2.0, 1.0))
-        memory |= {"inside voxels": inside, "outside voxels": outside}
+        both = 0.0 if self.gray is None else self.gray.voxels
+        memory |= {"inside voxels": inside, "outside voxels": outside + both}
         state.project(state.device.upload(counted), memory["columns"])
         self._free(memory["columns"])
         state.scale(1.0 / memory["unit"], memory["columns"], memory["columns"])
@@ -265,6 +283,8 @@ class _Saddle:
         for name in LEVELS:
             self.memory[name] = self.memory[f"{name} anchor"] = levels[name]
         self.memory |= {"turn": 0.0, "first": 0.0, "last": inf}
+        if self.gray is not None:
+            self.memory["loose"] = GrayLimits.loose(levels["least"], levels["leak"])
 
     def _reflect(self, share: float) -> None:
         """Go beyond where the step leads, held back by the anchor."""
@@ -318,8 +338,9 @@ class _Saddle:
         state.expose(self.descent, after["held"])
         parts = {name: parts_for(limit_step, self.pull) for name in ("inside", "outside", "moved", "crossed")}
         launch(
-            limit_step, ahead=after["held"], held=memory["held"], target=state.target, rows=memory["rows"],
+            limit_step, ahead=after["held"], held=memory["held"], target=self.classes, rows=memory["rows"],
             least=2.0 * levels["least"] - memory["least"], leak=2.0 * levels["leak"] - memory["leak"],
+            loose=state.number("loose"),
             step=length * weight, reach=state.reach, wall=memory["wall"], cap=memory["cap"],
             wall_after=after["wall"], cap_after=after["cap"], **parts,
         )  # fmt: skip

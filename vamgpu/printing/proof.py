@@ -61,7 +61,8 @@ class Proof:
         solid: the mesh that the target was made of, in the same place; None where it came from an array or a folder.
         limits: what single voxels are asked for, by which `scores` and `slices` judge them; None where the part is to
             print and nothing else.
-        bound: the window that no light whatever exceeds, by the operator's own dose; None where nobody asked.
+        bound: the window that no light whatever exceeds, by the operator's own dose, at all corners where they were
+            asked for; None where nobody asked.
         corners: what the frames give at every corner of tolerances; None where nobody asked.
     """
 
@@ -293,8 +294,10 @@ def _bounded(proof: Proof) -> tuple[Line, ...]:
     """The widest window there can be, where it is known."""
     if proof.bound is None:
         return ()
-    own = proof.claimed.window
-    reached = f"this one has {own:+.4f} by the same dose, {100 * proof.bound.share(own):.0f} %"
+    own, dose = proof.claimed.window, "by the same dose"
+    if proof.corners is not None:
+        own, dose = proof.corners.window, "at all corners, by traced rays"
+    reached = f"this one has {own:+.4f} {dose}, {100 * proof.bound.share(own):.0f} %"
     return (Line("process window, at most", f"{proof.bound.value:+.4f}", f"no light whatever gives more; {reached}"),)
 
 
