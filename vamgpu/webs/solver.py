@@ -13,6 +13,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, Diverged, DivergenceWarning
 from vamgpu.geometry import Beam
 from vamgpu.kernels.dwell import weigh_poses
+from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.update import linear
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import DoseObjective
@@ -134,10 +135,13 @@ class Solver:
 
         Poses beyond a segment are taken to do their share of what is asked, so that those near its ends need not.
         """
-        dark, dose = self._dark(), self._field("dose")
-        self.device.launch(linear, a=0.0, x=dark, b=0.0, y=dark, floor=1.0, out=dark)
-        self.operator.T(dark, out=dose)
-        lit = dose.numpy()[:, :, dose.shape[2] // 2, None]
+        assert self.gain  # which leaves finite numbers in the light
+        light, dose = self._field("light"), self._field("dose")
+        self.device.launch(linear, a=0.0, x=light, b=0.0, y=light, floor=1.0, out=light)
+        self.operator.T(light, out=dose)
+        middle = self.device.empty((*dose.shape[:2], 1))
+        self.device.launch(copy_slices, source=dose, first=dose.shape[2] // 2, lanes=dose, field=middle)
+        lit = middle.numpy()
         endless = np.broadcast_to(lit[len(lit) // 2], lit.shape)
         return np.clip(1.0 - np.divide(lit, endless, out=np.ones_like(lit), where=endless > 0.0), 0.0, 1.0)
 
@@ -177,7 +181,9 @@ class Solver:
         gain, unlit = self.gain, self._unlit
         state.memory["light"] = self._filtered(state, gain)
         state.memory["ahead"] = self._field("ahead")
-        bring = fractions * unlit
+        bring = np.zeros(fractions.shape, np.float32)
+        ends = np.flatnonzero(unlit.any(axis=(1, 2)))
+        bring[ends] = fractions[ends] * unlit[ends]
         if given is not None:
             self._planned(given, state.buffer("light"))
             if given.dose is not None:
@@ -185,7 +191,7 @@ class Solver:
                 bring[:middle] = 0.0
                 bring = np.where(np.isnan(given.dose), fractions, bring + given.dose)
         state.scale(1.0, state.buffer("light"), state.buffer("ahead"))
-        rest = self.device.upload(bring.astype(np.float32))
+        rest = self.device.upload(bring.astype(np.float32, copy=False))
         dose, plain = self._field("dose"), identity(self.operator)
         exposure = DoseObjective(state, self.loss, self.pace, rest=rest, dose=dose, gradient=self._field("gradient"))
         losses = []
@@ -214,6 +220,10 @@ class Solver:
         if given.decided:
             free = self.device.table((np.arange(light.shape[0]) >= given.decided).astype(np.float32))
             self.device.launch(weigh_poses, light=light, times=free, weighted=light)
+
+    def spare(self) -> DeviceArray:
+        """Room for light [pose, r, z] until the next segment is solved."""
+        return self._field("gradient")
 
     def buffer(self) -> DeviceArray:
         """Light [pose, r, z] of the segment solved last, its overlaps included."""
