@@ -18,10 +18,8 @@ from vamgpu.operators.web import WebProjection
 from vamgpu.optics.film import Film
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller
-from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.web import WebGrid
-from vamgpu.webs.describe import described
 from vamgpu.webs.layout import Layout
 from vamgpu.webs.store import WebFolder
 from vamgpu.webs.stream import Stream
@@ -323,12 +321,6 @@ class _Pitched:
     def __init__(self, values: np.ndarray) -> None:
         self.values, self.shape = values, values.shape
         self.grid = WebGrid(values.shape, 0.2)  # type: ignore[arg-type]
-
-
-def test_a_function_is_described_by_its_name() -> None:
-    film = Film(thickness=3.0, resin_index=1.5, bath_index=1.33, absorption=0.2)
-    wrap = Roller(7.5, film, 0.02, index=FilmIndex(images))  # type: ignore[arg-type]
-    assert described(wrap)["index"]["index"] == f"{images.__module__}.images"
 
 
 def test_a_web_without_a_segment_keeps_no_other_from_its_place(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from vamgpu.errors import BadInput, ShapeMismatch, StorageError
 from vamgpu.geometry import Beam
 from vamgpu.metrics.segments import segment_windows
 from vamgpu.operators.web import WebProjection
-from vamgpu.web import Propagation, WebGrid, Wrap
+from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
 from vamgpu.webs.describe import wrap_from
 from vamgpu.webs.drift import clouded, drifts_of, gains
 from vamgpu.webs.layout import Layout
@@ -122,7 +122,7 @@ class _Simulation:
             section = WebGrid((1, rho, z), tuple(details["grid"]["pitch"]))
         except (KeyError, TypeError, BadInput) as error:
             raise StorageError(f"{str(folder.path)!r} garbles its details: {error}; write the web again") from error
-        self.light = wrap.propagation(section, self.beam)
+        self.light = light_of_pose(wrap, section, self.beam, device)
         one = float(wrap.advance / section.edges[0])
         layout = Layout.of(self.light.shape[2], one, core * one / self.light.shape[2] * (1 - 1e-12), 1.0)
         if (layout.window, layout.core) != (window, core):

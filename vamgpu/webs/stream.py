@@ -32,8 +32,8 @@ from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import Solved, pack, ranked
 from vamgpu.printing.placement import Placement
 from vamgpu.storage.manifest import plain
-from vamgpu.web import Propagation, WebGrid, Wrap
-from vamgpu.webs.describe import described, described_focus, described_target
+from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
+from vamgpu.webs.describe import described, described_focus, described_target, described_wrap
 from vamgpu.webs.layout import Layout
 from vamgpu.webs.prices import Decided, PricedSolver
 from vamgpu.webs.section import focus_masks, one_column
@@ -132,12 +132,12 @@ class Stream:
         self.gray = GrayCurve.linear() if self.gray is None else self.gray
         if not isinstance(self.gray, GrayCurve):
             raise BadInput(f"got {self.gray!r} as gray; expected a GrayCurve, such as GrayCurve.load(path), or None")
+        self.device = open_device(self.device)
         self.grid: WebGrid = one_column(self.wrap, self.beam, self.section, self.pitch)
         self.masks: FocusMasks | None = focus_masks(self.lens, self.wrap, self.beam)
-        self.light: Propagation = self.wrap.propagation(self.grid, self.beam)
+        self.light: Propagation = light_of_pose(self.wrap, self.grid, self.beam, self.device)
         step = self.wrap.advance / self.grid.edges[0]
         self.layout: Layout = Layout.of(self.light.shape[2], step, self.core, self.overlap)
-        self.device = open_device(self.device)
         priced, how = _priced(self.method, self.iterations)
         solver = PricedSolver if priced else Solver
         self.solver: Solver | PricedSolver = solver(self.layout, self.grid, self.beam, self.light, how, self.device)
@@ -363,9 +363,9 @@ class Stream:
         return folder
 
     def _begun(self, place: Path, resume: bool, overwrite: bool) -> WebFolder:
+        details = self.details()
         if (place / RECORD).is_file() and (overwrite or (resume and not WebFolder.open(place).segments)):
             shutil.rmtree(place)  # nothing is lost with a web that has not one whole segment
-        details = self.details()
         if resume and (place / RECORD).is_file():
             folder = WebFolder.open(place).swept()
             frames = {key: value for key, value in folder.details["frames"].items() if key != "levels"}
@@ -393,7 +393,7 @@ class Stream:
         return {
             "grid": {"section": list(self.grid.shape[1:]), "pitch": list(self.grid.edges)},
             "beam": {"pixels": list(self.beam.pixels), "pitch": self.beam.pitch},
-            "wrap": described(self.wrap),
+            "wrap": described_wrap(self.wrap),
             "layout": {
                 "window": layout.window, "step": str(layout.step), "core": layout.core, "overlap": layout.overlap,
                 "lead": layout.lead,
