@@ -7,7 +7,7 @@ once more to the inner one, and the end that comes first counts; a leg is a box.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import ceil, hypot
+from math import ceil, hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -53,7 +53,7 @@ class FilmMarcher:
         return face
 
     def _steps(self, side: int) -> int:
-        longest = hypot(self.outer - self.inner, self.leg) if side else 2.0 * self.outer
+        longest = hypot(self.outer - self.inner, self.leg) if side else 2.0 * sqrt(self.outer**2 - self.inner**2)
         return ceil(DETOUR * longest / self.stride)
 
     def _together(self, rows: np.ndarray, side: int) -> Iterator[np.ndarray]:

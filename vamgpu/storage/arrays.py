@@ -216,7 +216,7 @@ class Layout:
         Args:
             span: Which; a step of 1.
             whole: Whether every file of the array must be there, and every entry in it.
-            seen: Is given the entries in parts, in their order, while the next ones are unpacked.
+            seen: Is given the entries in parts [entry, …], in their order, while the next ones are unpacked.
 
         Returns:
             The array [entry, …].
