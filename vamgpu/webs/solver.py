@@ -30,6 +30,8 @@ from vamgpu.webs.layout import Layout
 
 LAST = "the light of the segment is its last"
 """What a message of divergence says of it."""
+TOGETHER = 1 << 26
+"""Bytes of a field that are made at once before they are uploaded."""
 PACE = 5 / 6
 """Length of a step over the longest at which accelerated steps are stable where the loss is most curved."""
 
@@ -143,7 +145,8 @@ class Solver:
         self.device.launch(copy_slices, source=dose, first=dose.shape[2] // 2, lanes=dose, field=middle)
         lit = middle.numpy()
         endless = np.broadcast_to(lit[len(lit) // 2], lit.shape)
-        return np.clip(1.0 - np.divide(lit, endless, out=np.ones_like(lit), where=endless > 0.0), 0.0, 1.0)
+        share = np.divide(lit, endless, out=np.ones_like(lit), where=endless > 0.0)
+        return np.clip(1.0 - share, 0.0, 1.0).astype(np.float32)
 
     def _dark(self) -> DeviceArray:
         """``light`` = what a web of nothing casts: darkness."""
@@ -181,17 +184,10 @@ class Solver:
         gain, unlit = self.gain, self._unlit
         state.memory["light"] = self._filtered(state, gain)
         state.memory["ahead"] = self._field("ahead")
-        bring = np.zeros(fractions.shape, np.float32)
-        ends = np.flatnonzero(unlit.any(axis=(1, 2)))
-        bring[ends] = fractions[ends] * unlit[ends]
         if given is not None:
             self._planned(given, state.buffer("light"))
-            if given.dose is not None:
-                middle = len(unlit) // 2
-                bring[:middle] = 0.0
-                bring = np.where(np.isnan(given.dose), fractions, bring + given.dose)
         state.scale(1.0, state.buffer("light"), state.buffer("ahead"))
-        rest = self.device.upload(bring.astype(np.float32, copy=False))
+        rest = self._rest(fractions, unlit, None if given is None else given.dose)
         dose, plain = self._field("dose"), identity(self.operator)
         exposure = DoseObjective(state, self.loss, self.pace, rest=rest, dose=dose, gradient=self._field("gradient"))
         losses = []
@@ -206,6 +202,23 @@ class Solver:
         if trajectory.risen:
             warnings.warn(trajectory.message(LAST), DivergenceWarning, stacklevel=2)
         return state.buffer("light"), SegmentLosses(losses[0], losses[-1], trajectory)
+
+    def _rest(self, fractions: np.ndarray, unlit: np.ndarray, given: np.ndarray | None) -> DeviceArray:
+        """Dose that light beyond the segment is taken to bring, or is known to have brought.
+
+        Made some columns at a time, for it is as large as the target.
+        """
+
+        def bring(here: slice) -> np.ndarray:
+            if given is None:
+                return fractions[here] * unlit[here]
+            later = np.arange(here.start, here.start + len(fractions[here]))[:, None, None] >= len(unlit) // 2
+            return np.where(np.isnan(given[here]), fractions[here],
+                            np.where(later, fractions[here] * unlit[here], 0.0) + given[here])  # fmt: skip
+
+        each = max(1, TOGETHER // max(fractions[0].nbytes, 1))
+        parts = (bring(slice(first, first + each)) for first in range(0, len(fractions), each))
+        return self.device.gather(fractions.shape, parts)
 
     def _planned(self, given: Given, light: DeviceArray) -> None:
         """``light`` = that of the plan, where there is one."""
