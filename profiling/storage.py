@@ -3,12 +3,14 @@
     python profiling/storage.py --frames 10000 --shape 480 640 --at /var/tmp
 
 Rates are of frames as they are in memory. The disk's own are those of a plain file of as many bytes, written and
-brought to the disk, and read again from it; all files are dropped from the system's cache before they are read.
+brought to the disk, and read again from it; all files are dropped from the system's cache before they are read. What
+else bounds a folder that is read is beside them: memory that the system gives, and one thread of SHA-256.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import shutil
 import tempfile
@@ -63,6 +65,13 @@ def through(path: Path) -> None:
             pass
 
 
+def hashed(block: bytes, count: int) -> None:
+    """Hash so many bytes, as many at once as are in a block."""
+    seal = hashlib.sha256()
+    for first in range(0, count, len(block)):
+        seal.update(block[: min(len(block), count - first)])
+
+
 def picture(shape: tuple[int, int], number: int) -> np.ndarray:
     """A frame with gradients, edges and grain, as optimized light has."""
     row, column = np.mgrid[: shape[0], : shape[1]]
@@ -100,6 +109,9 @@ def main() -> None:
         told("disk, writing", seconds(lambda: written(at / "plain", count)))
         told("disk, reading", seconds(lambda: through(at / "plain"), at / "plain"))
         (at / "plain").unlink()
+        told("memory, taken anew", seconds(lambda: np.empty(count, np.uint8).fill(1)), "disk, reading")
+        block = some[0].tobytes() * few
+        told("SHA-256 in one thread", seconds(lambda: hashed(block, count)), "disk, reading")
         job = at / "job.vam"
         details = {"frames": {"bits": 8, "columns": shape[1], "scale": 1.0, "gray": vam.GrayCurve.linear().describe(),
                               "settings": {"flip_r": False, "flip_z": False, "shift": [0.0, 0.0]}}}  # fmt: skip
