@@ -40,13 +40,13 @@ def dropped(place: Path) -> None:
                 os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
 
-def seconds(run: Callable[[], object], cold: Path | None = None) -> float:
-    """Of a run, once."""
+def seconds(run: Callable[[], object], cold: Path | None = None) -> tuple[float, float]:
+    """Of a run, once: by the clock, and of all processors."""
     if cold is not None:
         dropped(cold)
-    start = time.perf_counter()
+    start, busy = time.perf_counter(), time.process_time()
     run()
-    return time.perf_counter() - start
+    return time.perf_counter() - start, time.process_time() - busy
 
 
 def written(path: Path, count: int) -> None:
@@ -96,11 +96,11 @@ def main() -> None:
     count = asked.frames * some[0].nbytes
     rows: dict[str, dict[str, Any]] = {}
 
-    def told(what: str, took: float, beside: str | None = None) -> None:
-        rate = count / took / 1e6
-        rows[what] = {"seconds": took, "MB_s": rate}
+    def told(what: str, took: tuple[float, float], beside: str | None = None) -> None:
+        rate = count / took[0] / 1e6
+        rows[what] = {"seconds": took[0], "processor_seconds": took[1], "MB_s": rate}
         share = "" if beside is None else f", {rate / rows[beside]['MB_s']:.2f} of the disk's"
-        print(f"{what}: {took:.2f} s, {rate:.0f} MB/s{share}", flush=True)
+        print(f"{what}: {took[0]:.2f} s ({took[1]:.2f} of processors), {rate:.0f} MB/s{share}", flush=True)
 
     values = Streamed((asked.frames, *shape), some.dtype,
                       lambda first, last: some[np.arange(first, last) % few])  # fmt: skip
