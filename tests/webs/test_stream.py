@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from slanted import BEAM, EDGE, SECTION, WINDOW, Slanted, part, stream, tiled
 
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch, StorageError, TileError
 from vamgpu.geometry import Beam
 from vamgpu.losses import Band, VoxelLoss
@@ -231,6 +232,14 @@ def test_steps_of_other_lengths_than_a_column(step: float) -> None:
     # one scale is that of the first segment, the other that of all, so that levels differ by that ratio
     scales = [next(job.segments()).scale for job in jobs]
     assert np.abs(cut * (scales[0] / scales[1]) - whole)[cut < 255].max() <= 2.0
+
+
+def test_the_scale_is_a_quantile_of_the_first_frames_alone(fast_device: Device) -> None:
+    job = stream(tiled(part(200)), core=1.0, device=fast_device)
+    segment = next(iter(job))
+    own = job.solver.buffer().numpy()[job.layout.overlap :][: len(segment.images)]  # type: ignore[union-attr]
+    lit = np.sort(own[own > 0])
+    assert segment.scale == pytest.approx(lit[min(lit.size - 1, int(0.9999 * lit.size))], rel=3e-7)
 
 
 def test_an_empty_beginning_needs_a_scale() -> None:
