@@ -3,12 +3,14 @@
     python profiling/storage.py --frames 10000 --shape 480 640 --at /var/tmp
 
 Rates are of frames as they are in memory. The disk's own are those of a plain file of as many bytes, written and
-brought to the disk, and read again from it; all files are dropped from the system's cache before they are read.
+brought to the disk, and read again from it; all files are dropped from the system's cache before they are read. What
+else bounds a folder that is read is beside them: memory that the system gives, and one thread of SHA-256.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import shutil
 import tempfile
@@ -38,13 +40,13 @@ def dropped(place: Path) -> None:
                 os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
 
-def seconds(run: Callable[[], object], cold: Path | None = None) -> float:
-    """Of a run, once."""
+def seconds(run: Callable[[], object], cold: Path | None = None) -> tuple[float, float]:
+    """Of a run, once: by the clock, and of all processors."""
     if cold is not None:
         dropped(cold)
-    start = time.perf_counter()
+    start, busy = time.perf_counter(), time.process_time()
     run()
-    return time.perf_counter() - start
+    return time.perf_counter() - start, time.process_time() - busy
 
 
 def written(path: Path, count: int) -> None:
@@ -61,6 +63,13 @@ def through(path: Path) -> None:
     with open(path, "rb", buffering=0) as file:
         while file.readinto(bytearray(BLOCK)):
             pass
+
+
+def hashed(block: bytes, count: int) -> None:
+    """Hash so many bytes, as many at once as are in a block."""
+    seal = hashlib.sha256()
+    for first in range(0, count, len(block)):
+        seal.update(block[: min(len(block), count - first)])
 
 
 def picture(shape: tuple[int, int], number: int) -> np.ndarray:
@@ -87,11 +96,11 @@ def main() -> None:
     count = asked.frames * some[0].nbytes
     rows: dict[str, dict[str, Any]] = {}
 
-    def told(what: str, took: float, beside: str | None = None) -> None:
-        rate = count / took / 1e6
-        rows[what] = {"seconds": took, "MB_s": rate}
+    def told(what: str, took: tuple[float, float], beside: str | None = None) -> None:
+        rate = count / took[0] / 1e6
+        rows[what] = {"seconds": took[0], "processor_seconds": took[1], "MB_s": rate}
         share = "" if beside is None else f", {rate / rows[beside]['MB_s']:.2f} of the disk's"
-        print(f"{what}: {took:.2f} s, {rate:.0f} MB/s{share}", flush=True)
+        print(f"{what}: {took[0]:.2f} s ({took[1]:.2f} of processors), {rate:.0f} MB/s{share}", flush=True)
 
     values = Streamed((asked.frames, *shape), some.dtype,
                       lambda first, last: some[np.arange(first, last) % few])  # fmt: skip
@@ -100,6 +109,9 @@ def main() -> None:
         told("disk, writing", seconds(lambda: written(at / "plain", count)))
         told("disk, reading", seconds(lambda: through(at / "plain"), at / "plain"))
         (at / "plain").unlink()
+        told("memory, taken anew", seconds(lambda: np.empty(count, np.uint8).fill(1)), "disk, reading")
+        block = some[0].tobytes() * few
+        told("SHA-256 in one thread", seconds(lambda: hashed(block, count)), "disk, reading")
         job = at / "job.vam"
         details = {"frames": {"bits": 8, "columns": shape[1], "scale": 1.0, "gray": vam.GrayCurve.linear().describe(),
                               "settings": {"flip_r": False, "flip_z": False, "shift": [0.0, 0.0]}}}  # fmt: skip

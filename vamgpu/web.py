@@ -138,3 +138,19 @@ class Wrap(Protocol):
     def propagation(self, grid: WebGrid, beam: Beam) -> Propagation:
         """Light of one pose over a window of ``grid``'s voxels; only the grid's rho and z extents and pitches count."""
         ...
+
+
+def light_of_pose(wrap: Wrap, grid: WebGrid, beam: Beam, device: object) -> Propagation:
+    """Light of one pose, computed on a device where the machine says that it ``marched`` it there.
+
+    Args:
+        wrap: The machine.
+        grid: Voxels of the film.
+        beam: Pixels of the light.
+        device: A name or a device.
+
+    Returns:
+        The sparse matrix P[r, rho, l].
+    """
+    there = {"device": device} if getattr(wrap, "marched", False) else {}
+    return wrap.propagation(grid, beam, **there)

@@ -16,6 +16,7 @@ from vamgpu.jobs.web import contrasts, parse_web, solve_web, stream_of
 from vamgpu.operators.web import WebProjection
 from vamgpu.printing.frames import Frames
 from vamgpu.web import WebGrid
+from vamgpu.webs import proof
 from vamgpu.webs.proof import prove_web
 from vamgpu.webs.store import WebFolder
 from vamgpu.webs.tiles import Columns
@@ -136,3 +137,14 @@ def test_a_mesh_stays_where_it_is(tmp_path: Path) -> None:
 def test_wrong_values_are_named(setting: str, said: str) -> None:
     with pytest.raises(JobError, match=said):
         stream_of(parse_web(JOB, (*SMALL, setting)))
+
+
+def test_doses_are_counted_as_a_histogram_counts_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(proof, "CHUNK", 50)
+    rng = np.random.default_rng(5)
+    target = rng.random((23, 4, 5)) > 0.4
+    dose = ((rng.integers(-20, 3 * proof.BINS, target.shape) + 0.5) * proof.REACH / proof.BINS).astype(np.float32)
+    edges = np.linspace(0.0, proof.REACH, proof.BINS + 1)
+    kept = np.clip(dose, 0.0, proof.REACH)
+    expected = [np.histogram(kept[target == part], edges)[0] for part in (False, True)]
+    assert np.array_equal(proof._counted(dose, target), expected)

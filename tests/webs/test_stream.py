@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from slanted import BEAM, EDGE, SECTION, WINDOW, Slanted, part, stream, tiled
 
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch, StorageError, TileError
 from vamgpu.geometry import Beam
 from vamgpu.losses import Band, VoxelLoss
@@ -18,10 +19,8 @@ from vamgpu.operators.web import WebProjection
 from vamgpu.optics.film import Film
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller
-from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.web import WebGrid
-from vamgpu.webs.describe import described
 from vamgpu.webs.layout import Layout
 from vamgpu.webs.store import WebFolder
 from vamgpu.webs.stream import Stream
@@ -235,6 +234,14 @@ def test_steps_of_other_lengths_than_a_column(step: float) -> None:
     assert np.abs(cut * (scales[0] / scales[1]) - whole)[cut < 255].max() <= 2.0
 
 
+def test_the_scale_is_a_quantile_of_the_first_frames_alone(fast_device: Device) -> None:
+    job = stream(tiled(part(200)), core=1.0, device=fast_device)
+    segment = next(iter(job))
+    own = job.solver.buffer().numpy()[job.layout.overlap :][: len(segment.images)]  # type: ignore[union-attr]
+    lit = np.sort(own[own > 0])
+    assert segment.scale == pytest.approx(lit[min(lit.size - 1, int(0.9999 * lit.size))], rel=3e-7)
+
+
 def test_an_empty_beginning_needs_a_scale() -> None:
     target = np.concatenate([np.zeros((8 * WINDOW, *SECTION), np.float32), part(60)])
     with pytest.raises(TileError, match="scale"):
@@ -323,12 +330,6 @@ class _Pitched:
     def __init__(self, values: np.ndarray) -> None:
         self.values, self.shape = values, values.shape
         self.grid = WebGrid(values.shape, 0.2)  # type: ignore[arg-type]
-
-
-def test_a_function_is_described_by_its_name() -> None:
-    film = Film(thickness=3.0, resin_index=1.5, bath_index=1.33, absorption=0.2)
-    wrap = Roller(7.5, film, 0.02, index=FilmIndex(images))  # type: ignore[arg-type]
-    assert described(wrap)["index"]["index"] == f"{images.__module__}.images"
 
 
 def test_a_web_without_a_segment_keeps_no_other_from_its_place(tmp_path: Path) -> None:

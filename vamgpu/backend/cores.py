@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import chain, islice
+from typing import TypeVar
+
+In = TypeVar("In")
+Out = TypeVar("Out")
 
 MOST = 16
 """Beyond these, threads of one process wait for each other and for memory."""
@@ -16,3 +24,28 @@ def threads() -> int:
     """
     usable = getattr(os, "sched_getaffinity", None)
     return max(1, min(len(usable(0)) if usable else os.cpu_count() or 1, MOST))
+
+
+def ahead(work: Callable[[In], Out], items: Iterable[In]) -> Iterator[Out]:
+    """Work on items in as many threads as there are cores, a few items ahead of whoever takes the results.
+
+    Args:
+        work: What is done with each item; it must let other threads run, as NumPy does.
+        items: In order; they are asked for in this thread.
+
+    Yields:
+        The results, in the same order.
+    """
+    rest = iter(items)
+    some = list(islice(rest, 2))
+    if len(some) < 2 or threads() < 2:
+        yield from map(work, chain(some, rest))
+        return
+    with ThreadPoolExecutor(threads()) as pool:
+        begun: deque[Future[Out]] = deque()
+        for item in chain(some, rest):
+            begun.append(pool.submit(work, item))
+            if len(begun) > threads():
+                yield begun.popleft().result()
+        while begun:
+            yield begun.popleft().result()

@@ -13,6 +13,7 @@ from typing import Any, final
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.cores import ahead
 from vamgpu.errors import BadInput, DeviceError, KernelError, ShapeMismatch, TransferForbidden
 from vamgpu.kernels.lanes import from_lanes, to_lanes
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
@@ -20,8 +21,8 @@ from vamgpu.kernels.update import linear
 
 SMALL = 4096
 """Transfers up to this many bytes (scalars, partial sums) are allowed everywhere."""
-STRIP = 1 << 25
-"""Bytes that are brought into another layout at once: fields may be larger than the memory that is left."""
+STRIP = 1 << 23
+"""Bytes that a thread brings into another layout at once: fields may be larger than the memory that is left."""
 HOST = (1, 0)
 """Host memory, as DLPack names it."""
 
@@ -211,7 +212,7 @@ class Device(ABC):
         for source in parts:
             if source.dtype.kind not in "fiub":
                 raise BadInput(f"the array holds {source.dtype}; expected real numbers")
-            if source.dtype.kind == "f" and not np.isfinite(source).all():
+            if not _finite(source):
                 raise BadInput("the array holds NaN or infinity; clean it before uploading")
             if array is None:
                 array = self.empty(
@@ -237,13 +238,18 @@ class Device(ABC):
         if not lanes:
             return self._write(array.handle, np.ascontiguousarray(source, array.dtype), first * prod(array.shape[1:]))
         slabs, major, minor, _ = self.stored_shape(array.shape, lanes)
-        for begin, end in _strips(0, len(source), minor * lanes * array.dtype.itemsize):
-            strip = np.zeros((end - begin, minor, lanes), array.dtype)
-            for slab in range(slabs):
-                part = source[begin:end, :, slab * lanes : (slab + 1) * lanes]
-                strip[..., : part.shape[2]] = part
-                strip[..., part.shape[2] :] = 0
-                self._write(array.handle, strip, (slab * major + first + begin) * minor * lanes)
+
+        def laid(place: tuple[int, int, int]) -> tuple[int, np.ndarray]:
+            begin, end, slab = place
+            strip = np.empty((end - begin, minor, lanes), array.dtype)
+            part = source[begin:end, :, slab * lanes : (slab + 1) * lanes]
+            strip[..., : part.shape[2]] = part
+            strip[..., part.shape[2] :] = 0
+            return (slab * major + first + begin) * minor * lanes, strip
+
+        strips = _strips(0, len(source), minor * lanes * array.dtype.itemsize)
+        for place, strip in ahead(laid, [(*strip, slab) for strip in strips for slab in range(slabs)]):
+            self._write(array.handle, strip, place)
 
     def _load(self, array: DeviceArray, first: int = 0, last: int | None = None) -> np.ndarray:
         """A NumPy copy in logical shape, of the entries of the first axis from ``first`` to before ``last``."""
@@ -254,12 +260,17 @@ class Device(ABC):
             self._read(array.handle, logical, first * prod(array.shape[1:]))
             return logical
         slabs, major, minor, _ = self.stored_shape(array.shape, lanes)
-        for begin, end in _strips(first, last, minor * lanes * array.dtype.itemsize):
-            strip = np.empty((end - begin, minor, lanes), array.dtype)
-            for slab in range(slabs):
-                self._read(array.handle, strip, (slab * major + begin) * minor * lanes)
-                part = logical[begin - first : end - first, :, slab * lanes : (slab + 1) * lanes]
-                part[...] = strip[..., : part.shape[2]]
+
+        def strips() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+            for begin, end in _strips(first, last, minor * lanes * array.dtype.itemsize):
+                for slab in range(slabs):
+                    strip = np.empty((end - begin, minor, lanes), array.dtype)
+                    self._read(array.handle, strip, (slab * major + begin) * minor * lanes)
+                    part = logical[begin - first : end - first, :, slab * lanes : (slab + 1) * lanes]
+                    yield part, strip[..., : part.shape[2]]
+
+        for _ in ahead(lambda pair: np.copyto(*pair), strips()):
+            pass
         return logical
 
     @final
@@ -494,6 +505,16 @@ class _Memory:
     def __array_interface__(self) -> dict[str, Any]:
         given = self.array.__array_interface__
         return given | {"data": (given["data"][0], False)}
+
+
+def _finite(source: np.ndarray) -> bool:
+    """Whether all numbers of an array are finite."""
+    if source.dtype.kind != "f":
+        return True
+    if not source.ndim:
+        return bool(np.isfinite(source))
+    each = source.nbytes // max(len(source), 1)
+    return all(ahead(lambda strip: bool(np.isfinite(source[slice(*strip)]).all()), _strips(0, len(source), each)))
 
 
 def _checked(source: np.ndarray, kind: np.dtype) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.cores import ahead
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import counts, positive
 
@@ -67,7 +68,14 @@ def segment_windows(
 
 def _judged(dose: np.ndarray, part: np.ndarray) -> tuple[float, ...]:
     """Least and 1 % dose in the part, greatest and 99 % dose out of it, and how many voxels of both."""
-    inside, outside = dose[part], dose[~part]
-    least, one_in = (inside.min(), np.quantile(inside, 0.01, method="lower")) if inside.size else (np.nan, np.nan)
-    greatest, one_out = (outside.max(), np.quantile(outside, 0.99, method="higher")) if outside.size else (0.0, 0.0)
+    inside, outside = ahead(lambda where: dose[where], (part, ~part))
+    (least, one_in), (greatest, one_out) = ahead(lambda end: end(), (lambda: _low(inside), lambda: _high(outside)))
     return float(least), float(one_in), max(float(greatest), 0.0), float(one_out), inside.size, outside.size
+
+
+def _low(inside: np.ndarray) -> tuple[float, float]:
+    return (inside.min(), np.quantile(inside, 0.01, method="lower")) if inside.size else (np.nan, np.nan)
+
+
+def _high(outside: np.ndarray) -> tuple[float, float]:
+    return (outside.max(), np.quantile(outside, 0.99, method="higher")) if outside.size else (0.0, 0.0)

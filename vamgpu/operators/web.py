@@ -17,7 +17,7 @@ from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import WebSinogramSpace, WebSpace
 from vamgpu.operators.web_motion import WebMotion
-from vamgpu.web import Propagation, WebGrid, Wrap
+from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
 
 
 @final
@@ -71,7 +71,9 @@ class WebProjection(LinearOperator):
             if not isinstance(value, kind):
                 raise BadInput(f"got {value!r} where a {kind.__name__} is expected; WebProjection(grid, beam, wrap, …)")
         self.wrap: Wrap | None = wrap
-        self._build(grid, beam, wrap.propagation(grid, beam), wrap.advance / grid.edges[0], device, poses, start)
+        self._build(
+            grid, beam, light_of_pose(wrap, grid, beam, device), wrap.advance / grid.edges[0], device, poses, start
+        )
 
     @classmethod
     def from_light(

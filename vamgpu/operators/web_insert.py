@@ -86,7 +86,8 @@ class WebInsertProjection(LinearOperator):
         if not hasattr(wrap, "rays_of"):
             raise BadInput(f"got {wrap!r} with inserts; expected a machine that tells its light ray by ray, such as a "
                            "Roller, whose rays_of(grid, beam) does")  # fmt: skip
-        rays: WebRays = wrap.rays_of(grid, beam)  # type: ignore[attr-defined]
+        there = {"device": device} if getattr(wrap, "marched", False) else {}
+        rays: WebRays = wrap.rays_of(grid, beam, **there)  # type: ignore[attr-defined]
         self.grid, self.beam, self.light, self.vessel, self.wrap = grid, beam, plain.light, None, wrap
         self.domain, self.range = plain.domain, plain.range  # pyright: ignore[reportIncompatibleVariableOverride]
         self.motion, self.device = plain.motion, open_device(device)

@@ -94,16 +94,20 @@ class Marcher:
             raise RayError(f"n² is {square.min():g} where a ray starts; expected a medium with n² > 0")
         return np.concatenate([at, along / size * np.sqrt(square)], axis=1)
 
-    def run(self, starts: DeviceArray, step: float, steps: int, scheme: str = "sharma", rows: int = 1, every: int = 1
-            ) -> tuple[DeviceArray, DeviceArray, DeviceArray]:  # fmt: skip
-        """One launch: the tables ends, path and times of `march_formula`, on the device."""
+    def run(self, starts: DeviceArray, step: float, steps: int, scheme: str = "sharma", rows: int = 1, every: int = 1,
+            region: Floats | None = None) -> tuple[DeviceArray, DeviceArray, DeviceArray]:  # fmt: skip
+        """One launch: the tables ends, path and times of `march_formula`, on the device.
+
+        region: as that takes it, in place of the field's own.
+        """
         if scheme not in ORDERS:
             raise BadInput(f"no stepper {scheme!r}; there are {', '.join(ORDERS)}")
         count, empty = starts.shape[0], self.device.empty
         real = self.device.real
         written = {"ends": empty((count, 8), real, table=True), "path": empty((count, rows, 3), real, table=True),
                    "times": empty((count,), real, table=True)}  # fmt: skip
-        common: dict[str, Any] = {"starts": starts, "region": self._region, **written}
+        within = self._region if region is None else self.device.table(region)
+        common: dict[str, Any] = {"starts": starts, "region": within, **written}
         numbers = {"step": step, "steps": steps, "scheme": list(ORDERS).index(scheme), "every": every}
         if self.kernel is None:
             march_any(self.field.evaluate, **{n: v.handle for n, v in common.items()}, **numbers)

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, RayError
 from vamgpu.geometry import Beam, centers, positive
 from vamgpu.optics.faces import Face, transmit
@@ -55,8 +56,8 @@ class Roller:
         rays: Rays across the width of a column; a voxel whose walls run along the light knows its share of a column to
             one ray.
         fan: Rays across the fan of a column.
-        index: Of the resin where it changes from place to place: rays are then marched through the film. Coverage, gain
-            and aperture keep to the film's own.
+        index: Of the resin where it changes from place to place: rays are then marched through the film, on a device
+            where it is a field. Coverage, gain and aperture keep to the film's own.
         polarization: Of the light: "none", "s" (its field along the roller's axis) or "p" (across it).
         core: Index of a clear roller, which light passes through, and the bath behind it, to come back into the film;
             None for one that light ends at, or is reflected by.
@@ -105,6 +106,11 @@ class Roller:
                 "the film absorbs nothing, so that a ray along a leg never leaves the window; "
                 "expected the length of the legs [mm], or a film with an absorption above 0"
             )
+
+    @property
+    def marched(self) -> bool:
+        """Whether `propagation` computes on a device."""
+        return self.index is not None and self.index.medium is not None
 
     @property
     def outer(self) -> float:
@@ -223,13 +229,16 @@ class Roller:
             )
         return grid
 
-    def trace(self, u: ArrayLike, angle: ArrayLike = 0.0, leg: float | None = None) -> Traced:
+    def trace(
+        self, u: ArrayLike, angle: ArrayLike = 0.0, leg: float | None = None, device: str | Device | None = None
+    ) -> Traced:
         """Trace rays of some columns. A ray that leans does so about the point where its column is in focus.
 
         Args:
             u: Offsets of the columns [mm], (...,).
             angle: Lean towards +x in the bath [rad], (...,), broadcast with ``u``.
             leg: Length of each leg [mm]; by default the roller's.
+            device: Marches rays through a field of the index; a name or a device, the best one here by default.
 
         Returns:
             The rays, flattened.
@@ -240,9 +249,9 @@ class Roller:
         if self.planes is not None:
             planes = np.array(self.planes)
             y = planes[np.searchsorted(0.5 * (planes[1:] + planes[:-1]), y, side="left")]
-        return trace(self._layers(self.leg if leg is None else leg), x, y, np.sin(lean), np.cos(lean))
+        return trace(self._layers(self.leg if leg is None else leg), x, y, np.sin(lean), np.cos(lean), device)
 
-    def propagation(self, grid: WebGrid, beam: Beam) -> Propagation:
+    def propagation(self, grid: WebGrid, beam: Beam, device: str | Device | None = None) -> Propagation:
         """Light of one pose in the flat film.
 
         Every column is ``rays`` × ``fan`` rays of equal power; each leaves in every voxel it crosses exactly what is
@@ -253,6 +262,7 @@ class Roller:
         Args:
             grid: Voxels of the film.
             beam: Pixels of the light.
+            device: As for `trace`.
 
         Returns:
             The sparse matrix P[r, rho, l].
@@ -264,7 +274,7 @@ class Roller:
         map = self.map(grid)
         columns = self._columns(beam)
         offsets, leans = self._bundle(beam.pitch)
-        traced = self.trace(columns[:, None, None] + offsets[:, None], leans, map.leg)
+        traced = self.trace(columns[:, None, None] + offsets[:, None], leans, map.leg, device)
         n_rho, n_l = grid.shape[1], round(map.length / grid.edges[0])
         shape, per_column = (columns.size, n_rho, n_l), offsets.size * leans.size
         *entries, weight = cells(map, traced.segments, traced.segments.ray // per_column, self.film.absorption, shape,
@@ -274,12 +284,13 @@ class Roller:
         weight = weight * (gain / per_column)[r] * self._dense(map, grid, rho, l)
         return Propagation(shape, r, rho, l, weight, map.middle)
 
-    def rays_of(self, grid: WebGrid, beam: Beam) -> WebRays:
+    def rays_of(self, grid: WebGrid, beam: Beam, device: str | Device | None = None) -> WebRays:
         """The light of `propagation` ray by ray, as it meets things that the film carries.
 
         Args:
             grid: Voxels of the film.
             beam: Pixels of the light.
+            device: As for `trace`.
 
         Returns:
             All pieces of all rays, in the order in which each runs.
@@ -290,7 +301,7 @@ class Roller:
         """
         map, columns = self.map(grid), self._columns(beam)
         offsets, leans = self._bundle(beam.pitch)
-        traced = self.trace(columns[:, None, None] + offsets[:, None], leans, map.leg)
+        traced = self.trace(columns[:, None, None] + offsets[:, None], leans, map.leg, device)
         n_rho, n_l = grid.shape[1], round(map.length / grid.edges[0])
         absorption, per_column = self.film.absorption, offsets.size * leans.size
         ray, rho, l, length, weight = walks(  # noqa: E741 - the web's axis

@@ -13,6 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from vamgpu.backend.cores import ahead
 from vamgpu.optics.inputs import Floats
 from vamgpu.optics.roller_rays import Segments
 from vamgpu.optics.wrap_map import WrapMap
@@ -97,8 +98,8 @@ def cells(map: WrapMap, segments: Segments, column: np.ndarray, absorption: floa
     kinds = (_arcs(map, segments, column, order), _straights(map, segments, column, order))
     size = shape[1] * shape[2]
     together = max(1, MOST_CROSSINGS // size)
-    found = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))]
-    for first in range(0, shape[0], together):
+
+    def left(first: int) -> tuple[np.ndarray, np.ndarray, Floats]:
         total = np.zeros(min(together, shape[0] - first) * size)
         for lines in kinds:
             low, high = np.searchsorted(lines.column, (first, first + together))
@@ -106,7 +107,10 @@ def cells(map: WrapMap, segments: Segments, column: np.ndarray, absorption: floa
                 place, weight = _crossed(map, *some, absorption, shape, pitch)
                 total += np.bincount(place - first * size, weight, total.size)
         voxel = np.flatnonzero(total)
-        found.append((first + voxel // size, voxel % size, total[voxel]))
+        return first + voxel // size, voxel % size, total[voxel]
+
+    found = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))]
+    found += ahead(left, range(0, shape[0], together))
     row, voxel, weight = (np.concatenate(part) for part in zip(*found, strict=True))
     return row, voxel // shape[2], voxel % shape[2], weight
 

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import positive
+from vamgpu.optics.index_field import FormulaField, FunctionField, GridField, IndexField
 from vamgpu.optics.inputs import Floats
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Length
 
 NUDGE = 1e-4
 """Half the way [mm] over which a slope of the index is taken."""
@@ -20,21 +22,61 @@ NUDGE = 1e-4
 class FilmIndex:
     """Index of the resin at wrapped places, fixed in the laboratory as one pose needs it.
 
-    index: (x, y) [mm], arrays → refractive indices, same shape; asked up to `NUDGE` outside the film too.  stride:
-    longest straight piece [mm]; errors fall with its square.  Raises `BadInput`.
+    Args:
+        index: A medium in x and y [mm], with the roller's axis at (0, 0): a formula, a grid or a function with a
+            region, all of which are marched on a device; or a plain function of arrays x and y, traced in NumPy and
+            asked up to `NUDGE` outside the film too. Folders keep formulas and grids.
+        stride: Longest straight piece [mm]; its errors fall with its square.
+
+    Raises:
+        BadInput: A value is out of its range, or the medium depends on z.
     """
 
-    index: Callable[[Floats, Floats], Floats]
-    stride: float = 0.05
+    index: FormulaField | GridField | FunctionField | Callable[[Floats, Floats], Floats]
+    stride: Length = 0.05
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stride", positive("FilmIndex stride [mm]", self.stride))
-        if not callable(self.index):
-            raise BadInput(f"FilmIndex index is {self.index!r}; expected a function of x and y [mm]")
+        check(self)
+        if isinstance(self.index, (FormulaField, GridField, FunctionField)):
+            deep = self.index.weights[2] if isinstance(self.index, FormulaField) else _axes(self.index) - 2
+            if deep:
+                raise BadInput(f"FilmIndex index is a {type(self.index).__name__} that depends on z; expected one of x "
+                               "and y, as all rows of a web share the light of one pose")  # fmt: skip
+        elif not callable(self.index):
+            raise BadInput(f"FilmIndex index is {self.index!r}; expected a FormulaField, a GridField, a FunctionField, "
+                           "or a function of x and y [mm]")  # fmt: skip
+
+    @property
+    def medium(self) -> IndexField | None:
+        """What the marching kernels take; None for a plain function."""
+        return self.index if isinstance(self.index, (FormulaField, GridField, FunctionField)) else None
+
+    def check_reach(self, outer: float, leg: float) -> None:
+        """Raise `BadInput` unless the medium is known all over a film of an outer radius with legs [mm]."""
+        if isinstance(self.index, GridField):
+            corner, shape = self.index.corner, self.index.coefficients.shape
+            spans = [(low, low + (n - 3) * self.index.pitch) for low, n in zip(corner, shape, strict=False)]
+        elif isinstance(self.index, FunctionField):
+            spans = list(self.index.region.extents[:2])
+        else:
+            return
+        need, slack = ((-outer, outer), (-outer, leg)), 1e-6 * outer
+        if any(low > a + slack or high < b - slack for (low, high), (a, b) in zip(spans, need, strict=True)):
+            known, wanted = (" and ".join(f"{low:.4g} to {high:.4g}" for low, high in s) for s in (spans, need))
+            raise BadInput(f"the {type(self.index).__name__} of the film reaches from {known} mm in x and y; expected "
+                           f"{wanted} mm, the film with its legs")  # fmt: skip
 
     def at(self, x: Floats, y: Floats) -> Floats:
         """Index at places; raises `BadInput` where it is below 1 or not finite."""
-        found = np.broadcast_to(np.asarray(self.index(x, y), dtype=np.float64), x.shape)
+        if (medium := self.medium) is not None:
+            square = medium.evaluate(np.stack([x, y, np.zeros_like(x)], axis=1))[1]
+            return self._checked(np.sqrt(np.maximum(square, 0.0)), x)
+        assert callable(self.index)
+        return self._checked(self.index(x, y), x)
+
+    @staticmethod
+    def _checked(index: Floats, x: Floats) -> Floats:
+        found = np.broadcast_to(np.asarray(index, dtype=np.float64), x.shape)
         if not np.all(found >= 1.0) or not np.all(np.isfinite(found)):
             raise BadInput(
                 f"the index of the resin is {np.min(found):g} to {np.max(found):g} along the rays; expected "
@@ -59,3 +101,7 @@ class FilmIndex:
         new = np.hypot(px, py)
         rays["dx"], rays["dy"] = px / new, py / new
         return new
+
+
+def _axes(medium: GridField | FunctionField) -> int:
+    return medium.coefficients.ndim if isinstance(medium, GridField) else medium.axes

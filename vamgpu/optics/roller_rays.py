@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.backend.device import Device
 from vamgpu.errors import RayError
 from vamgpu.optics.inputs import Floats
 from vamgpu.optics.interface import fresnel, left
 from vamgpu.optics.roller_index import FilmIndex
+from vamgpu.optics.roller_march import FINISH, INNER, MIDDLE, NONE, OUTER, FilmMarcher
 
 MOST_FACES = 2000
 """Faces a ray may meet before it is said never to leave."""
@@ -96,15 +98,19 @@ class Traced:
     end: np.ndarray
 
 
-def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Traced:
+def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: str | Device | None = None) -> Traced:
     """Follow rays that come through (x, y) [mm] along the unit directions (dx, dy), dy > 0, from the bath.
 
     Snell's law and Fresnel's transmittance of s and of p light at every face; a face that reflects totally does so,
     what a face reflects in part is dropped. A ray that meets the roller ends there, or goes on with the roller's
-    reflectivity.
+    reflectivity. A field of the index is marched on ``device``, the best one here by default.
 
     Raises `RayError`: a ray meets more than `MOST_FACES` faces and still runs.
     """
+    field, marcher = layers.field, None
+    if field is not None and field.medium is not None:
+        field.check_reach(layers.outer, layers.leg)
+        marcher = FilmMarcher(field.medium, layers.inner, layers.outer, layers.leg, field.stride, device)
     rays = _entered(layers, x, y, dx, dy)
     first = np.where(rays["film"], left(rays["shares"], layers.polarization), 0.0)
     share, length = np.zeros(x.size), np.zeros(x.size)
@@ -114,7 +120,7 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Trace
     for _ in range(MOST_FACES + _strides(layers)):
         if not rays["ray"].size:
             break
-        face = _advance(layers, rays, pieces)
+        face = _advance(layers, rays, pieces) if marcher is None else _march(layers, marcher, rays, pieces)
         fate = _meet(layers, rays, face)
         entering = rays["film"] & (share[rays["ray"]] == 0)
         share[rays["ray"][entering]] = left(rays["shares"][entering], layers.polarization)
@@ -132,7 +138,6 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Trace
 
 
 _GOES_ON = -1
-_INNER, _OUTER, _MIDDLE, _FINISH, _NONE = range(5)
 
 
 def _strides(layers: Layers) -> int:
@@ -149,14 +154,24 @@ def _advance(layers: Layers, rays: dict[str, Any], pieces: list[dict[str, Any]])
         strength = field.kick(rays, 0.5 * far, layers.resin_at(rays["x"], rays["y"]))
         way, face = _next_face(layers, rays)
         # A way that ends a hair before a face ends at it.
-        face = np.where(rays["film"] & (way > far * (1.0 + 1e-9) + 1e-12), _NONE, face)
-        far = np.where(face == _NONE, far, way)
+        face = np.where(rays["film"] & (way > far * (1.0 + 1e-9) + 1e-12), NONE, face)
+        far = np.where(face == NONE, far, way)
     pieces.append(_piece(rays, far, layers.polarization))
     _move(rays, far)
     rays["path"] = rays["path"] + np.where(rays["film"], far, 0.0)
     if field is not None:
         field.kick(rays, 0.5 * far, strength)
     return face
+
+
+def _march(layers: Layers, marcher: FilmMarcher, rays: dict[str, Any], pieces: list[dict[str, Any]]) -> np.ndarray:
+    """`_advance` on a device, from face to face; out of the film light goes straight."""
+    far, face = _next_face(layers, rays)
+    outside = ~rays["film"]
+    _move(rays, np.where(outside, far, 0.0))
+    powers, here = left(rays["shares"], layers.polarization), np.full(far.size, layers.resin)
+    here[rays["film"]] = layers.resin_at(rays["x"][rays["film"]], rays["y"][rays["film"]])
+    return np.where(outside, face, marcher.run(rays, here, powers, pieces))
 
 
 def _entered(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> dict[str, Any]:
@@ -210,12 +225,12 @@ def _meet(layers: Layers, rays: dict[str, Any], face: np.ndarray) -> np.ndarray:
     """Change the rays at the faces they have come to; returns how each ends, or `_GOES_ON`."""
     film, curved = rays["film"], rays["side"] == 0
     fate = np.full(face.size, _GOES_ON, dtype=np.int8)
-    fate[face == _FINISH] = End.LEG
-    swap = face == _MIDDLE
+    fate[face == FINISH] = End.LEG
+    swap = face == MIDDLE
     rays["side"] = np.where(swap, np.where(curved, np.sign(rays["x"]), 0), rays["side"]).astype(np.int8)
-    roller = (face == _INNER) & film & curved
-    within = ((face == _OUTER) & film & (layers.shell > layers.outer)) | ((face == _INNER) & ~film)
-    bath = ((face == _INNER) | (face == _OUTER)) & ~roller & ~within
+    roller = (face == INNER) & film & curved
+    within = ((face == OUTER) & film & (layers.shell > layers.outer)) | ((face == INNER) & ~film)
+    bath = ((face == INNER) | (face == OUTER)) & ~roller & ~within
     resin = layers.resin_at(rays["x"], rays["y"])
     here = np.where(film, resin, layers.sheet)
     there = np.where(within, np.where(film, layers.sheet, resin), layers.bath)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import ceil, sqrt
 from typing import Any, Protocol
@@ -295,22 +296,38 @@ def _light(plan: Patterns) -> DeviceArray:
     return light
 
 
-def _quantile(plan: Patterns, settings: Placement, shared: dict[str, Any]) -> float:
-    """The lit pixel that a share of them stays at or below, to the last bit but one of a float32."""
-    device, prefix, rank = shared["sinogram"].device, 0, 0
+def ranked(shared: dict[str, Any], rank: Callable[[np.ndarray], int]) -> float:
+    """Light of one pixel by its rank, to the last bit but one of a float32.
+
+    Args:
+        shared: The arguments of `count_light` that say which light is meant.
+        rank: Which lit pixel to take, counted from the dimmest as 1, by the counts of the first round, (`BINS`,).
+
+    Returns:
+        The light; 0 where no pixel is lit.
+    """
+    device, prefix, left = shared["sinogram"].device, 0, 0
     for drop in ROUNDS:
         counter = device.table(np.zeros(BINS), "int32")
         device.launch(count_light, drop=drop, prefix=prefix, counts=counter, **shared)
         counts = counter.numpy().astype(np.int64)
         if drop == ROUNDS[0]:
             if not counts.any():
-                raise no_light(plan, settings)
-            rank = _rank(counts, settings.quantile or 1.0, shared)
+                return 0.0
+            left = rank(counts)
         below = np.cumsum(counts)
-        chosen = int(np.searchsorted(below, rank, side="left"))
-        rank -= int(below[chosen] - counts[chosen])
+        chosen = int(np.searchsorted(below, left, side="left"))
+        left -= int(below[chosen] - counts[chosen])
         prefix = prefix << 10 | chosen
     return float(np.array([prefix << 1 | 1], np.uint32).view(np.float32)[0])
+
+
+def _quantile(plan: Patterns, settings: Placement, shared: dict[str, Any]) -> float:
+    """The lit pixel that a share of them stays at or below."""
+    found = ranked(shared, lambda counts: _rank(counts, settings.quantile or 1.0, shared))
+    if not found:
+        raise no_light(plan, settings)
+    return found
 
 
 def _rank(counts: np.ndarray, quantile: float, shared: dict[str, Any]) -> int:

@@ -59,6 +59,7 @@ FAMILIES: dict[str, Family] = {
         {"formula": "vamgpu.optics.index_field:FormulaField", "grid": "vamgpu.optics.index_field:GridField"},
         default="formula",
     ),
+    "film index": Family({"film index": "vamgpu.optics.roller_index:FilmIndex"}, default="film index"),
     "medium": Family({"co-rotating": "vamgpu.operators.medium:CoRotatingMedium"}, default="co-rotating"),
     "rays": Family({"rays": "vamgpu.operators.bundle:RayBundle"}, default="rays"),
     "region": Family({"region": "vamgpu.optics.index_field:Region"}, default="region"),

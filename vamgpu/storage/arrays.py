@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
@@ -14,15 +13,18 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from vamgpu.backend.cores import threads
+from vamgpu.backend.cores import ahead, threads
 from vamgpu.errors import StorageError
 from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import is_file, parse_json, read_text
-from vamgpu.storage.shards import ALONE, LEVEL, decode, write_files
+from vamgpu.storage.shards import LEVEL, decode, write_files
 
 SHARD_BYTES = 64 * 2**20
 SHARD_CHUNKS = 512
 """Limits of one file: few enough files for a job of many thousand frames, small enough to write and copy with ease."""
+PIECE = 1 << 23
+"""Bytes that a thread unpacks at once: what a processor's cache still holds when they are hashed, and what the system
+keeps for the next piece instead of clearing new memory."""
 MOST_SHARD = 1 << 20
 """Entries of a file beyond which its index alone would be no index any more."""
 
@@ -93,10 +95,12 @@ def write(folder: Path, name: str, values: Entries, axes: tuple[str, ...]) -> st
     return seal.hexdigest()
 
 
-def read(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> np.ndarray:
-    """A whole array. Raises `StorageError` where it is missing, damaged, or not as its record says."""
+def read(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> tuple[np.ndarray, str]:
+    """A whole array and its SHA-256. Raises `StorageError` where it is missing, damaged, or not as its record says."""
     with _explained(folder, name):
-        return _layout(folder, name, shape, dtype).entries(range(shape[0]), whole=True)
+        layout, seal = _layout(folder, name, shape, dtype), hashlib.sha256()
+        values = layout.entries(range(shape[0]), whole=True, seen=lambda part: seal.update(part.view(np.uint8).data))
+        return values, seal.hexdigest()
 
 
 def read_one(folder: Path, name: str, shape: tuple[int, ...], dtype: str, index: int) -> np.ndarray:
@@ -106,7 +110,7 @@ def read_one(folder: Path, name: str, shape: tuple[int, ...], dtype: str, index:
 
 
 def read_parts(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> Iterator[np.ndarray]:
-    """A whole array, the entries of a file at a time. Raises `StorageError` as `read` does."""
+    """A whole array, some entries at a time. Raises `StorageError` as `read` does."""
     with _explained(folder, name):
         parts = _layout(folder, name, shape, dtype).parts()
     while True:
@@ -204,12 +208,15 @@ class Layout:
         """
         return self.path.joinpath("c", str(number), *("0" for _ in self.shape[1:]))
 
-    def entries(self, span: range, *, whole: bool = False) -> np.ndarray:
+    def entries(
+        self, span: range, *, whole: bool = False, seen: Callable[[np.ndarray], object] = lambda part: None
+    ) -> np.ndarray:
         """Entries of the first axis.
 
         Args:
             span: Which; a step of 1.
             whole: Whether every file of the array must be there, and every entry in it.
+            seen: Is given the entries in parts [entry, …], in their order, while the next ones are unpacked.
 
         Returns:
             The array [entry, …].
@@ -221,57 +228,53 @@ class Layout:
         """
         afford(len(span) * self.bytes, f"{self.path.name!r} of {str(self.path.parent)!r}")
         out = np.empty((len(span), *self.shape[1:]), self.dtype.newbyteorder("<"))
-        if not len(span) or not out.nbytes:
-            return out.astype(self.dtype, copy=False)
-        if out.nbytes <= ALONE:
-            self._unpack(span, out, None, whole)
-        else:
-            with ThreadPoolExecutor(threads()) as pool:
-                for done in self._unpack(span, out, pool, whole):
-                    done.result()
+        if out.nbytes:
+            begin = span.start
+            for part in ahead(lambda one: self._unpack(one, whole, out[one.start - begin : one.stop - begin]),
+                              self._pieces(span)):  # fmt: skip
+                seen(part)
         return out.astype(self.dtype, copy=False)
 
-    def parts(self) -> Iterator[np.ndarray]:
-        """All entries, those of a file at a time; the next file is unpacked while the last one is looked at.
+    def parts(self, span: range | None = None, *, whole: bool = True) -> Iterator[np.ndarray]:
+        """Entries in parts that follow each other; the next ones are unpacked while the last one is looked at.
+
+        Args:
+            span: Which; a step of 1. None for all.
+            whole: As for `entries`.
 
         Yields:
-            The arrays [entry, …], one after the other.
+            The arrays [entry, …], each of entries of one file, of `PIECE` bytes or one entry at the most.
 
         Raises:
             OSError: As `entries`.
             ValueError: As `entries`.
-            StorageError: As `entries`, for a file.
+            StorageError: As `entries`, for what is in memory at once.
         """
-        afford(2 * min(self.shard, self.shape[0]) * self.bytes, f"{self.path.name!r} of {str(self.path.parent)!r}")
-        self._count_files()
-        with ThreadPoolExecutor(threads()) as pool:
-            begun: tuple[np.ndarray, list[Future[None]]] | None = None
-            for first in range(0, self.shape[0], self.shard):
-                span = range(first, min(first + self.shard, self.shape[0]))
-                out = np.empty((len(span), *self.shape[1:]), self.dtype.newbyteorder("<"))
-                following = out, self._unpack(span, out, pool, True)
-                if begun is not None:
-                    yield self._finished(*begun)
-                begun = following
-            if begun is not None:
-                yield self._finished(*begun)
+        pieces = self._pieces(range(self.shape[0]) if span is None else span)
+        most = max((len(piece) for piece in pieces), default=0)
+        afford((threads() + 2) * most * self.bytes, f"{self.path.name!r} of {str(self.path.parent)!r}")
+        if span is None:
+            self._count_files()
+        yield from ahead(lambda one: self._unpack(one, whole).astype(self.dtype, copy=False), pieces)
 
-    def _finished(self, out: np.ndarray, tasks: list[Future[None]]) -> np.ndarray:
-        for task in tasks:
-            task.result()
-        return out.astype(self.dtype, copy=False)
-
-    def _unpack(self, span: range, out: np.ndarray, pool: ThreadPoolExecutor | None, whole: bool) -> list[Future[None]]:
-        """Begin to unpack entries; waits for nothing."""
-        tasks: list[Future[None]] = []
+    def _pieces(self, span: range) -> list[range]:
+        """Spans of one file each that a thread unpacks at once."""
+        each, found = max(1, PIECE // max(1, self.bytes)), []
         for number in range(span.start // self.shard, -(-span.stop // self.shard)):
-            begin = number * self.shard
-            first, end = max(begin, span.start), min(begin + self.shard, span.stop)
-            if whole and not is_file(self.file(number)):
-                self._count_files()
-            part = out[first - span.start : end - span.start]
-            tasks += decode(self.file(number), self.shard, range(first - begin, end - begin), part, pool, whole=whole)
-        return tasks
+            stop = min((number + 1) * self.shard, span.stop)
+            starts = range(max(number * self.shard, span.start), stop, each)
+            found += [range(start, min(start + each, stop)) for start in starts]
+        return found
+
+    def _unpack(self, span: range, whole: bool, out: np.ndarray | None = None) -> np.ndarray:
+        """Entries of one file."""
+        out = np.empty((len(span), *self.shape[1:]), self.dtype.newbyteorder("<")) if out is None else out
+        number = span.start // self.shard
+        begin, file = number * self.shard, self.file(number)
+        if whole and not is_file(file):
+            self._count_files()
+        decode(file, self.shard, range(span.start - begin, span.stop - begin), out, whole=whole)
+        return out
 
     @property
     def bytes(self) -> int:

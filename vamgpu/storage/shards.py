@@ -24,8 +24,6 @@ HEAD = 18
 """Bytes of a Zstandard frame that hold its header whatever it says."""
 ABSENT = np.uint64(2**64 - 1)
 """What the index says of an entry that is not there."""
-ALONE = 1 << 20
-"""Bytes up to which entries are decoded without threads, which take as long to start."""
 
 
 def write_files(
@@ -87,10 +85,8 @@ def _save(path: Path, chunks: list[bytes], each: int) -> None:
         os.fsync(file.fileno())
 
 
-def decode(
-    path: Path, each: int, entries: range, out: np.ndarray, pool: ThreadPoolExecutor | None, *, whole: bool
-) -> list[Future[None]]:
-    """Begin to unpack some entries of a file into an array, or do it at once.
+def decode(path: Path, each: int, entries: range, out: np.ndarray, *, whole: bool) -> None:
+    """Unpack some entries of a file into an array.
 
     What the file says is compared with itself and with the array before anything is unpacked: sizes, as bombs lie about
     them, and places.
@@ -100,17 +96,14 @@ def decode(
         each: Entries that a file has room for.
         entries: Which of them.
         out: Takes them [entry, …], contiguous.
-        pool: Threads; None for this one.
         whole: Whether every entry must be there; else those that are not are 0.
-
-    Returns:
-        What is still being done.
 
     Raises:
         OSError: The file is missing or cannot be read.
         ValueError: The file says of its entries what the array does not.
     """
     from google_crc32c import value
+    from numcodecs.zstd import decompress
 
     if not is_file(path):  # Zarr would read darkness
         raise FileNotFoundError(f"{path.name} is missing, or no file")
@@ -119,7 +112,7 @@ def decode(
         if begin < 0:
             raise ValueError(f"a file has {begin + 16 * each + 4} bytes, too few for {each} entries")
         file.seek(begin)
-        tail = file.read()
+        tail = file.read(16 * each + 4)
         if value(tail[:-4]).to_bytes(4, "little") != tail[-4:]:
             raise ValueError("the index of a file has another checksum than it says")
         index = np.frombuffer(tail[:-4], "<u8").reshape(-1, 2)[entries.start : entries.stop]
@@ -134,22 +127,10 @@ def decode(
         data = memoryview(file.read(int(places.sum(axis=1).max()) - first if len(places) else 0))
     rows = out.reshape(len(entries), -1).view(np.uint8)
     rows[~there] = 0
-    tasks = []
     for (offset, length), number in zip(places.tolist(), np.flatnonzero(there), strict=True):
         chunk, row = data[offset - first : offset - first + length], rows[number]
         if (found := unpacked(bytes(chunk[:HEAD]))) != row.size:
             raise ValueError(f"an entry of a file unpacks to {found} bytes; expected {row.size}")
-        tasks.append((chunk, row))
-    if pool is None or out.nbytes <= ALONE:
-        _unpack(tasks)
-        return []
-    return [pool.submit(_unpack, tasks[k :: threads()]) for k in range(threads())]
-
-
-def _unpack(tasks: list[tuple[memoryview, np.ndarray]]) -> None:
-    from numcodecs.zstd import decompress
-
-    for chunk, row in tasks:
         decompress(chunk, row)
 
 

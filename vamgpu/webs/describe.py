@@ -2,24 +2,54 @@
 
 from __future__ import annotations
 
+from base64 import b64decode, b64encode
 from collections.abc import Mapping
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from vamgpu.errors import StorageError
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.optics.index_field import FormulaField, GridField
+from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.schema.read import read
+from vamgpu.schema.write import write
 from vamgpu.storage.folder import digest
 from vamgpu.targets.stream import Repeated
 from vamgpu.web import Wrap
+
+MOST_MEDIUM = 16_000_000
+"""Bytes of the arrays of a medium that a folder's record keeps, which is written anew with every segment."""
 
 
 def described(value: Any) -> dict[str, Any]:
     """A frozen noun as plain values: its kind and its fields."""
     fields = asdict(value) if is_dataclass(value) and not isinstance(value, type) else {}
     return {"kind": type(value).__name__, **{key: _simple(part) for key, part in fields.items()}}
+
+
+def described_wrap(wrap: Wrap) -> dict[str, Any]:
+    """A machine as plain values, arrays of its medium and all.
+
+    Raises:
+        BadInput: The medium of its film is a function, or larger than a folder keeps.
+    """
+    index = getattr(wrap, "index", None)
+    if not isinstance(index, FilmIndex):
+        return described(wrap)
+    if not isinstance(index.index, (FormulaField, GridField)):
+        name = getattr(index.index, "__qualname__", type(index.index).__name__)
+        raise BadInput(f"the index of the film is {name}, a function, which a folder cannot keep; expected a "
+                       "FormulaField, or a GridField, such as FunctionField(function, region).sampled")  # fmt: skip
+    arrays: dict[str, np.ndarray] = {}
+    plain = {**described(replace(wrap, index=None)), "index": write(index, arrays=arrays)}  # type: ignore[type-var]
+    if sum(values.nbytes for values in arrays.values()) > MOST_MEDIUM:
+        raise BadInput(f"the index of the film is a {type(index.index).__name__} of {index.index.coefficients.shape}; "  # type: ignore[union-attr]
+                       f"expected {MOST_MEDIUM} bytes at most, as a folder keeps: sample it coarser")  # fmt: skip
+    kept = {name: {"shape": list(values.shape), "float64": b64encode(np.asarray(values, "<f8").tobytes()).decode()}
+            for name, values in arrays.items()}  # fmt: skip
+    return {**plain, "arrays": kept} if kept else plain
 
 
 def described_target(tiles: Any) -> dict[str, Any] | None:
@@ -52,7 +82,13 @@ def wrap_from(description: Mapping[str, Any]) -> Wrap:
     kind = description.get("kind")
     if kind not in ("Roller", "roller"):
         raise StorageError(f"the web was carried by a {kind}; expected a Roller: simulate it with its own wrap=")
+    kept = {**description}
+    arrays = kept.pop("arrays", {})
+
+    def array(name: str) -> np.ndarray:
+        return np.frombuffer(b64decode(arrays[name]["float64"]), "<f8").reshape(arrays[name]["shape"]).astype(float)
+
     try:
-        return read("wrap", {**description, "kind": "roller"}, units=False)
-    except (TypeError, ValueError) as error:
+        return read("wrap", {**kept, "kind": "roller"}, units=False, arrays=array)
+    except (TypeError, ValueError, KeyError) as error:
         raise StorageError(f"the description of a Roller is garbled: {error}; write the web again") from error

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend import open_device
+from vamgpu.backend.cores import ahead
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch, StorageError
 from vamgpu.geometry import Beam
 from vamgpu.metrics.segments import segment_windows
 from vamgpu.operators.web import WebProjection
-from vamgpu.web import Propagation, WebGrid, Wrap
+from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
 from vamgpu.webs.describe import wrap_from
 from vamgpu.webs.drift import clouded, drifts_of, gains
 from vamgpu.webs.layout import Layout
@@ -25,6 +26,8 @@ from vamgpu.webs.store import WebFolder
 BINS = 2048
 REACH = 4.0
 """Doses are counted from 0 to this, in units of what the part should get; more counts as this much."""
+CHUNK = 1 << 20
+"""Voxels that a thread counts at once."""
 LEVEL = 128
 """Fraction times 255 from which a voxel is in the part."""
 
@@ -119,7 +122,7 @@ class _Simulation:
             section = WebGrid((1, rho, z), tuple(details["grid"]["pitch"]))
         except (KeyError, TypeError, BadInput) as error:
             raise StorageError(f"{str(folder.path)!r} garbles its details: {error}; write the web again") from error
-        self.light = wrap.propagation(section, self.beam)
+        self.light = light_of_pose(wrap, section, self.beam, device)
         one = float(wrap.advance / section.edges[0])
         layout = Layout.of(self.light.shape[2], one, core * one / self.light.shape[2] * (1 - 1e-12), 1.0)
         if (layout.window, layout.core) != (window, core):
@@ -142,14 +145,14 @@ class _Simulation:
             start, stop = self.layout.printed(number, self.finished)
             if start < stop:
                 origin = self.layout.origin(number)
-                dose = self._dose(number)[start - origin : stop - origin]
+                dose = self._dose(number, start - origin, stop - origin)
                 yield Piece(number, (start, stop), dose, self.folder.read("target", start, stop) >= LEVEL)
 
-    def _dose(self, number: int) -> np.ndarray:
-        """Dose of the columns around a segment, from the frames of all poses that reach its own."""
+    def _dose(self, number: int, start: int, stop: int) -> np.ndarray:
+        """Dose of some of the columns around a segment, from the frames of all poses that reach its own."""
         layout = self.layout
         first = number * layout.core - layout.overlap
-        return self.operator.T(light_of(self.folder, first, layout.poses, self.gain, self.device)).numpy()
+        return self.operator.T(light_of(self.folder, first, layout.poses, self.gain, self.device)).part(start, stop)
 
 
 def prove_web(
@@ -181,8 +184,8 @@ def prove_web(
     edges = np.linspace(0.0, REACH, BINS + 1)
     counts, windows, spans = [], [], []
     for piece in simulation.pieces(None):
-        counts.append(np.stack([_counted(piece.dose[piece.target == part], edges) for part in (False, True)]))
-        windows.append(_windows(piece))
+        windows.append(_windows(piece))  # which refuses doses that are no numbers
+        counts.append(_counted(piece.dose, piece.target))
         spans.append((piece.number, piece.columns))
     if not counts:
         raise BadInput(
@@ -199,8 +202,16 @@ def prove_web(
     )  # fmt: skip
 
 
-def _counted(dose: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    return np.histogram(np.minimum(dose, edges[-1]), edges)[0]
+def _counted(dose: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Voxels by dose, (out of the part, in it) × bins."""
+
+    def some(rows: slice) -> np.ndarray:
+        least = np.clip(dose[rows] * np.float32(BINS / REACH), 0.0, BINS - 1.0).astype(np.int32)
+        return np.bincount((least + BINS * target[rows]).ravel(), minlength=2 * BINS)
+
+    each = max(1, CHUNK // max(1, dose[0].size))
+    parts = ahead(some, (slice(first, first + each) for first in range(0, len(dose), each)))
+    return sum(parts, np.zeros(2 * BINS, np.int64)).reshape(2, BINS)
 
 
 def _windows(piece: Piece) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, Diverged, DivergenceWarning
 from vamgpu.geometry import Beam
 from vamgpu.kernels.dwell import weigh_poses
+from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.update import linear
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import DoseObjective
@@ -29,6 +30,8 @@ from vamgpu.webs.layout import Layout
 
 LAST = "the light of the segment is its last"
 """What a message of divergence says of it."""
+TOGETHER = 1 << 26
+"""Bytes of a field that are made at once before they are uploaded."""
 PACE = 5 / 6
 """Length of a step over the longest at which accelerated steps are stable where the loss is most curved."""
 
@@ -134,12 +137,16 @@ class Solver:
 
         Poses beyond a segment are taken to do their share of what is asked, so that those near its ends need not.
         """
-        dark, dose = self._dark(), self._field("dose")
-        self.device.launch(linear, a=0.0, x=dark, b=0.0, y=dark, floor=1.0, out=dark)
-        self.operator.T(dark, out=dose)
-        lit = dose.numpy()[:, :, dose.shape[2] // 2, None]
+        assert self.gain  # which leaves finite numbers in the light
+        light, dose = self._field("light"), self._field("dose")
+        self.device.launch(linear, a=0.0, x=light, b=0.0, y=light, floor=1.0, out=light)
+        self.operator.T(light, out=dose)
+        middle = self.device.empty((*dose.shape[:2], 1))
+        self.device.launch(copy_slices, source=dose, first=dose.shape[2] // 2, lanes=dose, field=middle)
+        lit = middle.numpy()
         endless = np.broadcast_to(lit[len(lit) // 2], lit.shape)
-        return np.clip(1.0 - np.divide(lit, endless, out=np.ones_like(lit), where=endless > 0.0), 0.0, 1.0)
+        share = np.divide(lit, endless, out=np.ones_like(lit), where=endless > 0.0)
+        return np.clip(1.0 - share, 0.0, 1.0).astype(np.float32)
 
     def _dark(self) -> DeviceArray:
         """``light`` = what a web of nothing casts: darkness."""
@@ -177,15 +184,10 @@ class Solver:
         gain, unlit = self.gain, self._unlit
         state.memory["light"] = self._filtered(state, gain)
         state.memory["ahead"] = self._field("ahead")
-        bring = fractions * unlit
         if given is not None:
             self._planned(given, state.buffer("light"))
-            if given.dose is not None:
-                middle = len(unlit) // 2
-                bring[:middle] = 0.0
-                bring = np.where(np.isnan(given.dose), fractions, bring + given.dose)
         state.scale(1.0, state.buffer("light"), state.buffer("ahead"))
-        rest = self.device.upload(bring.astype(np.float32))
+        rest = self._rest(fractions, unlit, None if given is None else given.dose)
         dose, plain = self._field("dose"), identity(self.operator)
         exposure = DoseObjective(state, self.loss, self.pace, rest=rest, dose=dose, gradient=self._field("gradient"))
         losses = []
@@ -201,6 +203,23 @@ class Solver:
             warnings.warn(trajectory.message(LAST), DivergenceWarning, stacklevel=2)
         return state.buffer("light"), SegmentLosses(losses[0], losses[-1], trajectory)
 
+    def _rest(self, fractions: np.ndarray, unlit: np.ndarray, given: np.ndarray | None) -> DeviceArray:
+        """Dose that light beyond the segment is taken to bring, or is known to have brought.
+
+        Made some columns at a time, for it is as large as the target.
+        """
+
+        def bring(here: slice) -> np.ndarray:
+            if given is None:
+                return fractions[here] * unlit[here]
+            later = np.arange(here.start, here.start + len(fractions[here]))[:, None, None] >= len(unlit) // 2
+            return np.where(np.isnan(given[here]), fractions[here],
+                            np.where(later, fractions[here] * unlit[here], 0.0) + given[here])  # fmt: skip
+
+        each = max(1, TOGETHER // max(fractions[0].nbytes, 1))
+        parts = (bring(slice(first, first + each)) for first in range(0, len(fractions), each))
+        return self.device.gather(fractions.shape, parts)
+
     def _planned(self, given: Given, light: DeviceArray) -> None:
         """``light`` = that of the plan, where there is one."""
         others = self.device.table((~given.planned).astype(np.float32))
@@ -214,6 +233,10 @@ class Solver:
         if given.decided:
             free = self.device.table((np.arange(light.shape[0]) >= given.decided).astype(np.float32))
             self.device.launch(weigh_poses, light=light, times=free, weighted=light)
+
+    def spare(self) -> DeviceArray:
+        """Room for light [pose, r, z] until the next segment is solved."""
+        return self._field("gradient")
 
     def buffer(self) -> DeviceArray:
         """Light [pose, r, z] of the segment solved last, its overlaps included."""

@@ -17,6 +17,7 @@ from vamgpu.backend.device import Device
 from vamgpu.deprecated import renamed_arguments
 from vamgpu.errors import BadInput, StorageError, TileError
 from vamgpu.geometry import Beam, positive
+from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.default import MANY, BestWindow
@@ -26,12 +27,13 @@ from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
 from vamgpu.optics.lens import TunableLens
 from vamgpu.printing.focus import FocusMasks
-from vamgpu.printing.frames import Frames
+from vamgpu.printing.frames import Frames, flat_table
 from vamgpu.printing.gray import GrayCurve
-from vamgpu.printing.pack import Solved, pack
+from vamgpu.printing.pack import Solved, pack, ranked
+from vamgpu.printing.placement import Placement
 from vamgpu.storage.manifest import plain
-from vamgpu.web import Propagation, WebGrid, Wrap
-from vamgpu.webs.describe import described, described_focus, described_target
+from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
+from vamgpu.webs.describe import described, described_focus, described_target, described_wrap
 from vamgpu.webs.layout import Layout
 from vamgpu.webs.prices import Decided, PricedSolver
 from vamgpu.webs.section import focus_masks, one_column
@@ -130,12 +132,12 @@ class Stream:
         self.gray = GrayCurve.linear() if self.gray is None else self.gray
         if not isinstance(self.gray, GrayCurve):
             raise BadInput(f"got {self.gray!r} as gray; expected a GrayCurve, such as GrayCurve.load(path), or None")
+        self.device = open_device(self.device)
         self.grid: WebGrid = one_column(self.wrap, self.beam, self.section, self.pitch)
         self.masks: FocusMasks | None = focus_masks(self.lens, self.wrap, self.beam)
-        self.light: Propagation = self.wrap.propagation(self.grid, self.beam)
+        self.light: Propagation = light_of_pose(self.wrap, self.grid, self.beam, self.device)
         step = self.wrap.advance / self.grid.edges[0]
         self.layout: Layout = Layout.of(self.light.shape[2], step, self.core, self.overlap)
-        self.device = open_device(self.device)
         priced, how = _priced(self.method, self.iterations)
         solver = PricedSolver if priced else Solver
         self.solver: Solver | PricedSolver = solver(self.layout, self.grid, self.beam, self.light, how, self.device)
@@ -241,7 +243,7 @@ class Stream:
         light, outcome, past = self._solve(fractions, number, columns.end, scale, past, given)
         here = slice(self.layout.overlap, self.layout.overlap + stop - start)
         scale = scale or self._first_scale(light, here)
-        images = self._pack(light, scale)[here].copy()
+        images = self._pack(light, scale).part(here.start, here.stop)
         past = Past(np.concatenate([past.frames, images])[-self.layout.overlap :], past.levels)
         low, high = (edge - origin for edge in self.layout.printed(number, columns.end))
         last = columns.end is not None and stop == self.layout.frames(columns.end)
@@ -291,19 +293,22 @@ class Stream:
 
     def _first_scale(self, light: DeviceArray, here: slice) -> float:
         """Light that all but a few lit pixels of the first segment's own frames stay below."""
-        shown = light.numpy()[here].reshape(-1)
-        count = int(np.count_nonzero(shown > 0))
-        if not count:
+        own = np.zeros(light.shape[0], np.float32)
+        own[here] = 1.0
+        solver = self.solver
+        shown = solver.spare() if isinstance(solver, Solver) else light.device.empty(light.shape)
+        light.device.launch(weigh_poses, light=light, times=light.device.table(own), weighted=shown)
+        shared = {"sinogram": shown, "flat": flat_table(light.device, None), **Placement().arguments()}
+        scale = ranked(shared, lambda counts: min(int(counts.sum()), int(QUANTILE * counts.sum()) + 1))
+        if not scale:
             raise TileError(
                 f"the first {self.layout.core} frames have nothing to print, so that nothing tells how bright a "
                 "full-on pixel must be; begin with the part, or give scale="
             )
-        rank = shown.size - count + min(count - 1, int(QUANTILE * count))
-        shown.partition(rank)  # in place: the lit pixels alone would be one more copy of what fills the memory
-        return float(shown[rank])
+        return scale
 
-    def _pack(self, light: DeviceArray, scale: float) -> np.ndarray:
-        return pack(Solved(light, self.solver.operator), 8, self.gray, scale=scale).images.numpy()
+    def _pack(self, light: DeviceArray, scale: float) -> DeviceArray:
+        return pack(Solved(light, self.solver.operator), 8, self.gray, scale=scale).images
 
     # ---- to a folder -----------------------------------------------------------------------------------------
     @renamed_arguments(told="progress")
@@ -358,9 +363,9 @@ class Stream:
         return folder
 
     def _begun(self, place: Path, resume: bool, overwrite: bool) -> WebFolder:
+        details = self.details()
         if (place / RECORD).is_file() and (overwrite or (resume and not WebFolder.open(place).segments)):
             shutil.rmtree(place)  # nothing is lost with a web that has not one whole segment
-        details = self.details()
         if resume and (place / RECORD).is_file():
             folder = WebFolder.open(place).swept()
             frames = {key: value for key, value in folder.details["frames"].items() if key != "levels"}
@@ -388,7 +393,7 @@ class Stream:
         return {
             "grid": {"section": list(self.grid.shape[1:]), "pitch": list(self.grid.edges)},
             "beam": {"pixels": list(self.beam.pixels), "pitch": self.beam.pitch},
-            "wrap": described(self.wrap),
+            "wrap": described_wrap(self.wrap),
             "layout": {
                 "window": layout.window, "step": str(layout.step), "core": layout.core, "overlap": layout.overlap,
                 "lead": layout.lead,
