@@ -415,22 +415,18 @@ class Estimator:
 
     def _told(self, seen: Any, deviation: Any) -> tuple[DeviceArray, DeviceArray, np.ndarray | None]:
         """Conversion and its deviation on the device, 0 where nothing is seen, and where something is; None for all."""
-        device, good = self.operator.device, None
-        if not isinstance(seen, DeviceArray):
-            seen = np.asarray(seen)
-            good = np.isfinite(seen)
-            if good.all():
-                good = None
-            else:
-                seen = np.where(good, seen, 0.0)
+        device = self.operator.device
+        known = None if isinstance(seen, DeviceArray) else np.isfinite(seen)
+        good = None if known is None or known.all() else known
+        told = here(device, seen if good is None else np.where(good, seen, 0.0))
         if isinstance(deviation, DeviceArray) and good is None:
-            return here(device, seen), here(device, deviation), None
-        spread = np.broadcast_to(np.asarray(deviation, float), seen.shape)
+            return told, here(device, deviation), None
+        spread = np.broadcast_to(np.asarray(deviation, float), told.shape)
         if good is not None:
             spread = np.where(good, spread, 0.0)
         if not np.isfinite(spread).all():
-            raise self._unseen(seen.size if good is None else int(good.sum()))
-        return here(device, seen), device.upload(spread), good
+            raise self._unseen(spread.size if good is None else int(good.sum()))
+        return told, device.upload(spread), good
 
     def _unseen(self, count: int) -> BadInput:
         return BadInput(f"the conversion seen has {count} finite voxels in the judged cylinder; expected some, "

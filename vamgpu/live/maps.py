@@ -39,10 +39,8 @@ def cuts(field: Any, part: np.ndarray, most: float, colors: str = "magma") -> np
     shape = field.shape if isinstance(field, DeviceArray) else np.shape(field)
     if len(shape) != 3 or shape != np.shape(part):
         raise ShapeMismatch(f"the field has shape {shape}, the part {np.shape(part)}; expected [x, y, z] of one grid")
-    drawn = [
-        _drawn(_cut(field, where).T, part[where].T, most, colors)
-        for where in (np.s_[:, :, shape[2] // 2], np.s_[:, shape[1] // 2])
-    ]
+    middles = (2, shape[2] // 2), (1, shape[1] // 2)
+    drawn = [_drawn(_cut(field, *each).T, _cut(part, *each).T, most, colors) for each in middles]
     high = max(len(each) for each in drawn)
     sheet = np.zeros((high, sum(each.shape[1] for each in drawn) + GAP, 3), np.uint8)
     left = 0
@@ -52,15 +50,15 @@ def cuts(field: Any, part: np.ndarray, most: float, colors: str = "magma") -> np
     return sheet
 
 
-def _cut(field: Any, where: tuple[Any, ...]) -> np.ndarray:
-    """A plane of a field."""
+def _cut(field: Any, axis: int, at: int) -> np.ndarray:
+    """The plane ``at`` along an axis."""
     if not isinstance(field, DeviceArray):
-        return field[where]
-    nx, ny, nz = field.shape
-    plane = np.arange(nx * ny)[:, None] * nz if len(where) > 2 else np.arange(nx)[:, None] * ny * nz
-    numbers = plane + (where[2] if len(where) > 2 else where[1] * nz + np.arange(nz))
-    shape = (nx, ny) if len(where) > 2 else (nx, nz)
-    return picked(field, places(field.device, numbers.reshape(-1), field.shape)).reshape(shape)
+        return np.take(field, at, axis)
+    wanted = [np.arange(count) for count in field.shape]
+    wanted[axis] = wanted[axis][at : at + 1]
+    numbers = np.ravel_multi_index(np.ix_(*wanted), field.shape)
+    found = picked(field, places(field.device, numbers.reshape(-1), field.shape))
+    return found.reshape(numbers.shape).squeeze(axis)
 
 
 def _drawn(plane: np.ndarray, part: np.ndarray, most: float, colors: str) -> np.ndarray:

@@ -283,10 +283,11 @@ class Replanner:
     def _loss(self, delivered: DeviceArray, target: DeviceArray, deviation: Any) -> Band:
         """The loss of what can still be mended."""
         device, weight = delivered.device, delivered.device.empty(delivered.shape)
-        even = np.ndim(deviation) == 0 and not isinstance(deviation, DeviceArray)
+        even = not isinstance(deviation, DeviceArray) and np.ndim(deviation) == 0
+        margin = 0.0 if isinstance(deviation, DeviceArray) or not even else SURE * float(deviation)
         device.launch(
             spare_voxels, dose=delivered, target=target, deviation=delivered if even else device.field(deviation),
-            share=0.0 if even else SURE, margin=SURE * float(deviation) if even else 0.0, inside=self.inside,
+            share=0.0 if even else SURE, margin=margin, inside=self.inside,
             greatest=self.greatest, weight=weight,
         )  # fmt: skip
         band = Band.thresholds(self.outside, self.inside, self.greatest)
