@@ -261,6 +261,18 @@ def _elementwise(n: int, **given: Any) -> Example:
     return Example(_array_sizes(n), given)
 
 
+def _voxels(n: int, **given: Any) -> Example:
+    """Doses about those of a curve; knots as far apart as values reach."""
+    sizes = _array_sizes(n)
+    tables = {"knots": [0.0, 0.3, 0.7, 0.9], "values": [0.1, 0.5, 0.4, 0.8], "slopes": [1.0, 0.4, 2.0, 0.7]}
+    curve = {"samples": np.tanh(np.linspace(-1.0, 2.0, 40)), "start": -1.0, "density": 13.0}
+    rng = np.random.default_rng(3)
+    places = np.stack([rng.integers(0, count, 37) for count in sizes.values()], axis=1)
+    judged = np.hypot(*np.meshgrid(np.arange(sizes["i"]), np.arange(sizes["j"]), indexing="ij")) < 1.1 * n
+    given = {**tables, **curve, "places": places, "judged": judged, "up": np.linspace(-1, 1, sizes["z"]), **given}
+    return Example({**sizes, "pick": 37, "knot": 4, "sample": 40}, given)
+
+
 def _filtered(n: int, **given: Any) -> Example:
     taps = np.cos(np.arange(n // 2)) / (1.0 + np.arange(n // 2))
     sizes = {**_light(n), "tap": len(taps), "part": 0}
@@ -624,6 +636,14 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "dim_light": _watched,
     "take_bias": _watched,
     "draw_noise": lambda n: Example(_light(n), {"slices": np.arange(_slices(n)), "seed": 7}),
+    "pick_voxels": _voxels,
+    "interpolate": _voxels,
+    "lean_gain": lambda n: _voxels(n, level=0.8, along=0.1, across=-0.3),
+    "match_dose": lambda n: _voxels(n, least=0.2, most=1.5),
+    "spare_voxels": lambda n: _voxels(n, share=0.3, margin=0.1, inside=0.5, greatest=0.6),
+    "weigh_evidence": _voxels,
+    "share_gain": lambda n: _voxels(n, least=0.3, shared=0.4, strength=5.0),
+    "doubt_conversion": lambda n: _voxels(n, model=0.1),
     "weigh_poses": lambda n: Example({**_light(n), "pose": _light(n)["angle"] // 2}),
     "rebin_rays": _rebinned,
     "count_crossings": lambda n: _solid(n, listed=False),

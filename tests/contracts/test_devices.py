@@ -24,6 +24,16 @@ def test_what_goes_up_comes_down(device: Device, shape: tuple[int, int, int]) ->
     assert np.array_equal(device.upload(values, table=True).numpy(), values)
 
 
+@pytest.mark.parametrize("shape", [(7, 5, 1), (7, 2, 67)])
+def test_what_goes_up_in_parts_comes_down_in_strips(
+    device: Device, shape: tuple[int, int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vamgpu.backend.device.STRIP", 8 * shape[1] * shape[2])  # two entries of the first axis
+    values = np.random.default_rng(0).random(shape).astype(np.float32)
+    field = device.gather(shape, [values[:3], values[3:]])
+    assert np.array_equal(field.numpy(), values) and np.array_equal(field.part(2, 5), values[2:5])
+
+
 def test_memory_is_booked_and_given_back(device: Device) -> None:
     gc.collect()
     before = device.ledger.allocated

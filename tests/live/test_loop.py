@@ -76,6 +76,36 @@ def test_the_resin_gets_the_dose_that_was_planned_by_rays_of_its_own() -> None:
     assert np.abs(coarse - planned)[part > 0].max() < 0.02 * planned.max()
 
 
+@pytest.mark.parametrize("rings", [False, True])
+def test_images_go_down_and_new_light_comes_up_and_no_field_else(rings: bool, monkeypatch) -> None:
+    made, part, light = setup()
+    made, live = replace(made, rings=rings), printer(AGED)
+    loop, dose = made.loop(part, light), live.dose(light)
+    state = loop.start()
+    crossed: list[tuple[str, str]] = []
+    ledger, kinds = loop.estimator.operator.device.ledger, {part.size * 4: "volume", light.size * 4: "sinogram"}
+    cross = ledger.cross
+
+    def counted(direction: str, nbytes: int) -> None:
+        # a whole field, or what is as large when lanes are padded; tables of voxels that are picked have their own size
+        crossed.extend((direction, kind) for size, kind in kinds.items() if size <= nbytes < 2 * size)
+        cross(direction, nbytes)
+
+    for _ in range(PLANNED - 2):
+        live.turn(dose)
+    state = replace(state, turn=PLANNED - 3, shown=(PLANNED - 3) * light, turns=3)
+    state, _ = loop.decide(state, live.through())  # makes tables
+    live.turn(dose)
+    images = live.through()
+    monkeypatch.setattr(ledger, "cross", counted)
+    _, decision = loop.decide(state, images)
+    assert decision.parameters, decision.reason
+    downloads = [kind for direction, kind in crossed if direction == "download"]
+    assert downloads == ["sinogram"] * (decision.version > state.version)
+    assert crossed.count(("upload", "sinogram")) <= 2  # images, and light that was never on the device
+    assert decision.dose is not None and decision.dose.device is loop.estimator.operator.device
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("rings", [False, True])
 def test_a_print_in_aged_resin_is_saved_and_replayed_bit_by_bit(rings: bool, tmp_path, capsys) -> None:

@@ -133,13 +133,14 @@ def test_light_that_cannot_suffice_is_given_all_the_same() -> None:
 
 
 def test_voxels_over_their_limit_have_no_weight() -> None:
-    _, part, _, replanner = setup()
+    A, part, _, replanner = setup()
     delivered = np.where(part > 0, 0.5, 0.3)
     outside, inside = np.argwhere(part == 0)[0], np.argwhere(part > 0)[0]
     delivered[tuple(outside)], delivered[tuple(inside)] = 1.0, 1.1
-    weight = replanner._loss(delivered, part, 0.01).weight
+    given, target = (A.device.upload(each.astype(np.float32)) for each in (delivered, part))
+    weight = np.asarray(replanner._loss(given, target, 0.01).weight)
     assert {tuple(where) for where in np.argwhere(weight == 0)} == {tuple(outside), tuple(inside)}
-    assert replanner._loss(delivered, part, 0.2).weight is None  # over, but not surely
+    assert replanner._loss(given, target, 0.2).weight is None  # over, but not surely
 
 
 def test_nonsense_is_refused() -> None:

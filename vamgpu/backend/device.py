@@ -15,6 +15,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.cores import ahead
 from vamgpu.errors import BadInput, DeviceError, KernelError, ShapeMismatch, TransferForbidden
+from vamgpu.kernels.inhibition import put_poses, take_poses
 from vamgpu.kernels.lanes import from_lanes, to_lanes
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
 from vamgpu.kernels.update import linear
@@ -238,6 +239,14 @@ class Device(ABC):
         if not lanes:
             return self._write(array.handle, np.ascontiguousarray(source, array.dtype), first * prod(array.shape[1:]))
         slabs, major, minor, _ = self.stored_shape(array.shape, lanes)
+        if self.is_gpu and array.dtype == self.real:  # it finds places faster than the host, which copies in one piece
+            for begin, end in _strips(0, len(source), minor * array.shape[2] * array.dtype.itemsize):
+                part = self.empty((end - begin, *array.shape[1:]))
+                plain = self.empty(part.shape, table=True)
+                self._write(plain.handle, np.ascontiguousarray(source[begin:end], array.dtype))
+                self.launch(to_lanes, plain=plain, field=part)
+                self.launch(put_poses, part=part, first=first + begin, light=array)
+            return None
 
         def laid(place: tuple[int, int, int]) -> tuple[int, np.ndarray]:
             begin, end, slab = place
@@ -260,6 +269,14 @@ class Device(ABC):
             self._read(array.handle, logical, first * prod(array.shape[1:]))
             return logical
         slabs, major, minor, _ = self.stored_shape(array.shape, lanes)
+        if self.is_gpu and array.dtype == self.real:
+            for begin, end in _strips(first, last, minor * array.shape[2] * array.dtype.itemsize):
+                part = self.empty((end - begin, *array.shape[1:]))
+                plain = self.empty(part.shape, table=True)
+                self.launch(take_poses, light=array, first=begin, part=part)
+                self.launch(from_lanes, field=part, plain=plain)
+                self._read(plain.handle, logical[begin - first : end - first])
+            return logical
 
         def strips() -> Iterator[tuple[np.ndarray, np.ndarray]]:
             for begin, end in _strips(first, last, minor * lanes * array.dtype.itemsize):

@@ -6,6 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.live.fields import picked, places
+
 PAIRS = 50_000
 """Neighbors on either side of the surface that are looked at, at most, spread evenly."""
 FARTHEST = 1.5
@@ -22,13 +26,12 @@ class Border:
         threshold: Dose from which resin is solid.
     """
 
-    part: np.ndarray
-    """Whether each voxel is of the part, [x, y, z]."""
     threshold: float
 
     def __init__(self, part: np.ndarray, threshold: float) -> None:
         self.threshold = threshold
-        self.part = inside = part >= 0.5
+        inside = part >= 0.5
+        self._shape, self._places = part.shape, dict[Device, DeviceArray]()
         number = np.arange(part.size).reshape(part.shape)
         found: list[np.ndarray] = []
         for axis in range(3):
@@ -37,13 +40,13 @@ class Border:
                 crossed = inside[here] & ~inside[there]
                 found.append(np.stack([number[here][crossed], number[there][crossed]]))
         pairs = np.concatenate(found, axis=1)
-        self._inside, self._outside = pairs[:, :: max(-(-pairs.shape[1] // PAIRS), 1)]
+        self._pairs = pairs[:, :: max(-(-pairs.shape[1] // PAIRS), 1)]
 
     def off(self, dose: Any) -> float:
         """How far the surface of a print lies from the part's.
 
         Args:
-            dose: Of the whole print, [x, y, z].
+            dose: Of the whole print, [x, y, z], NumPy or on a device.
 
         Returns:
             Root mean square [voxels], up to `FARTHEST`, which a part without a surface always has.
@@ -54,8 +57,8 @@ class Border:
         """How much more dose puts the surface nearest to the part's.
 
         Args:
-            had: Dose so far, [x, y, z].
-            more: Dose to come, [x, y, z].
+            had: Dose so far, [x, y, z], NumPy or on a device.
+            more: Dose to come, [x, y, z], likewise.
 
         Returns:
             The share of it to give, 0 to 2.
@@ -69,8 +72,15 @@ class Border:
         return best
 
     def _ends(self, dose: Any) -> tuple[np.ndarray, np.ndarray]:
-        flat = np.asarray(dose).reshape(-1)
-        return flat[self._inside].astype(float), flat[self._outside].astype(float)
+        if not isinstance(dose, DeviceArray):
+            inside, outside = np.asarray(dose).reshape(-1)[self._pairs].astype(float)
+            return inside, outside
+        if not self._pairs.size:
+            return np.empty(0), np.empty(0)
+        if dose.device not in self._places:
+            self._places[dose.device] = places(dose.device, self._pairs.reshape(-1), self._shape)
+        inside, outside = picked(dose, self._places[dose.device]).reshape(2, -1)
+        return inside, outside
 
     def _rms(self, inside: np.ndarray, outside: np.ndarray) -> float:
         if not inside.size:

@@ -16,12 +16,15 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.kernels.loss import look_up
 from vamgpu.kernels.resample import resample
+from vamgpu.kernels.watch import lean_gain, match_dose, share_gain, weigh_evidence
 from vamgpu.live.delivering import Delivering
-from vamgpu.live.planes import by_planes
+from vamgpu.live.fields import here, picked, places, scaled
 from vamgpu.live.rings import on_rings
 from vamgpu.live.smooth import Smoothing
 from vamgpu.losses.response import Response
+from vamgpu.operators.compose import combine
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.reductions import extent
 from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.row_resampler import banded
 from vamgpu.operators.space import require
@@ -130,20 +133,30 @@ class Estimate:
     Args:
         values: Of each of `NAMES`, (7,).
         covariance: Of each with each, (7, 7), widened where the residuals are greater than the noise.
-        dose: Delivered so far, in units of Aᵀ(light), [x, y, z].
-        lit: Of it, what the light since the estimate before gave by the parameters alone, [x, y, z].
-        deviation: Standard deviation of the dose of each voxel, in its unit, [x, y, z].
+        delivered: Dose so far, in units of Aᵀ(light), [x, y, z] on the device.
+        lit: Of it, what the light since the estimate before gave by the parameters alone, [x, y, z] on the device.
+        doubt: Standard deviation of the dose of each voxel, in its unit, [x, y, z] on the device.
         chi_square: Sum of squared residuals of the voxels used, each over its variance.
         voxels: Used for the parameters.
     """
 
     values: np.ndarray
     covariance: np.ndarray
-    dose: np.ndarray
-    lit: np.ndarray
-    deviation: np.ndarray
+    delivered: DeviceArray
+    lit: DeviceArray
+    doubt: DeviceArray
     chi_square: float
     voxels: int
+
+    @cached_property
+    def dose(self) -> np.ndarray:
+        """`delivered` as a NumPy array, [x, y, z]."""
+        return self.delivered.numpy()
+
+    @cached_property
+    def deviation(self) -> np.ndarray:
+        """`doubt` as a NumPy array, [x, y, z]."""
+        return self.doubt.numpy()
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:
@@ -278,9 +291,20 @@ class Estimator:
         Returns:
             The factor of each voxel, [x, y, z].
         """
-        along, level = values[4] * self._up, values[0]
-        out = np.broadcast_to(self._out[..., None], self.operator.domain.shape)
-        return by_planes(lambda out: (level * (1.0 + along + values[5] * out)).astype(np.float32), out)
+        return self._gain(values).numpy()
+
+    def _gain(self, values: np.ndarray) -> DeviceArray:
+        gain = self.operator.device.empty(self.operator.domain.shape)
+        up, aside = self._profiles
+        self.operator.device.launch(
+            lean_gain, up=up, aside=aside, level=values[0], along=values[4], across=values[5], gain=gain
+        )
+        return gain
+
+    @cached_property
+    def _profiles(self) -> tuple[DeviceArray, DeviceArray]:
+        """What the gain changes with, along z and across, as tables."""
+        return self.operator.device.table(self._up), self.operator.device.table(self._out)
 
     def delivering(self, values: np.ndarray) -> Delivering:
         """The operator with these parameters; its transpose is what light delivers.
@@ -291,9 +315,9 @@ class Estimator:
         Returns:
             The operator, on the device of the planned one.
         """
-        return Delivering(self._placed(float(values[1]), float(values[2])), self.gain(values), float(values[3]))
+        return Delivering(self._placed(float(values[1]), float(values[2])), self._gain(values), float(values[3]))
 
-    def nearly(self, values: np.ndarray, light: Any, dose: np.ndarray) -> Delivering:
+    def nearly(self, values: np.ndarray, light: Any, dose: Any) -> Delivering:
         """`delivering`, to plan with: on rings where they are faster, and `delivering` itself elsewhere.
 
         The tables of rings are those of the planned operator. Light is moved; what more or less absorption does is a
@@ -301,26 +325,20 @@ class Estimator:
 
         Args:
             values: Of each of `NAMES`, (7,).
-            light: That is like the light to come, [angle, r, z].
-            dose: What it delivers with these parameters, such as `Estimate.lit`, [x, y, z].
+            light: That is like the light to come, [angle, r, z], NumPy or on the device.
+            dose: What it delivers with these parameters, such as `Estimate.lit`, [x, y, z], likewise.
 
         Returns:
             The operator, on the device of the planned one.
         """
         if self.quick is None:
             return self.delivering(values)
-        raised, level = self.quick.raised(float(values[3])), self.gain(values)
+        device, raised = self.operator.device, self.quick.raised(float(values[3]))
         across = float(values[2]) if abs(values[2]) > STILL * self.operator.beam.pitch else 0.0
-        moved = Delivering(raised, level, across=across)
-        least = FAINT * float(dose.max())
-
-        def joined(level: np.ndarray, dose: np.ndarray, got: np.ndarray) -> np.ndarray:
-            known = np.minimum(dose, got) > least
-            off = np.divide(dose, got, out=np.ones_like(got), where=known)
-            return level * np.clip(off, 1.0 / OTHER, OTHER)
-
-        gain = by_planes(joined, level, dose, moved.T(self.operator.device.field(light)).numpy())
-        return Delivering(raised, gain, across=across)
+        moved, wanted = Delivering(raised, self._gain(values), across=across), here(device, dose)
+        got = moved.T(here(device, light))
+        device.launch(match_dose, dose=wanted, got=got, least=FAINT * extent(wanted)[1], most=OTHER, gain=moved.gain)
+        return moved
 
     @cached_property
     def quick(self) -> RingProjection | None:
@@ -331,15 +349,15 @@ class Estimator:
         return clouded_and_displaced(self.operator, absorption - 1.0, across / self.operator.beam.pitch)
 
     def estimate(
-        self, light: Any, seen: np.ndarray, deviation: np.ndarray | float, prior: Prior, before: Estimate | None = None,
+        self, light: Any, seen: Any, deviation: Any, prior: Prior, before: Estimate | None = None,
         start: np.ndarray | None = None,
     ) -> Estimate:  # fmt: skip
         """Estimate parameters and delivered dose.
 
         Args:
             light: Sum over the turns since ``before``, as planned, [angle, r, z], NumPy or on the device.
-            seen: Conversion now, [x, y, z]; NaN where nothing is seen.
-            deviation: Standard deviation of each voxel's conversion, [x, y, z], or one for all.
+            seen: Conversion now, [x, y, z], NumPy or on the device; NaN in a NumPy array where nothing is seen.
+            deviation: Standard deviation of each voxel's conversion, [x, y, z] likewise, or one for all.
             prior: What is known of the parameters of these turns.
             before: Whose dose these turns add to; None at the start.
             start: Values that the search begins with, as those of the turn before, (7,); None takes the prior's.
@@ -353,11 +371,15 @@ class Estimator:
         """
         require(self.operator.range, light, "the light")
         require(self.operator.domain, seen, "the conversion seen")
-        spread = np.broadcast_to(np.asarray(deviation, float), seen.shape)
-        lit = self.operator.device.field(light)
-        used = self._used(seen, spread, self._slices(np.asarray(light)))
-        told, sigma = (np.asarray(each, float) for each in (seen.reshape(-1)[used], spread.reshape(-1)[used]))
-        base = 0.0 if before is None else before.dose.reshape(-1)[used]
+        device, shape = self.operator.device, self.operator.domain.shape
+        lit, slices = here(device, light), self._slices(light)
+        seen, spread, good = self._told(seen, deviation)
+        used = self._used(slices, good)
+        at = places(device, used, shape)
+        told, sigma = picked(seen, at), picked(spread, at)
+        if not (np.isfinite(told).all() and np.isfinite(sigma).all() and (sigma > 0.0).all()):
+            raise self._unseen(used.size)
+        base = 0.0 if before is None else picked(here(device, before.delivered), at)
         whitening = np.linalg.inv(np.linalg.cholesky(prior.covariance))
         values = np.array(prior.mean if start is None else start, float)
         if values.shape != prior.mean.shape or not np.isfinite(values).all():
@@ -384,33 +406,61 @@ class Estimator:
         self._check(values, chi)
         excess = max(chi / used.size, 1.0)
         covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
-        dose = self.delivering(values).T(lit).numpy()
-        field = by_planes(lambda dose, had: dose + values[6] + had, dose, 0.0 if before is None else before.dose)
-        field, deviations = self._by_voxel(field, np.asarray(seen), spread, excess)
-        return Estimate(values, covariance, field, dose, deviations, chi, used.size)
+        dose = self.delivering(values).T(lit)
+        field = scaled(dose, 1.0, values[6])
+        if before is not None:
+            combine(1.0, field, 1.0, here(device, before.delivered), field)
+        doubt = self._by_voxel(field, seen, spread)
+        return Estimate(values, covariance, field, dose, doubt, chi, used.size)
 
-    def _slices(self, light: np.ndarray) -> np.ndarray:
+    def _told(self, seen: Any, deviation: Any) -> tuple[DeviceArray, DeviceArray, np.ndarray | None]:
+        """Conversion and its deviation on the device, 0 where nothing is seen, and where something is; None for all."""
+        device = self.operator.device
+        known = None if isinstance(seen, DeviceArray) else np.isfinite(seen)
+        good = None if known is None or known.all() else known
+        told = here(device, seen if good is None else np.where(good, seen, 0.0))
+        if isinstance(deviation, DeviceArray) and good is None:
+            return told, here(device, deviation), None
+        spread = np.broadcast_to(np.asarray(deviation, float), told.shape)
+        if good is not None:
+            spread = np.where(good, spread, 0.0)
+        if not np.isfinite(spread).all():
+            raise self._unseen(spread.size if good is None else int(good.sum()))
+        return told, device.upload(spread), good
+
+    def _unseen(self, count: int) -> BadInput:
+        return BadInput(f"the conversion seen has {count} finite voxels in the judged cylinder; expected some, "
+                        "with finite deviations above 0: drop this turn's images")  # fmt: skip
+
+    def _slices(self, light: Any) -> np.ndarray:
         """Numbers of slices to look at: half of them spread evenly, half where light changes most along z."""
         count = self.operator.grid.shape[2]
         if count <= SLICES:
             return np.arange(count)
-        change = np.abs(np.gradient(light[:: max(len(light) // 32, 1)], axis=2)).sum(axis=(0, 1), dtype=float)
+        angles = range(0, light.shape[0], max(light.shape[0] // 32, 1))
+        some = [light.part(k, k + 1) for k in angles] if isinstance(light, DeviceArray) else [light[angles]]
+        change = np.abs(np.gradient(np.concatenate(some), axis=2)).sum(axis=(0, 1), dtype=float)
         steep = self.operator.row_weights @ change
         even = np.linspace(0, count - 1, SLICES // 2).round().astype(int)
         steep[even] = -1.0
         return np.sort(np.concatenate([even, np.argsort(-steep, kind="stable")[: SLICES // 2]]))
 
-    def _used(self, seen: np.ndarray, spread: np.ndarray, slices: np.ndarray) -> np.ndarray:
-        """Numbers of the voxels that parameters are estimated from, spread evenly over the judged cylinder."""
-        flat, sigma, count = np.asarray(seen).reshape(-1), spread.reshape(-1), seen.shape[2]
-        columns = np.flatnonzero(self.operator.grid.cylinder())
-        some = (columns[:, None] * count + slices).reshape(-1)
-        good = some[np.isfinite(flat[some])]
-        if not (good.size and np.isfinite(sigma[good]).all() and (sigma[good] > 0.0).all()):
-            raise BadInput(f"the conversion seen has {good.size} finite voxels in the judged cylinder; expected some, "
-                           "with finite deviations above 0: drop this turn's images")  # fmt: skip
-        count = min(self.samples, good.size)
-        return np.sort(np.random.default_rng(0).choice(good, count, replace=False))
+    def _used(self, slices: np.ndarray, good: np.ndarray | None) -> np.ndarray:
+        """Numbers of the voxels that parameters are estimated from, spread evenly over those of the judged cylinder."""
+        columns, count = np.flatnonzero(self.operator.grid.cylinder()), self.operator.grid.shape[2]
+        if good is None:
+            some, draw = None, columns.size * slices.size
+        else:
+            some = (columns[:, None] * count + slices).reshape(-1)
+            some = some[good.reshape(-1)[some]]
+            draw = some.size
+        if not draw:
+            raise self._unseen(0)
+        drawn = np.sort(np.random.default_rng(0).choice(draw, min(self.samples, draw), replace=False))
+        if some is not None:
+            return some[drawn]
+        column, k = np.divmod(drawn, slices.size)
+        return columns[column] * count + slices[k]
 
     def _center(self, values: np.ndarray) -> np.ndarray:
         """The nearest values that derivatives are taken about: few, so that tables of operators serve many turns."""
@@ -438,7 +488,8 @@ class Estimator:
         """The dose about some parameters, by differences of operators."""
         count, weights, step = self.operator.grid.shape[2], self.operator.row_weights, STEPS[2]
         slices, place = np.unique(used % count, return_inverse=True)
-        here = used // count * slices.size + place
+        shape = (*self.operator.grid.shape[:2], slices.size)
+        at = places(self.operator.device, used // count * slices.size + place, shape)
         rows, pitch = light.shape[2], self.operator.beam.pitch
         higher, lower = (_raising(rows, center[3] / pitch + side * step) for side in (1, -1))
         still, rising = (
@@ -451,7 +502,7 @@ class Estimator:
         def even(light: DeviceArray, clouds: int = 0, aside: int = 0) -> np.ndarray:
             """Dose of a gain of 1 at the voxels used, so many steps of absorption and of the axis off the center."""
             placed = self._placed((absorption + clouds) * self._steps[0], (across + aside) * self._steps[1])
-            return placed.dose_of_slices(light).reshape(-1)[here].astype(float)
+            return picked(placed.lit_slices(light), at)
 
         middle = even(still)
         slopes, curves = np.zeros((2, len(OPTICAL), used.size))
@@ -491,26 +542,31 @@ class Estimator:
     def _width(self, axis: int) -> float:
         return self.operator.beam.pixels[axis] * self.operator.beam.pitch
 
-    def _by_voxel(
-        self, dose: np.ndarray, seen: np.ndarray, spread: np.ndarray, excess: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Dose with the relative gain of every voxel that its neighborhood speaks for, and its deviation."""
+    def _by_voxel(self, dose: DeviceArray, seen: DeviceArray, spread: DeviceArray) -> DeviceArray:
+        """Give the dose the gain of every voxel that its neighborhood speaks for; the deviation that is left."""
+        device, curve = self.operator.device, self._curve
         shared = 1.0 / (2.0 * self.smooth * np.sqrt(np.pi)) ** 3  # Σ of the squared weights of a neighborhood
-        known = np.isfinite(seen) & self.operator.grid.cylinder()[:, :, None]
+        weight, pull = (device.empty(dose.shape) for _ in range(2))
+        device.launch(
+            weigh_evidence, dose=dose, seen=seen, deviation=spread, judged=self._judged, samples=self._samples,
+            start=curve.start, density=curve.density, weight=weight, pull=pull,
+        )  # fmt: skip
+        weight, pull = self._neighborhoods(weight), self._neighborhoods(pull)
+        least, doubt = self.residual**-2, device.empty(dose.shape)
+        device.launch(
+            share_gain, pull=pull, weight=weight, least=shared * least, shared=shared, strength=least, dose=dose,
+            deviation=doubt,
+        )  # fmt: skip
+        return doubt
 
-        def told(dose: np.ndarray, seen: np.ndarray, spread: np.ndarray, known: np.ndarray) -> np.ndarray:
-            made, rise = look_up(dose, self._curve.values, self._curve.start, self._curve.density)
-            rate = np.where(known, rise * self._curve.density * dose, 0.0) / np.where(known, spread**2, 1.0)
-            gap = np.where(known, seen - made, 0.0)
-            return np.stack([rate * rise * self._curve.density * dose, rate * gap], axis=1)
+    @cached_property
+    def _judged(self) -> DeviceArray:
+        """1 where columns are in the judged cylinder, a table."""
+        return self.operator.device.table(self.operator.grid.cylinder().astype(np.float32))
 
-        both = by_planes(told, dose, seen, spread, known)
-        weight, pull = (self._neighborhoods.of(both[:, k]) for k in (0, 1))
-        least = shared / self.residual**2
-        gained = by_planes(lambda dose, pull, weight: dose * (1.0 + pull / (weight + least)), dose, pull, weight)
-        return gained, by_planes(
-            lambda dose, weight: np.abs(dose) / np.sqrt(weight / shared + 1.0 / self.residual**2), dose, weight
-        )
+    @cached_property
+    def _samples(self) -> DeviceArray:
+        return self.operator.device.table(self._curve.values)
 
     @cached_property
     def _neighborhoods(self) -> Smoothing:

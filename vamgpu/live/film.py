@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,6 +61,7 @@ def pictures(record: LiveRecord) -> Iterator[np.ndarray]:
     for _, frames, decision in record.again():
         before.append(decision)
         yield _pixels(drawn(part, frames, before, open_field, count))
+        before[-1] = replace(decision, dose=None, conversion=None)  # fields of all turns would fill a device
 
 
 def drawn(part: np.ndarray, frames: np.ndarray, decisions: Sequence[Decision], open_field: float, count: int) -> Figure:

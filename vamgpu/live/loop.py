@@ -7,19 +7,24 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import repeat
-from math import exp, sqrt
+from math import exp, inf, sqrt
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import VamError
+from vamgpu.kernels.watch import doubt_conversion
 from vamgpu.live.estimate import Estimate, Estimator, Prior
-from vamgpu.live.planes import by_planes
+from vamgpu.live.fields import added, alike, here, picked, places, scaled
 from vamgpu.live.printer import CuringResin
 from vamgpu.live.replan import Replanned, Replanner
 from vamgpu.live.smooth import Smoothing
 from vamgpu.live.tomography import Measured, Seen, Tomograph
+from vamgpu.metrics.histogram import above
+from vamgpu.metrics.parts import IN, Parts
+from vamgpu.operators.compose import combine
 
 SIGNIFICANT = 0.1
 """Conversion that counts as seen."""
@@ -37,6 +42,8 @@ places [mm], others dimensionless."""
 GAINS = np.geomspace(0.5, 2.0, 41)
 INHIBITORS = np.linspace(0.4, 1.1, 36)
 """Light and inhibitor over planned, looked at before the rest is estimated."""
+KEPT = 4
+"""Lights whose copies on the device are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +62,9 @@ class Decision:
         iou: Overlap expected at the end, dimensionless.
         reason: Why, in words.
         stages: Wall time of "see", "estimate" and "replan" [s]; no part of `entry`, as no replay takes as long.
-        dose: Estimated of all light so far, over that from which resin is solid, [x, y, z]; no part of `entry`. None
-            where nothing is estimated.
-        conversion: Seen, [x, y, z]; no part of `entry`. None before the first field.
+        dose: Estimated of all light so far, over that from which resin is solid, [x, y, z] on the device (``.numpy()``
+            copies it); no part of `entry`. None where nothing is estimated.
+        conversion: Seen, [x, y, z] likewise; no part of `entry`. None before the first field.
     """
 
     turn: int
@@ -70,8 +77,8 @@ class Decision:
     iou: float = 0.0
     reason: str = ""
     stages: dict[str, float] = field(default_factory=dict)
-    dose: np.ndarray | None = None
-    conversion: np.ndarray | None = None
+    dose: DeviceArray | None = None
+    conversion: DeviceArray | None = None
 
     @property
     def entry(self) -> dict[str, Any]:
@@ -104,8 +111,8 @@ class LiveState:
 
     Args:
         turn: Turns shown so far.
-        shown: Sum of their light, [angle, r, z].
-        pending: Light whose radicals have not reacted yet, [angle, r, z].
+        shown: Sum of their light, [angle, r, z], on the device or NumPy.
+        pending: Light whose radicals have not reacted yet, [angle, r, z] likewise.
         light: Of the coming turn, [angle, r, z].
         turns: That it is to be shown for.
         version: Of the light.
@@ -116,8 +123,8 @@ class LiveState:
     """
 
     turn: int
-    shown: np.ndarray
-    pending: np.ndarray
+    shown: DeviceArray | np.ndarray
+    pending: DeviceArray | np.ndarray
     light: np.ndarray
     turns: int
     version: int = 0
@@ -133,8 +140,8 @@ class _Turn:
     turn: int
     left: int
     before: LiveState
-    shown: np.ndarray
-    pending: np.ndarray
+    shown: DeviceArray
+    pending: DeviceArray
     committed: tuple[np.ndarray, ...]
 
 
@@ -177,10 +184,10 @@ class LiveLoop:
         """The state before the first turn. Tables that no turn should wait for are made here."""
         _ = self.tomograph.operator, self.estimator.quick, self._planned_dose
         self.replanner.prepare(self.estimator.operator)
-        dark = np.zeros_like(self.light)
-        return LiveState(
-            0, dark, dark, self.light, self.planned - self.ahead, committed=(self.light,) * self.ahead
-        )  # fmt: skip
+        light = self.light.view()
+        light.setflags(write=False)
+        dark = scaled(self._field(light), 0.0)
+        return LiveState(0, dark, dark, light, self.planned - self.ahead, committed=(light,) * self.ahead)
 
     def decide(self, state: LiveState, frames: np.ndarray) -> tuple[LiveState, Decision]:
         """What to do after one more turn: of the first committed light, or where none is, of the state's light.
@@ -205,7 +212,7 @@ class LiveLoop:
                 decision = self._replanned(at, told, seen, laps)
         except VamError as error:
             decision = self._kept(at, f"refused: {error}")
-        conversion = None if seen is None else seen.conversion
+        conversion = None if seen is None else seen.cured
         decision = replace(decision, stages=laps.seconds, conversion=conversion)
         after = LiveState(at.turn, at.shown, at.pending, decision.light, decision.turns, decision.version, seen,
                           at.committed, _values(decision, state.values))  # fmt: skip
@@ -215,9 +222,25 @@ class LiveLoop:
         fade = exp(-1.0 / self.resin.dark)
         showing, *committed = *state.committed, state.light
         made = self.resin.dark * (1.0 - fade)
-        pending = by_planes(lambda had, light: fade * had + made * light, state.pending, showing)
-        left = max(state.turns - 1, 0)
-        return _Turn(state.turn + 1, left, state, by_planes(_summed, state.shown, showing), pending, tuple(committed))
+        had, light = self._field(state.pending), self._field(showing)
+        pending = combine(fade, had, made, light, had.device.empty(had.shape))
+        shown = added(self._field(state.shown), light)
+        return _Turn(state.turn + 1, max(state.turns - 1, 0), state, shown, pending, tuple(committed))
+
+    def _field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
+        """An array on the device of the plan; of arrays that nobody can write to, the last few are kept there."""
+        device, kept = self.estimator.operator.device, self._kept_fields
+        if isinstance(values, DeviceArray) or values.flags.writeable:
+            return here(device, values)
+        held = kept.pop(id(values), None) or (values, device.field(values))
+        kept[id(values)] = held
+        if len(kept) > KEPT:
+            del kept[next(iter(kept))]
+        return held[1]
+
+    @cached_property
+    def _kept_fields(self) -> dict[int, tuple[np.ndarray, DeviceArray]]:
+        return {}
 
     def corrected(self, state: LiveState, lights: Mapping[int, np.ndarray], showed: Sequence[int]) -> LiveState:
         """The state where other versions were shown than decided, as when one came too late.
@@ -262,14 +285,14 @@ class LiveLoop:
             return self._kept(replace(at, left=some), "nothing cured yet")
         deviation = self._deviation(told, seen)
         laps.over("see")
-        acted = by_planes(_less, at.shown, at.pending)
-        found = self._estimated(at.before, acted, seen.conversion, deviation)
+        acted = added(at.shown, at.pending, factor=-1.0)
+        found = self._estimated(at.before, acted, self._field(seen.cured), deviation)
         laps.over("estimate")
         delivering = self.estimator.nearly(found.values, acted, found.lit)
-        more = delivering.T(by_planes(_summed, at.pending, *at.committed))
-        delivered = by_planes(_summed, found.dose, more)
+        more = delivering.T(added(at.pending, *map(self._field, at.committed)))
+        delivered = combine(1.0, found.delivered, 1.0, more, more)
         plan = self.replanner.replan(
-            delivering, delivered, at.before.light.astype(np.float32), at.left,
+            delivering, delivered, self._field(at.before.light), at.left,
             range(max(self.longest - at.turn - self.ahead, 0) + 1), evaluations=self.evaluations,
             wanted=self._wanted(float(found.values[6])),
         )  # fmt: skip
@@ -279,56 +302,65 @@ class LiveLoop:
 
     def _cured(self, seen: Seen) -> int:
         """Voxels in the judged cylinder that have."""
-        inside = self.estimator.operator.grid.cylinder()[..., None]
-        return int(np.count_nonzero(by_planes(lambda m, inside: (m > SIGNIFICANT) & inside, seen.conversion, inside)))
+        level = float(np.nextafter(np.float32(SIGNIFICANT), np.float32(inf)))
+        return int(above(Parts(seen.cured, seen.cured, -inf), level)[0, IN, 1])
 
-    def _estimated(self, before: LiveState, acted: np.ndarray, seen: np.ndarray, deviation: np.ndarray) -> Estimate:
+    def _estimated(self, before: LiveState, acted: DeviceArray, seen: DeviceArray, deviation: DeviceArray) -> Estimate:
         """Parameters and dose of the light that has acted, from the conversion seen and its deviation."""
         columns, slices = np.flatnonzero(self.estimator.operator.grid.cylinder()), seen.shape[2]
         count = columns.size * slices
         column, z = np.divmod(np.arange(0, count, max(count // FIRST, 1)), slices)
-        some = columns[column] * slices + z
+        some = places(acted.device, columns[column] * slices + z, seen.shape)
         even = (self.estimator.quick or self.estimator.operator).T(acted)
-        gain, inhibitor = self._first_look(*(field.reshape(-1)[some] for field in (even, seen, deviation)))
+        gain, inhibitor = self._first_look(*(picked(field, some) for field in (even, seen, deviation)))
         start = np.array(self.prior.mean if before.values is None else before.values)
         start[0], start[6] = gain, self.resin.induction * (1.0 - inhibitor)
-        return self.estimator.estimate(acted, seen, sqrt(ALIKE) * deviation, self.prior, start=start)
+        return self.estimator.estimate(acted, seen, scaled(deviation, sqrt(ALIKE)), self.prior, start=start)
 
-    def _decided(self, at: _Turn, found: Estimate, plan: Replanned, delivered: np.ndarray) -> Decision:
+    def _decided(self, at: _Turn, found: Estimate, plan: Replanned, delivered: DeviceArray) -> Decision:
         """What follows from a plan of the rest."""
-        turns, light = plan.expected.turns, np.array(plan.light)
-        swapped = not np.array_equal(light, at.before.light)
+        turns, light = plan.expected.turns, at.before.light
+        swapped = not alike(plan.light, self._field(light))
+        if swapped:
+            light = plan.light.numpy()
+            light.setflags(write=False)
+            self._kept_fields[id(light)] = light, plan.light
         return Decision(
             at.turn, "stop" if not turns else "swap" if swapped else "keep", at.before.version + swapped, light, turns,
             1.0 - float(found.values[6]) / self.resin.induction, found.parameters, float(plan.expected.iou),
-            f"overlap {plan.kept.iou:.4f} without", dose=delivered / self.resin.solid,
+            f"overlap {plan.kept.iou:.4f} without", dose=scaled(delivered, 1.0 / self.resin.solid),
         )  # fmt: skip
 
-    def _deviation(self, told: Measured, seen: Seen) -> np.ndarray:
+    def _deviation(self, told: Measured, seen: Seen) -> DeviceArray:
         """Standard deviation of the conversion seen: noise, what is rounded off at edges, and what models lack."""
-        noise = self.tomograph.deviation(told, iterations=self.iterations)
-        round_ = self._rounding.of(seen.conversion)
+        variance = self._field(self.tomograph.variance(told, iterations=self.iterations))
+        sharp = self._field(seen.cured)
+        variance.device.launch(
+            doubt_conversion, extinction=self._field(seen.field), sharp=sharp, rounded=self._rounding(sharp),
+            **self._slopes, model=MODEL, variance=variance,
+        )  # fmt: skip
+        return variance
 
-        def joined(noise: np.ndarray, extinction: np.ndarray, sharp: np.ndarray, round_: np.ndarray) -> np.ndarray:
-            noise = np.hypot(noise * self.tomograph.turbidity.slope_at(extinction), 2.0 * np.abs(sharp - round_))
-            return np.hypot(noise, MODEL)
-
-        return by_planes(joined, noise, seen.extinction, seen.conversion, round_)
+    @cached_property
+    def _slopes(self) -> dict[str, DeviceArray]:
+        """From which extinction on conversion rises how steeply, as tables."""
+        resin, device = self.tomograph.turbidity, self.estimator.operator.device
+        return {"knots": device.table(np.array(resin.extinction[:-1])), "slopes": device.table(resin.slopes)}
 
     @cached_property
     def _rounding(self) -> Smoothing:
         """Of the edges that a tomograph sees."""
         return Smoothing(self.estimator.operator.device, self.estimator.operator.grid.shape, 1.0)
 
-    def _wanted(self, head_start: float) -> np.ndarray:
+    def _wanted(self, head_start: float) -> DeviceArray:
         """Dose of the whole plan, by as much less as resin with a head start needs, which counts as dose."""
         solid = self.resin.solid
-        left = (solid - head_start) / solid
-        return by_planes(lambda planned: head_start + left * planned, self._planned_dose)
+        return scaled(self._planned_dose, (solid - head_start) / solid, head_start)
 
     @cached_property
-    def _planned_dose(self) -> np.ndarray:
-        return np.asarray(self.estimator.operator.T((self.planned * self.light).astype(np.float32)))
+    def _planned_dose(self) -> DeviceArray:
+        A = self.estimator.operator
+        return A.T(A.device.field((self.planned * self.light).astype(np.float32)))
 
     def _first_look(self, dose: np.ndarray, seen: np.ndarray, deviation: np.ndarray) -> tuple[float, float]:
         """Light and inhibitor over planned that explain best what is seen: where neither is known, slopes are none."""
@@ -338,14 +370,6 @@ class LiveLoop:
             row += np.square((self.estimator.conversion(gain * dose + used) - seen) / deviation).sum(axis=1)
         i, k = np.unravel_index(int(np.argmin(usual)), usual.shape)
         return float(GAINS[i]), float(INHIBITORS[k])
-
-
-def _summed(*parts: np.ndarray) -> np.ndarray:
-    return sum(parts[1:], parts[0]).astype(np.float32)
-
-
-def _less(whole: np.ndarray, part: np.ndarray) -> np.ndarray:
-    return (whole - part).astype(np.float32)
 
 
 def _values(decision: Decision, last: np.ndarray | None) -> np.ndarray | None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import ShapeMismatch
 from vamgpu.geometry import positive
+from vamgpu.live.fields import picked, places
 from vamgpu.reports.chart import colored
 
 TALL = 160
@@ -15,11 +19,11 @@ GAP = 6
 OUTLINE = np.array([255, 255, 255], np.uint8)
 
 
-def cuts(field: np.ndarray, part: np.ndarray, most: float, colors: str = "magma") -> np.ndarray:
+def cuts(field: Any, part: np.ndarray, most: float, colors: str = "magma") -> np.ndarray:
     """A cut across the axis beside one along it, the part outlined in both.
 
     Args:
-        field: Values, [x, y, z].
+        field: Values, [x, y, z], NumPy or on a device, of which only the cuts are copied.
         part: Fractions, [x, y, z].
         most: Value of the brightest color, in the field's unit.
         colors: A matplotlib color map.
@@ -32,15 +36,11 @@ def cuts(field: np.ndarray, part: np.ndarray, most: float, colors: str = "magma"
         BadInput: ``most`` is not above 0.
     """
     most = positive("most", most)
-    if np.ndim(field) != 3 or np.shape(field) != np.shape(part):
-        raise ShapeMismatch(
-            f"the field has shape {np.shape(field)}, the part {np.shape(part)}; expected [x, y, z] of one grid"
-        )
-    nx, ny, nz = field.shape
-    drawn = [
-        _drawn(field[:, :, nz // 2].T, part[:, :, nz // 2].T, most, colors),
-        _drawn(field[:, ny // 2].T, part[:, ny // 2].T, most, colors),
-    ]
+    shape = field.shape if isinstance(field, DeviceArray) else np.shape(field)
+    if len(shape) != 3 or shape != np.shape(part):
+        raise ShapeMismatch(f"the field has shape {shape}, the part {np.shape(part)}; expected [x, y, z] of one grid")
+    middles = (2, shape[2] // 2), (1, shape[1] // 2)
+    drawn = [_drawn(_cut(field, *each).T, _cut(part, *each).T, most, colors) for each in middles]
     high = max(len(each) for each in drawn)
     sheet = np.zeros((high, sum(each.shape[1] for each in drawn) + GAP, 3), np.uint8)
     left = 0
@@ -48,6 +48,17 @@ def cuts(field: np.ndarray, part: np.ndarray, most: float, colors: str = "magma"
         sheet[(high - len(each)) // 2 :][: len(each), left : left + each.shape[1]] = each
         left += each.shape[1] + GAP
     return sheet
+
+
+def _cut(field: Any, axis: int, at: int) -> np.ndarray:
+    """The plane ``at`` along an axis."""
+    if not isinstance(field, DeviceArray):
+        return np.take(field, at, axis)
+    wanted = [np.arange(count) for count in field.shape]
+    wanted[axis] = wanted[axis][at : at + 1]
+    numbers = np.ravel_multi_index(np.ix_(*wanted), field.shape)
+    found = picked(field, places(field.device, numbers.reshape(-1), field.shape))
+    return found.reshape(numbers.shape).squeeze(axis)
 
 
 def _drawn(plane: np.ndarray, part: np.ndarray, most: float, colors: str) -> np.ndarray:

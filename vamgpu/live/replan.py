@@ -14,8 +14,9 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.kernels.update import correct_by_ratio
+from vamgpu.kernels.watch import spare_voxels
 from vamgpu.live.border import Border
-from vamgpu.live.planes import by_planes
+from vamgpu.live.fields import scaled
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import DoseObjective
@@ -154,7 +155,7 @@ class Replanner:
 
         Args:
             operator: As estimated, e.g. `Estimator.delivering`.
-            delivered: Dose so far, [x, y, z].
+            delivered: Dose so far, [x, y, z], NumPy or on the device, as the next.
             plan: Light of each turn that would be shown otherwise, [angle, r, z].
             planned: Turns it would be shown for.
             turns: Numbers of further turns that are allowed, 0 for a stop now.
@@ -184,7 +185,7 @@ class Replanner:
         best, found = None, None
         if counts[-1]:
             fewest = self._begin(asked, dose, wanted)
-            loss = self._loss(np.asarray(delivered), border.part, deviation).on(state.field)
+            loss = self._loss(given, target, deviation).on(state.field)
             best = self._lowered(state, loss, given, fewest)
             found = self._sized(asked, best, dose)
         return self._chosen(asked, planned, kept, best, found)
@@ -220,8 +221,7 @@ class Replanner:
         possible = planned in counts and extent(asked.light)[1] <= self.most * (1.0 + ROUNDING)
         going_on = min(inf if found is None else found.off, kept.off if possible else inf)
         if counts[0] == 0 and asked.border.off(asked.given) <= min(FORMED, going_on + WORTH):
-            dark = asked.state.device.upload(np.zeros(asked.light.shape, np.float32))
-            return Replanned(dark, kept.outlook, self._outlook(asked, 0, asked.given), spent)
+            return Replanned(scaled(asked.light, 0.0), kept.outlook, self._outlook(asked, 0, asked.given), spent)
         if light is None or found is None or (possible and kept.off <= found.off):
             return Replanned(asked.light, kept.outlook, kept.outlook, spent)
         asked.state.scale(1.0 / found.outlook.turns, light, light)
@@ -280,19 +280,20 @@ class Replanner:
         steps.close()
         return state.memory.get("best", state.memory["light"])
 
-    def _loss(self, delivered: np.ndarray, part: np.ndarray, deviation: Any) -> Band:
+    def _loss(self, delivered: DeviceArray, target: DeviceArray, deviation: Any) -> Band:
         """The loss of what can still be mended."""
-
-        def gone(dose: np.ndarray, part: np.ndarray, deviation: Any) -> np.ndarray:
-            sure = dose - SURE * deviation
-            return np.where(part, sure > self.greatest, sure >= self.inside)
-
-        lost = by_planes(gone, delivered, part, np.asarray(deviation))
+        device, weight = delivered.device, delivered.device.empty(delivered.shape)
+        even = not isinstance(deviation, DeviceArray) and np.ndim(deviation) == 0
+        margin = 0.0 if isinstance(deviation, DeviceArray) or not even else SURE * float(deviation)
+        device.launch(
+            spare_voxels, dose=delivered, target=target, deviation=delivered if even else device.field(deviation),
+            share=0.0 if even else SURE, margin=margin, inside=self.inside,
+            greatest=self.greatest, weight=weight,
+        )  # fmt: skip
         band = Band.thresholds(self.outside, self.inside, self.greatest)
-        if not lost.any() or lost.all():
+        if not 0.0 < total(weight) < prod(weight.shape):
             return band
-        return Band(band.center, band.slack, band.gain, band.power, binary=True,
-                    weight=(~lost).astype(np.float32))  # fmt: skip
+        return Band(band.center, band.slack, band.gain, band.power, binary=True, weight=weight)
 
     def _outlook(self, asked: _Asked, turns: int, dose: DeviceArray) -> Outlook:
         assert self.threshold is not None

@@ -19,8 +19,9 @@ from vamgpu.kernels.camera import draw_noise, take_bias
 from vamgpu.kernels.filter import filter_rows
 from vamgpu.kernels.gauss import blur_planes
 from vamgpu.kernels.update import correct_by_ratio, multiply
+from vamgpu.kernels.watch import interpolate
 from vamgpu.live.camera import MonitoringCamera
-from vamgpu.live.planes import by_planes
+from vamgpu.live.fields import here
 from vamgpu.live.rings import on_rings
 from vamgpu.live.smooth import Smoothing
 from vamgpu.live.turbidity import Turbidity
@@ -61,19 +62,29 @@ class Seen:
     """What a turn of images says.
 
     Attributes:
-        extinction: Above that of the resin before the print [1/mm], [x, y, z].
-        conversion: Of the resin, [x, y, z].
+        field: Extinction above that of the resin before the print [1/mm], [x, y, z] on the tomograph's device.
+        cured: Conversion of the resin, [x, y, z] likewise.
         iterations: Pairs of projections that were made; a replay asks for as many.
         misfit: Mean square of what images and field differ by over the variance of the noise, dimensionless: near 1
             where camera and noise are as described.
         seconds: How long it took [s].
     """
 
-    extinction: np.ndarray
-    conversion: np.ndarray
+    field: DeviceArray
+    cured: DeviceArray
     iterations: int
     misfit: float
     seconds: float
+
+    @cached_property
+    def extinction(self) -> np.ndarray:
+        """`field` as a NumPy array [1/mm], [x, y, z]."""
+        return np.asarray(self.field.numpy(), np.float32)
+
+    @cached_property
+    def conversion(self) -> np.ndarray:
+        """`cured` as a NumPy array, [x, y, z]."""
+        return np.asarray(self.cured.numpy(), np.float32)
 
 
 class Tomograph:
@@ -163,9 +174,9 @@ class Tomograph:
         if last is None:
             combine(0.0, self._ones, 0.0, self._ones, start)
         else:
-            require(self.operator.domain, last.extinction, "the last field")
-            start = self._device.upload(last.extinction)
-            depth = self._unbiased(depth, start, last.extinction)
+            require(self.operator.domain, last.field, "the last field")
+            combine(1.0, here(self._device, last.field), 0.0, here(self._device, last.field), start)
+            depth = self._unbiased(depth, start, last)
         steps = _Descent(self, depth, told, start, floor=0.0)
         done, longest, now = 0, 0.0, perf_counter()
         while done < iterations and (not done or now + longest - begun < deadline):
@@ -173,9 +184,9 @@ class Tomograph:
             if deadline < inf:
                 self._device.synchronize()
             done, longest, now = done + 1, max(longest, perf_counter() - now), perf_counter()
-        extinction = np.asarray(steps.field.numpy(), np.float32)
-        conversion = by_planes(lambda part: self.turbidity.conversion_at(part).astype(np.float32), extinction)
-        return Seen(extinction, conversion, done, steps.misfit, perf_counter() - begun)
+        cured, misfit = self._device.empty(start.shape), steps.misfit
+        self._device.launch(interpolate, x=steps.field, **self._conversions, out=cured)
+        return Seen(steps.field, cured, done, misfit, perf_counter() - begun)
 
     def deviation(self, images: Any, *, iterations: int = ITERATIONS, seed: int = 0) -> np.ndarray:
         """Standard deviation of the extinction that the noise of a turn's images leaves.
@@ -195,6 +206,23 @@ class Tomograph:
             BadInput: No pixel is good, or fewer than one iteration is asked for.
             ShapeMismatch: The images are of another geometry.
         """
+        return np.sqrt(self.variance(images, iterations=iterations, seed=seed).numpy())
+
+    def variance(self, images: Any, *, iterations: int = ITERATIONS, seed: int = 0) -> DeviceArray:
+        """The square of `deviation`, left on the device.
+
+        Args:
+            images: As for `deviation`.
+            iterations: As for `deviation`.
+            seed: As for `deviation`.
+
+        Returns:
+            [1/mm²], [x, y, z] on the device.
+
+        Raises:
+            BadInput: As `deviation`.
+            ShapeMismatch: As `deviation`.
+        """
         told = self._measured(images, iterations)
         noise, start = self._device.empty(self.operator.range.shape), self._device.empty(self.operator.domain.shape)
         self._device.launch(draw_noise, weight=told.weight, slices=self._rows, seed=seed, noise=noise)
@@ -203,16 +231,18 @@ class Tomograph:
         for _ in range(iterations):
             steps.advance()
         self._device.launch(multiply, x=steps.field, y=steps.field, out=start)
-        return by_planes(np.sqrt, self._patches(start).numpy())
+        return self._patches(start)
 
     def _measured(self, images: Any, iterations: int) -> Measured:
         if isinstance(iterations, bool) or not isinstance(iterations, int) or iterations < 1:
             raise BadInput(f"iterations is {iterations!r}; expected a whole number of at least 1")
         return images if isinstance(images, Measured) else self.measure(images)
 
-    def _unbiased(self, depth: DeviceArray, extinction: DeviceArray, values: np.ndarray) -> DeviceArray:
+    def _unbiased(self, depth: DeviceArray, extinction: DeviceArray, last: Seen) -> DeviceArray:
         """Depths less by how much deeper the camera sees a field than the linear operator says, [angle, r, z]."""
-        index = self.turbidity.index_at(self.turbidity.conversion_at(values)) if self.turbidity.index else None
+        index = None
+        if self.turbidity.index and self.camera.focus:
+            index = self.turbidity.index_at(self.turbidity.conversion_at(last.extinction))
         dark, linear, out = (
             self.camera.darkened(extinction, index),
             self.operator(extinction),
@@ -221,6 +251,12 @@ class Tomograph:
         combine(1.0, depth, 0.0, depth, out)
         self._device.launch(take_bias, dark=dark, linear=linear, reached=self.camera.share, depth=out)
         return out
+
+    @cached_property
+    def _conversions(self) -> dict[str, DeviceArray]:
+        """Samples of extinction, and of conversion there, as tables."""
+        return {name: self._device.table(np.array(values)) for name, values in
+                (("knots", self.turbidity.extinction), ("values", self.turbidity.conversion))}  # fmt: skip
 
     @cached_property
     def _ones(self) -> DeviceArray:

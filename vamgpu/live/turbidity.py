@@ -96,6 +96,10 @@ class Turbidity:
         Returns:
             Slope [mm], (...,).
         """
-        pieces = np.diff(self.conversion) / np.diff(self.extinction)
         piece = np.searchsorted(self.extinction, extinction, side="right") - 1
-        return pieces[np.clip(piece, 0, pieces.size - 1)]
+        return self.slopes[np.clip(piece, 0, self.slopes.size - 1)]
+
+    @property
+    def slopes(self) -> np.ndarray:
+        """Conversion per extinction [mm] from each sample to the next, (samples - 1,)."""
+        return np.diff(self.conversion) / np.diff(self.extinction)

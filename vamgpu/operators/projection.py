@@ -187,6 +187,17 @@ class Projection(LinearOperator):
         Returns:
             The dose, [x, y, slice], NumPy.
         """
+        return self.lit_slices(light).numpy()
+
+    def lit_slices(self, light: np.ndarray | DeviceArray) -> DeviceArray:
+        """`dose_of_slices`, left on the device.
+
+        Args:
+            light: As for `dose_of_slices`, [angle, r, slice].
+
+        Returns:
+            The dose, [x, y, slice] on the device.
+        """
         out = self.device.empty((*self.grid.shape[:2], light.shape[2]))
         self._back(self._dwell.weighted(self.device.field(light)), out)
-        return out.numpy()
+        return out

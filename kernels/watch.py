@@ -1,0 +1,96 @@
+"""What a watched print makes of each voxel: what light did there, what a camera saw, and what can still be mended."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
+from vamgpu.kernels.loss import look_up
+from vamgpu.kernels.reduce import CPU
+from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real, Table, Tiling, kernel
+
+GPU = Tiling(major=1, minor=1)
+Places = Annotated[np.ndarray, Table("int32", ("pick", "3"))]
+Picked = Annotated[np.ndarray, Table("float32", ("pick",), writes=True)]
+Knots = Annotated[np.ndarray, Table("float32", ("knot",))]
+Slices = Annotated[np.ndarray, Table("float32", ("z",))]
+Columns = Annotated[np.ndarray, Table("float32", ("i", "j"))]
+Samples = Annotated[np.ndarray, Table("float32", ("sample",))]
+
+
+@kernel(over="picked")
+def pick_voxels(field: Array, places: Places, picked: Picked) -> None:
+    """picked[k] = field[places[k]]."""
+    picked[...] = field[places[:, 0], places[:, 1], places[:, 2]]
+
+
+@kernel(over="out", cpu=CPU, gpu=GPU)
+def interpolate(x: Array, knots: Knots, values: Knots, out: ArrayOut) -> None:
+    """Out = values at x, straight lines between knots that ascend, and level beyond them; out may be x."""
+    out[...] = np.interp(x, knots, values)
+
+
+@kernel(over="gain", cpu=CPU, gpu=GPU)
+def lean_gain(up: Slices, aside: Columns, level: Real, along: Real, across: Real, gain: ArrayOut) -> None:
+    """gain = level·(1 + along·up + across·aside)."""
+    gain[...] = level * (1.0 + along * up + across * aside[:, :, None])
+
+
+@kernel(over="gain", cpu=CPU, gpu=GPU)
+def match_dose(dose: Array, got: Array, least: Real, most: Real, gain: ArrayInOut) -> None:
+    """gain ·= dose / got within 1/most … most, where both are more than ``least``."""
+    known = np.minimum(dose, got) > least
+    gain *= np.where(known, np.clip(dose / np.where(known, got, 1.0), 1.0 / most, most), 1.0)
+
+
+@kernel(over="weight", cpu=CPU, gpu=GPU)
+def spare_voxels(
+    dose: Array, target: Array, deviation: Array, share: Real, margin: Real, inside: Real, greatest: Real,
+    weight: ArrayOut,
+) -> None:  # fmt: skip
+    """weight = 0 where a voxel surely has too much: dose − share·deviation − margin above what it may have, else 1.
+
+    More than ``greatest`` is too much in the part (a target of one half or more), ``inside`` or more outside.
+    """
+    sure = dose - (share * deviation + margin)
+    weight[...] = np.where(np.where(target >= 0.5, sure > greatest, sure >= inside), 0.0, 1.0)
+
+
+@kernel(over="weight", cpu=CPU, gpu=GPU)
+def weigh_evidence(
+    dose: Array, seen: Array, deviation: Array, judged: Columns, samples: Samples, start: Real, density: Real,
+    weight: ArrayOut, pull: ArrayOut,
+) -> None:  # fmt: skip
+    """How much a relative gain of the dose would change what is seen, squared, and how much of it is asked for.
+
+    Both in units of the variance: weight = (M'·dose)² / deviation², pull = M'·dose·(seen − M) / deviation², with M the
+    samples as in `look_up`. 0 where ``deviation`` is, which tells that nothing is seen, and where ``judged`` is.
+    """
+    made, rise = look_up(dose, samples, start, density)
+    known = (deviation > 0.0) & (judged[:, :, None] > 0.0)
+    slope = rise * density * dose
+    rate = np.where(known, slope, 0.0) / np.where(known, deviation, 1.0) ** 2
+    weight[...] = rate * slope
+    pull[...] = rate * (seen - made)
+
+
+@kernel(over="dose", cpu=CPU, gpu=GPU)
+def share_gain(
+    pull: Array, weight: Array, least: Real, shared: Real, strength: Real, dose: ArrayInOut, deviation: ArrayOut
+) -> None:  # fmt: skip
+    """dose ·= 1 + pull / (weight + least); deviation = \\|dose before\\| / √(weight / shared + strength)."""
+    deviation[...] = np.abs(dose) / np.sqrt(weight / shared + strength)
+    dose *= 1.0 + pull / (weight + least)
+
+
+@kernel(over="variance", cpu=CPU, gpu=GPU)
+def doubt_conversion(
+    extinction: Array, sharp: Array, rounded: Array, knots: Knots, slopes: Knots, model: Real, variance: ArrayInOut
+) -> None:
+    """variance = √(variance·slope² + 4·(sharp − rounded)² + model²), a deviation of conversion, of that of extinction.
+
+    slope = that of the last knot that is not above the extinction, of the first one below all.
+    """
+    piece = np.clip(np.searchsorted(knots, extinction, side="right") - 1, 0, len(knots) - 1)
+    variance[...] = np.sqrt(variance * slopes[piece] ** 2 + 4.0 * (sharp - rounded) ** 2 + model**2)

@@ -1,0 +1,105 @@
+"""What a watched print does to whole fields, where they live."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.kernels.update import fill_background
+from vamgpu.kernels.watch import pick_voxels
+from vamgpu.operators.compose import combine
+from vamgpu.operators.reductions import EVERYWHERE, extent
+
+
+def here(device: Device, values: Any) -> DeviceArray:
+    """An array as a field on a device, by way of the host only where it lives elsewhere.
+
+    Args:
+        device: Where it is wanted.
+        values: [i, j, z], NumPy or on any device.
+
+    Returns:
+        The field, to be read.
+    """
+    away = isinstance(values, DeviceArray) and values.device is not device
+    return device.field(values.numpy() if away else values)
+
+
+def scaled(field: DeviceArray, factor: float, offset: float = 0.0) -> DeviceArray:
+    """A new field, offset + factor·field.
+
+    Args:
+        field: [i, j, z].
+        factor: Of every value.
+        offset: Added to it.
+
+    Returns:
+        The field, [i, j, z].
+    """
+    out, ends = field.device.empty(field.shape), {"low": offset, "high": offset + factor}
+    field.device.launch(fill_background, target=field, **ends, reach=EVERYWHERE, model=out)
+    return out
+
+
+def added(first: DeviceArray, *others: DeviceArray, factor: float = 1.0) -> DeviceArray:
+    """A new field, first + factor·(sum of the others).
+
+    Args:
+        first: [i, j, z].
+        others: On its device, [i, j, z].
+        factor: Of each of the others.
+
+    Returns:
+        The field, [i, j, z].
+    """
+    out = combine(1.0, first, 0.0, first, first.device.empty(first.shape))
+    for other in others:
+        combine(1.0, out, factor, other, out)
+    return out
+
+
+def alike(first: DeviceArray, second: DeviceArray) -> bool:
+    """Whether two fields of one device hold the same finite numbers.
+
+    Args:
+        first: [i, j, z].
+        second: [i, j, z].
+
+    Returns:
+        Whether they do.
+    """
+    off = combine(1.0, first, -1.0, second, first.device.empty(first.shape))
+    return extent(off) == (0.0, 0.0)
+
+
+def places(device: Device, numbers: np.ndarray, shape: tuple[int, ...]) -> DeviceArray:
+    """Where voxels lie, for `picked`.
+
+    Args:
+        device: Of the fields.
+        numbers: Of voxels in C order, (count,).
+        shape: Of the fields, (x, y, z).
+
+    Returns:
+        A table on the device, (count, 3).
+    """
+    return device.table(np.stack(np.unravel_index(numbers, shape), axis=1), "int32")
+
+
+def picked(field: DeviceArray, places: DeviceArray) -> np.ndarray:
+    """Values of single voxels; nothing else leaves the device.
+
+    Args:
+        field: [x, y, z].
+        places: Of `places`, (count, 3).
+
+    Returns:
+        float64, (count,).
+    """
+    device, count = field.device, places.shape[0]
+    found = device.empty((count,), device.kept("float32"), table=True)  # type: ignore[arg-type]
+    device.launch(pick_voxels, field=field, places=places, picked=found)
+    return found.numpy().astype(float)
