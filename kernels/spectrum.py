@@ -102,7 +102,7 @@ def unfold_columns(folded: Folded, mirrored: Integer, sinogram: LightOut) -> Non
     gpu=Tiling(major=1, minor=2, group=(128, 1)),
     constants={
         "cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM, "FACTOR": FACTOR},
-        "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 128},
+        "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 256},
     },
 )
 def fourier(source: Source, belts: Belts, waves: Waves, sign: Real, sink: Sink) -> None:
@@ -167,7 +167,7 @@ def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Intege
 @kernel(
     over="folded",
     cpu=Tiling(major=1, minor=ROWS),
-    gpu=Tiling(major=1, minor=2 * ROWS, group=(32, 1, 4)),
+    gpu=Tiling(major=1, minor=ROWS, group=(32, 1, 4)),
     constants={"gpu": {"GROUP": 32, "SLABS": 4}},
 )
 def gather_rings(spectrum: Spectrum, entries: Entries, tiles: Tiles, mirrored: Integer, folded: FoldedOut) -> None:
