@@ -55,6 +55,7 @@ FIELD_KERNEL unfold_columns(ARRAY folded, int mirrored, __global float *restrict
 #endif
 
 #ifdef COMPILE_fourier
+#define BELT 17
 #define TURN(value, c, s) (value) = (c) * (value) + sign * (s) * turned(value)
 #define SWAP(a, b) { const Vector held = a; a = b; b = held; }
 
@@ -222,160 +223,173 @@ static inline void passes(ARRAY from, const int *read, Vector *near, Vector *far
 }
 #endif
 
-#ifdef GPU
-// Of the two factors of a radix the greater, both of at most FACTOR; 0 where there are no such two.
-static inline int greater_factor(int radix) {
-    for (int a = 1; a <= FACTOR; a++)
-        if (a * a >= radix && radix % a == 0) return a;
-    return 0;
+// OUTPUTS samples of a transform by direct sums: number `own` of those of a belt.
+static inline void direct_sums(ARRAY from, __global float *to, __global const int *belt, __global const float2 *wave,
+                               float sign, int own, int blocks) {
+    const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], turns = n / (done * radix);
+    const int ring = own % rings, block = own / rings % blocks * OUTPUTS, group = own / rings / blocks;
+    const int inner = group % done, start = group / done;
+    EACH_VECTOR {
+        Vector along[OUTPUTS], across[OUTPUTS];
+        int phase[OUTPUTS], step[OUTPUTS];
+        UNROLL for (int o = 0; o < OUTPUTS; o++) {
+            along[o] = across[o] = ZERO;
+            phase[o] = 0;
+            step[o] = (inner + min(block + o, radix - 1) * done) * turns;
+        }
+        int sample = start * done + inner;
+        for (int r = 0; r < radix; r++, sample += turns * done) {
+            const int at = belt[6] + sample % belt[7] * belt[8] + sample / belt[7] * belt[9] + ring;
+            const Vector given = LOAD(from + SAMPLE(0, at, 0));
+            UNROLL for (int o = 0; o < OUTPUTS; o++) {
+                const float2 turn = wave[phase[o]];
+                along[o] += turn.x * given;
+                across[o] += turn.y * given;
+                phase[o] += step[o];
+                phase[o] -= phase[o] >= n ? n : 0;
+            }
+        }
+        UNROLL for (int o = 0; o < OUTPUTS; o++) {
+            if (block + o >= radix) break;
+            const int out = start * done * radix + inner + (block + o) * done;
+            const int at = belt[10] + out % belt[11] * belt[12] + out / belt[11] * belt[13] + ring;
+            STORE(to + SAMPLE(0, at, 0), along[o] + sign * turned(across[o]));
+        }
+    }
 }
 
+#ifdef GPU
 #define SLOTS ((int)get_local_size(0) / THREADS)
 #define SLOT ((int)get_local_id(0) / THREADS)
-#define LANE_HERE ((int)get_local_id(0) % THREADS)
 
-// What a group computes at once of a belt: whole transforms of the pass, as many as HELD has room for, or SLOTS items
-// of direct sums where its radix has no two small factors.
-static inline int group_blocks(__global const int *belt, int *at_once) {
-    const int radix = belt[3], whole = greater_factor(radix) > 0;
-    const int tasks = belt[1] / radix * belt[2] * (whole ? 1 : (radix + OUTPUTS - 1) / OUTPUTS);
-    *at_once = whole ? HELD / radix : SLOTS;
-    return (tasks + *at_once - 1) / *at_once;
+// Samples that are evenly apart: where the first one lies, how far the next one, and what to add where that passes n.
+typedef struct {
+    int at, within, n, step, apart, wrap;
+} Places;
+
+static inline Places places_of(__global const int *place, int sample, int step) {
+    Places own;
+    own.n = place[1];
+    own.step = step % own.n;
+    own.within = sample % own.n;
+    own.at = place[0] + own.within * place[2] + sample / own.n * place[3];
+    own.apart = own.step * place[2] + step / own.n * place[3];
+    own.wrap = place[3] - own.n * place[2];
+    return own;
 }
+
+static inline int next_place(Places *own) {
+    const int at = own->at, over = own->within + own->step >= own->n;
+    own->at += own->apart + (over ? own->wrap : 0);
+    own->within += own->step - (over ? own->n : 0);
+    return at;
+}
+
+// Of `count` values, taken all at once, the transform: from the source into local memory, and from there to the sink.
+#define TAKE(count)                                                                                                    \
+    case count: {                                                                                                      \
+        Vector g[count];                                                                                               \
+        UNROLL for (int i = 0; i < count; i++) g[i] = given[(size_t)next_place(&places) * THREADS];                    \
+        if (inner)                                                                                                     \
+            UNROLL for (int i = 0; i < count; i++) {                                                                   \
+                const float2 turn = wave[(i * c + q) * inner * turns];                                                 \
+                TURN(g[i], turn.x, turn.y);                                                                            \
+            }                                                                                                          \
+        of_few(g, count, sign);                                                                                        \
+        UNROLL for (int i = 1; i < count; i++) {                                                                       \
+            const float2 turn = wave[i * q * (n / radix)];                                                             \
+            TURN(g[i], turn.x, turn.y);                                                                                \
+        }                                                                                                              \
+        UNROLL for (int i = 0; i < count; i++) own[i * c * THREADS] = g[i];                                            \
+        break;                                                                                                         \
+    }
+#define GIVE(count)                                                                                                    \
+    case count: {                                                                                                      \
+        Vector g[count];                                                                                               \
+        UNROLL for (int i = 0; i < count; i++) g[i] = own[i * THREADS];                                                \
+        of_few(g, count, sign);                                                                                        \
+        UNROLL for (int i = 0; i < count; i++) found[(size_t)next_place(&places) * THREADS] = g[i];                    \
+        break;                                                                                                         \
+    }
 #endif
 
 // An item computes OUTPUTS samples of a transform, which share what they are made of. Of a radix above ONE_SUM a
-// processor's item computes all or none, where there is room for it; on GPUs, where the radix is a · b, the items of a
-// group transform a values each, pass them on through local memory, and transform b values each.
+// processor's item computes all or none, where there is room for it; on GPUs, where the radix is a · c, the items of a
+// group transform a values each, pass them on through local memory, and transform c values each.
 FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global const float2 *restrict waves, float sign,
                      __global float *restrict sink, int n_a, int n_b, int n_z, int n_belt, int n_wave, int n_i, int n_j) {
     ARRAY from = source + slab_offset(n_a, n_b);
     __global float *to = sink + slab_offset(n_i, n_j);
 #ifdef GPU
     __local Vector held[HELD * THREADS];
-    const int groups = get_num_groups(0) * get_num_groups(1);
+    const int groups = get_num_groups(0) * get_num_groups(1), lane = (int)get_local_id(0) % THREADS;
     for (int number = get_group_id(1) * get_num_groups(0) + get_group_id(0);; number += groups) {
         __global const int *belt = belts;
-        int batch = number, at_once = 0, b = 0;
-        for (; b < n_belt; b++, belt += 14) {
-            const int count = group_blocks(belt, &at_once);
-            if (batch < count) break;
-            batch -= count;
+        for (int b = 1; b < n_belt && number >= belts[b * BELT + 16]; b++) belt = belts + b * BELT;
+        const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], a = belt[14], at_once = belt[15];
+        const int batches = (rings + at_once - 1) / at_once, unit = (number - belt[16]) / batches;
+        if (unit >= n / radix) return;
+        __global const float2 *wave = waves + belt[5];
+        if (a == 0) {
+            const int blocks = (radix + OUTPUTS - 1) / OUTPUTS;
+            for (int task = SLOT; task < blocks * rings; task += SLOTS)
+                direct_sums(from, to, belt, wave, sign, unit * blocks * rings + task, blocks);
+            continue;
         }
-        if (b == n_belt) return;
+        const int c = radix / a, turns = n / (done * radix), inner = unit % done, start = unit / done;
+        const int first = (number - belt[16]) % batches * at_once, here = min(at_once, rings - first);
+        for (int task = SLOT; task < here * c; task += SLOTS) {
+            const int ring = task % here, q = task / here;
+            Places places = places_of(belt + 6, start * done + inner + q * turns * done, c * turns * done);
+            __global const Vector *given = (__global const Vector *)(from + SAMPLE(0, first + ring, 0));
+            __local Vector *own = held + (ring * radix + q) * THREADS + lane;
+            switch (a) { TAKE(2) TAKE(3) TAKE(4) TAKE(5) TAKE(6) TAKE(7) TAKE(8) TAKE(9) TAKE(10) }
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (int task = SLOT; task < here * a; task += SLOTS) {
+            const int ring = task % here, p = task / here;
+            Places places = places_of(belt + 10, start * done * radix + inner + p * done, a * done);
+            __global Vector *found = (__global Vector *)(to + SAMPLE(0, first + ring, 0));
+            __local const Vector *own = held + (ring * radix + p * c) * THREADS + lane;
+            switch (c) { GIVE(1) GIVE(2) GIVE(3) GIVE(4) GIVE(5) GIVE(6) GIVE(7) GIVE(8) GIVE(9) GIVE(10) }
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
 #else
     if (ITEM_MAJOR >= n_i || ITEM_Z >= n_z) return;
     const int items = (n_j + 1) / 2, first = ITEM_MAJOR * items, begin = TILE_MINOR ? ITEM_MINOR : 0;
     for (int item = first + begin, end = first + (TILE_MINOR ? min(begin + 1, items) : items); item < end; item++) {
         __global const int *belt = belts;
         int own = item, blocks = 0, b = 0;
-        for (; b < n_belt; b++, belt += 14) {
+        for (; b < n_belt; b++, belt += BELT) {
             blocks = (belt[3] + OUTPUTS - 1) / OUTPUTS;
             const int count = belt[1] / belt[3] * blocks * belt[2];
             if (own < count) break;
             own -= count;
         }
         if (b == n_belt) return;
-#endif
         const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], turns = n / (done * radix);
-#ifdef GPU
-        const int a = greater_factor(radix);
-        if (a) {
-            const int c = radix / a, units = min(at_once, n / radix * rings - batch * at_once);
-            __global const float2 *wave = waves + belt[5];
-            Vector g[FACTOR];
-            for (int task = SLOT; task < units * c; task += SLOTS) {
-                const int unit = batch * at_once + task % units, ring = unit % rings, q = task / units;
-                const int inner = unit / rings % done, start = unit / rings / done;
-                UNROLL for (int i = 0; i < FACTOR; i++) {
-                    if (i >= a) break;
-                    const int r = i * c + q, sample = start * done + inner + r * turns * done;
-                    const int at = belt[6] + sample % belt[7] * belt[8] + sample / belt[7] * belt[9] + ring;
-                    const Vector given = *(__global const Vector *)(from + SAMPLE(0, at, 0));
-                    const float2 turn = wave[r * inner * turns % n];
-                    g[i] = turn.x * given + sign * turn.y * turned(given);
-                }
-                of_few(g, a, sign);
-                UNROLL for (int i = 0; i < FACTOR; i++) {
-                    if (i >= a) break;
-                    const float2 turn = wave[q * i * (n / radix)];
-                    held[(((task % units) * a + i) * c + q) * THREADS + LANE_HERE] =
-                        turn.x * g[i] + sign * turn.y * turned(g[i]);
-                }
-            }
-            barrier(CLK_LOCAL_MEM_FENCE);
-            for (int task = SLOT; task < units * a; task += SLOTS) {
-                const int unit = batch * at_once + task % units, ring = unit % rings, p = task / units;
-                const int inner = unit / rings % done, start = unit / rings / done;
-                UNROLL for (int i = 0; i < FACTOR; i++) {
-                    if (i >= c) break;
-                    g[i] = held[(((task % units) * a + p) * c + i) * THREADS + LANE_HERE];
-                }
-                of_few(g, c, sign);
-                UNROLL for (int i = 0; i < FACTOR; i++) {
-                    if (i >= c) break;
-                    const int out = start * done * radix + inner + (p + a * i) * done;
-                    const int at = belt[10] + out % belt[11] * belt[12] + out / belt[11] * belt[13] + ring;
-                    *(__global Vector *)(to + SAMPLE(0, at, 0)) = g[i];
-                }
-            }
-            barrier(CLK_LOCAL_MEM_FENCE);
-            continue;
-        }
-        const int blocks = (radix + OUTPUTS - 1) / OUTPUTS, own = batch * SLOTS + SLOT;
-        if (own >= n / radix * rings * blocks) continue;
-#endif
-#ifdef AT_ONCE
-        if (radix > ONE_SUM && radix <= AT_ONCE) {
-            if (own % blocks) continue;
-            const int which = own / blocks, ring = which % rings, inner = which / rings % done, start = which / rings / done;
-            __global const float2 *wave = waves + belt[5];
-            int read[AT_ONCE], write[AT_ONCE];
-            places_of(read, radix, start * done + inner, turns * done, belt + 6, ring);
-            places_of(write, radix, start * done * radix + inner, done, belt + 10, ring);
-            Vector near[AT_ONCE], far[AT_ONCE];
-            EACH_VECTOR {
-                if (inner)
-                    for (int r = 0; r < radix; r++) {
-                        near[r] = LOAD(from + SAMPLE(0, read[r], 0));
-                        TURN(near[r], wave[(long)r * inner * turns % n].x, wave[(long)r * inner * turns % n].y);
-                    }
-                passes(from, read, near, far, to, write, v, !inner, radix, wave, n / radix, sign);
-            }
-            continue;
-        }
-#endif
-        const int ring = own % rings, block = own / rings % blocks * OUTPUTS, group = own / rings / blocks;
-        const int inner = group % done, start = group / done;
         __global const float2 *wave = waves + belt[5];
+        if (radix <= ONE_SUM || radix > AT_ONCE) {
+            direct_sums(from, to, belt, wave, sign, own, blocks);
+            continue;
+        }
+        if (own % blocks) continue;
+        const int which = own / blocks, ring = which % rings, inner = which / rings % done, start = which / rings / done;
+        int read[AT_ONCE], write[AT_ONCE];
+        places_of(read, radix, start * done + inner, turns * done, belt + 6, ring);
+        places_of(write, radix, start * done * radix + inner, done, belt + 10, ring);
+        Vector near[AT_ONCE], far[AT_ONCE];
         EACH_VECTOR {
-            Vector along[OUTPUTS], across[OUTPUTS];
-            int phase[OUTPUTS], step[OUTPUTS];
-            UNROLL for (int o = 0; o < OUTPUTS; o++) {
-                along[o] = across[o] = ZERO;
-                phase[o] = 0;
-                step[o] = (inner + min(block + o, radix - 1) * done) * turns;
-            }
-            int sample = start * done + inner;
-            for (int r = 0; r < radix; r++, sample += turns * done) {
-                const int at = belt[6] + sample % belt[7] * belt[8] + sample / belt[7] * belt[9] + ring;
-                const Vector given = LOAD(from + SAMPLE(0, at, 0));
-                UNROLL for (int o = 0; o < OUTPUTS; o++) {
-                    const float2 turn = wave[phase[o]];
-                    along[o] += turn.x * given;
-                    across[o] += turn.y * given;
-                    phase[o] += step[o];
-                    phase[o] -= phase[o] >= n ? n : 0;
+            if (inner)
+                for (int r = 0; r < radix; r++) {
+                    near[r] = LOAD(from + SAMPLE(0, read[r], 0));
+                    TURN(near[r], wave[(long)r * inner * turns % n].x, wave[(long)r * inner * turns % n].y);
                 }
-            }
-            UNROLL for (int o = 0; o < OUTPUTS; o++) {
-                if (block + o >= radix) break;
-                const int out = start * done * radix + inner + (block + o) * done;
-                const int at = belt[10] + out % belt[11] * belt[12] + out / belt[11] * belt[13] + ring;
-                STORE(to + SAMPLE(0, at, 0), along[o] + sign * turned(across[o]));
-            }
+            passes(from, read, near, far, to, write, v, !inner, radix, wave, n / radix, sign);
         }
     }
+#endif
 }
 #endif
 
