@@ -427,7 +427,13 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 #define WAIT_FOR_READERS if (SIDES == 1) barrier(CLK_LOCAL_MEM_FENCE);
 #define PLACE \
     const int spread = SPREAD, item = MEMBER / spread, near = MEMBER % spread, last = (n_z - 1) / LANES;               \
-    const int slab = get_group_id(2) * get_local_size(2) + near / THREADS, lane = near % THREADS;
+    const int beside = get_local_size(2), slab = get_group_id(2) * beside * TILE_SLABS + near / THREADS;               \
+    const int lane = near % THREADS;
+// Slabs of an item, TILE_SLABS of them, and where they begin in fields of `samples` samples.
+#define SLAB(u) (slab + (u) * beside)
+#define SLAB_AT(u, samples) ((size_t)min(SLAB(u), last) * (samples) * THREADS)
+#define EACH_SLAB(u) UNROLL for (int u = 0; u < TILE_SLABS; u++)
+#define HELD_SLABS (SLABS * TILE_SLABS * THREADS)
 #define PART(total) ((total) / (ITEMS * THREADS * SLABS) > 0 ? (total) / (ITEMS * THREADS * SLABS) : 1)
 // Fetch `PART(total)` of values that are `VALUE` of m; the rest, where groups are small, when they are laid.
 #define FETCH(held, total, count, VALUE)                                                                               \
@@ -451,7 +457,7 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
     const int k = ITEM_MAJOR, middle = mirrored ? n_pair / 2 : 0;
     ENTRIES
     PLACE
-    __local float4 light[SIDES][2 * CHUNK * SLABS * THREADS], shares[SIDES][ITEMS * EACH * CHUNK * 4];
+    __local float4 light[SIDES][2 * CHUNK * HELD_SLABS], shares[SIDES][ITEMS * EACH * CHUNK * 4];
     __local int starts[ITEMS * EACH], counts[ITEMS * EACH];
     for (int m = MEMBER; m < ITEMS * EACH; m += MEMBERS) {
         const int tile = GROUP_ITEM * EACH + m;
@@ -463,13 +469,14 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
     int most = 0, mine = 0;
     for (int t = 0; t < ITEMS * EACH; t++) most = max(most, counts[t]);
     for (int t = 0; t < EACH; t++) mine = max(mine, counts[item * EACH + t]);
-    __global const float4 *from =
-        (__global const float4 *)(folded + ((size_t)min(slab, last) * n_k + k) * n_pair * LANES) + lane;
-    Vector real[EACH][ROWS], imaginary[EACH][ROWS];
-    UNROLL for (int t = 0; t < EACH; t++) EACH_ROW(row) real[t][row] = imaginary[t][row] = ZERO;
-    float4 next_light[PART(2 * CHUNK * SLABS * THREADS)], next_shares[PART(ITEMS * EACH * CHUNK * 4)];
+    __global const float4 *from = (__global const float4 *)folded + (size_t)k * n_pair * THREADS + lane;
+    Vector real[EACH][TILE_SLABS][ROWS], imaginary[EACH][TILE_SLABS][ROWS];
+    UNROLL for (int t = 0; t < EACH; t++) EACH_SLAB(u) EACH_ROW(row) real[t][u][row] = imaginary[t][u][row] = ZERO;
+    float4 next_light[PART(2 * CHUNK * HELD_SLABS)], next_shares[PART(ITEMS * EACH * CHUNK * 4)];
     // m counts lanes and slabs, pairs, then sums and differences; entries of a pair, pairs, then tiles.
-#define LIGHT_AT(m) from[(begin + (m) / spread % CHUNK + ((m) / spread >= CHUNK ? middle : 0)) * THREADS]
+#define LIGHT_AT(m)                                                                                                    \
+    from[SLAB_AT((m) / spread % TILE_SLABS, n_k * n_pair)                                                              \
+         + (begin + (m) / (spread * TILE_SLABS) % CHUNK + ((m) / (spread * TILE_SLABS) >= CHUNK ? middle : 0)) * THREADS]
 #define SHARES_AT(m)                                                                                                   \
     (begin < counts[(m) / (CHUNK * 4)]                                                                                 \
          ? ((__global const float4 *)(frequency + starts[(m) / (CHUNK * 4)] + 2 * ROWS * begin))[(m) % (CHUNK * 4)]   \
@@ -478,32 +485,32 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
         const int done = begin;
         begin += CHUNK;
         if (begin < most) {
-            FETCH(next_light, 2 * CHUNK * SLABS * THREADS, 2 * CHUNK * spread, LIGHT_AT)
+            FETCH(next_light, 2 * CHUNK * HELD_SLABS, 2 * CHUNK * TILE_SLABS * spread, LIGHT_AT)
             FETCH(next_shares, ITEMS * EACH * CHUNK * 4, ITEMS * EACH * CHUNK * 4, SHARES_AT)
         }
         if (done >= 0 && done < mine)
             UNROLL for (int p = 0; p < CHUNK; p++) {
-                const Vector sum = light[side][p * spread + near], difference = light[side][(CHUNK + p) * spread + near];
                 UNROLL for (int t = 0; t < EACH; t++) {
                     __local const float4 *share = shares[side] + ((item * EACH + t) * CHUNK + p) * 4;
-                    ADD_EIGHT(real[t], share, sum)
-                    ADD_EIGHT(imaginary[t], share + 2, difference)
+                    EACH_SLAB(u) {
+                        ADD_EIGHT(real[t][u], share, light[side][(p * TILE_SLABS + u) * spread + near])
+                        ADD_EIGHT(imaginary[t][u], share + 2, light[side][((CHUNK + p) * TILE_SLABS + u) * spread + near])
+                    }
                 }
             }
         WAIT_FOR_READERS
         if (begin < most) {
-            LAY(next_light, 2 * CHUNK * SLABS * THREADS, 2 * CHUNK * spread, LIGHT_AT, light[OTHER(side)])
+            LAY(next_light, 2 * CHUNK * HELD_SLABS, 2 * CHUNK * TILE_SLABS * spread, LIGHT_AT, light[OTHER(side)])
             LAY(next_shares, ITEMS * EACH * CHUNK * 4, ITEMS * EACH * CHUNK * 4, SHARES_AT, shares[OTHER(side)])
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-    if (slab > last) return;
-    __global float4 *to = (__global float4 *)(spectrum + ((size_t)slab * n_k + k) * n_cell * LANES) + lane;
-    UNROLL for (int t = 0; t < EACH; t++) {
+    UNROLL for (int t = 0; t < EACH; t++) EACH_SLAB(u) {
         const int tile = (GROUP_ITEM + item) * EACH + t;
-        if (tile >= n_tile) break;
+        if (tile >= n_tile || SLAB(u) > last) break;
+        __global float4 *to = (__global float4 *)spectrum + ((size_t)SLAB(u) * n_k + k) * n_cell * THREADS + lane;
         EACH_ROW(row) to[(tile * ROWS + row) * THREADS] =
-            real[t][row] + (back ? -1.0f : 1.0f) * turned(imaginary[t][row]);
+            real[t][u][row] + (back ? -1.0f : 1.0f) * turned(imaginary[t][u][row]);
     }
 #else
     const int k = ITEM_MAJOR, tile = ITEM_MINOR, middle = mirrored ? n_pair / 2 : 0;
@@ -553,14 +560,15 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
     ENTRIES
     PLACE
     const int first = begin + item * TILE_MINOR;
-    __local float4 light[SIDES][ROWS * SLABS * THREADS], shares[SIDES][ITEMS * TILE_MINOR * 4];
-    __global const float4 *from =
-        (__global const float4 *)(spectrum + ((size_t)min(slab, last) * n_k + k) * n_cell * LANES) + lane;
-    Vector real[TILE_MINOR], imaginary[TILE_MINOR];
-    UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) real[pair] = imaginary[pair] = ZERO;
-    float4 next_light[PART(ROWS * SLABS * THREADS)], next_shares[PART(ITEMS * TILE_MINOR * 4)];
+    if (begin >= end) return;
+    __local float4 light[SIDES][ROWS * HELD_SLABS], shares[SIDES][ITEMS * TILE_MINOR * 4];
+    __global const float4 *from = (__global const float4 *)spectrum + (size_t)k * n_cell * THREADS + lane;
+    Vector real[TILE_SLABS][TILE_MINOR], imaginary[TILE_SLABS][TILE_MINOR];
+    EACH_SLAB(u) UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) real[u][pair] = imaginary[u][pair] = ZERO;
+    float4 next_light[PART(ROWS * HELD_SLABS)], next_shares[PART(ITEMS * TILE_MINOR * 4)];
     // m counts lanes and slabs, then rows; entries of a pair, then pairs.
-#define LIGHT_OF(m) from[(tile * ROWS + (m) / spread) * THREADS]
+#define LIGHT_OF(m)                                                                                                    \
+    from[SLAB_AT((m) / spread % TILE_SLABS, n_k * n_cell) + (tile * ROWS + (m) / (spread * TILE_SLABS)) * THREADS]
 #define SHARES_OF(m)                                                                                                   \
     (begin + (m) / 4 < pairs ? ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[m] : (float4)(0.0f))
     int tile = -1, pairs = 0;
@@ -570,32 +578,32 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
         __global const int *own = TILE_OF(min(tile, n_tile - 1));
         pairs = PAIRS_OF(own);
         if (tile < n_tile) {
-            FETCH(next_light, ROWS * SLABS * THREADS, ROWS * spread, LIGHT_OF)
+            FETCH(next_light, ROWS * HELD_SLABS, ROWS * TILE_SLABS * spread, LIGHT_OF)
             FETCH(next_shares, ITEMS * TILE_MINOR * 4, ITEMS * TILE_MINOR * 4, SHARES_OF)
         }
         if (lit > first)
             for (int upper = 0; upper < 2; upper++) {
-                Vector ring[4];
-                UNROLL for (int row = 0; row < 4; row++) ring[row] = light[side][(4 * upper + row) * spread + near];
+                Vector ring[TILE_SLABS][4];
+                EACH_SLAB(u) UNROLL for (int row = 0; row < 4; row++)
+                    ring[u][row] = light[side][((4 * upper + row) * TILE_SLABS + u) * spread + near];
                 __local const float4 *share = shares[side] + item * TILE_MINOR * 4 + upper;
-                UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) {
-                    DOT_FOUR(real[pair], share[4 * pair], ring)
-                    DOT_FOUR(imaginary[pair], share[4 * pair + 2], ring)
+                UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) EACH_SLAB(u) {
+                    DOT_FOUR(real[u][pair], share[4 * pair], ring[u])
+                    DOT_FOUR(imaginary[u][pair], share[4 * pair + 2], ring[u])
                 }
             }
         WAIT_FOR_READERS
         if (tile < n_tile) {
-            LAY(next_light, ROWS * SLABS * THREADS, ROWS * spread, LIGHT_OF, light[OTHER(side)])
+            LAY(next_light, ROWS * HELD_SLABS, ROWS * TILE_SLABS * spread, LIGHT_OF, light[OTHER(side)])
             LAY(next_shares, ITEMS * TILE_MINOR * 4, ITEMS * TILE_MINOR * 4, SHARES_OF, shares[OTHER(side)])
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-    if (slab > last) return;
-    __global float4 *to = (__global float4 *)(folded + ((size_t)slab * n_k + k) * n_pair * LANES) + lane;
-    UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) {
-        if (first + pair >= end) break;
-        const Vector difference = (back ? 1.0f : -1.0f) * turned(imaginary[pair]);
-        to[(first + pair) * THREADS] = middle ? real[pair] : real[pair] + difference;
+    EACH_SLAB(u) UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) {
+        if (first + pair >= end || SLAB(u) > last) break;
+        __global float4 *to = (__global float4 *)folded + ((size_t)SLAB(u) * n_k + k) * n_pair * THREADS + lane;
+        const Vector difference = (back ? 1.0f : -1.0f) * turned(imaginary[u][pair]);
+        to[(first + pair) * THREADS] = middle ? real[u][pair] : real[u][pair] + difference;
         if (middle) to[(middle + first + pair) * THREADS] = difference;
     }
 #else

@@ -173,8 +173,8 @@ def _entries(entries: np.ndarray, tiles: np.ndarray, k: int, count: int) -> list
 @kernel(
     over="spectrum",
     cpu=Tiling(major=1, minor=ROWS),
-    gpu=Tiling(major=1, minor=2 * ROWS, group=(32, 1, 4)),
-    constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 8}},
+    gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(32, 1, 4)),
+    constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 4}},
 )
 def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Integer, spectrum: SpectrumOut) -> None:
     """spectrum = entries · light: real parts take sums of columns that mirror each other, imaginary ones differences.
@@ -192,7 +192,7 @@ def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Intege
 @kernel(
     over="folded",
     cpu=Tiling(major=1, minor=ROWS),
-    gpu=Tiling(major=1, minor=ROWS, group=(32, 1, 4)),
+    gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(32, 1, 4)),
     constants={"gpu": {"GROUP": 32, "SLABS": 4}},
 )
 def gather_rings(spectrum: Spectrum, entries: Entries, tiles: Tiles, mirrored: Integer, folded: FoldedOut) -> None:
