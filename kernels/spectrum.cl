@@ -434,19 +434,22 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 #define SLAB_AT(u, samples) ((size_t)min(SLAB(u), last) * (samples) * THREADS)
 #define EACH_SLAB(u) UNROLL for (int u = 0; u < TILE_SLABS; u++)
 #define HELD_SLABS (SLABS * TILE_SLABS * THREADS)
-#define PART(total) ((total) / (ITEMS * THREADS * SLABS) > 0 ? (total) / (ITEMS * THREADS * SLABS) : 1)
-// Fetch `PART(total)` of values that are `VALUE` of m; the rest, where groups are small, when they are laid.
-#define FETCH(held, total, count, VALUE)                                                                               \
-    UNROLL for (int i = 0; i < PART(total); i++) {                                                                     \
-        const int m = MEMBER + i * MEMBERS;                                                                            \
-        if (m < (count)) held[i] = VALUE(m);                                                                           \
-    }
-#define LAY(held, total, count, VALUE, to)                                                                             \
+#define MIN_ONE(count) ((count) > 0 ? (count) : 1)
+// Values that an item fetches, of ROWS of all lanes and slabs, and of entries. It takes every ITEMS-th row.
+#define PART_OF_ROWS(rows) MIN_ONE((rows) / ITEMS)
+#define PART(total) MIN_ONE((total) / (ITEMS * THREADS * SLABS))
+// Fetch `part` of `count` values, from a first on and `step` apart, that are VALUE(m); the rest when they are laid.
+#define FETCH(held, part, first, step, count, VALUE)                                                                   \
+    UNROLL for (int i = 0; i < part; i++)                                                                              \
+        if ((first) + i * (step) < (count)) held[i] = VALUE((first) + i * (step));
+#define LAY(held, part, first, step, count, VALUE, to, PLACE_OF)                                                       \
     {                                                                                                                  \
-        UNROLL for (int i = 0; i < PART(total); i++)                                                                   \
-            if (MEMBER + i * MEMBERS < (count)) (to)[MEMBER + i * MEMBERS] = held[i];                                  \
-        for (int m = MEMBER + PART(total) * MEMBERS; m < (count); m += MEMBERS) (to)[m] = VALUE(m);                    \
+        UNROLL for (int i = 0; i < part; i++)                                                                          \
+            if ((first) + i * (step) < (count)) (to)[PLACE_OF((first) + i * (step))] = held[i];                        \
+        for (int m = (first) + part * (step); m < (count); m += (step)) (to)[PLACE_OF(m)] = VALUE(m);                  \
     }
+#define OF_ROW(row) ((row) * spread + near)
+#define ITSELF(m) (m)
 #endif
 
 #ifdef COMPILE_light_rings
@@ -472,11 +475,13 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
     __global const float4 *from = (__global const float4 *)folded + (size_t)k * n_pair * THREADS + lane;
     Vector real[EACH][TILE_SLABS][ROWS], imaginary[EACH][TILE_SLABS][ROWS];
     UNROLL for (int t = 0; t < EACH; t++) EACH_SLAB(u) EACH_ROW(row) real[t][u][row] = imaginary[t][u][row] = ZERO;
-    float4 next_light[PART(2 * CHUNK * HELD_SLABS)], next_shares[PART(ITEMS * EACH * CHUNK * 4)];
-    // m counts lanes and slabs, pairs, then sums and differences; entries of a pair, pairs, then tiles.
+#define LIT (2 * CHUNK * TILE_SLABS)
+#define SHARED (ITEMS * EACH * CHUNK * 4)
+    float4 next_light[PART_OF_ROWS(LIT)], next_shares[PART(SHARED)];
+    // m counts slabs of an item, pairs, then sums and differences; entries of a pair, pairs, then tiles.
 #define LIGHT_AT(m)                                                                                                    \
-    from[SLAB_AT((m) / spread % TILE_SLABS, n_k * n_pair)                                                              \
-         + (begin + (m) / (spread * TILE_SLABS) % CHUNK + ((m) / (spread * TILE_SLABS) >= CHUNK ? middle : 0)) * THREADS]
+    from[SLAB_AT((m) % TILE_SLABS, n_k * n_pair)                                                                       \
+         + (begin + (m) / TILE_SLABS % CHUNK + ((m) / TILE_SLABS >= CHUNK ? middle : 0)) * THREADS]
 #define SHARES_AT(m)                                                                                                   \
     (begin < counts[(m) / (CHUNK * 4)]                                                                                 \
          ? ((__global const float4 *)(frequency + starts[(m) / (CHUNK * 4)] + 2 * ROWS * begin))[(m) % (CHUNK * 4)]   \
@@ -485,8 +490,8 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
         const int done = begin;
         begin += CHUNK;
         if (begin < most) {
-            FETCH(next_light, 2 * CHUNK * HELD_SLABS, 2 * CHUNK * TILE_SLABS * spread, LIGHT_AT)
-            FETCH(next_shares, ITEMS * EACH * CHUNK * 4, ITEMS * EACH * CHUNK * 4, SHARES_AT)
+            FETCH(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_AT)
+            FETCH(next_shares, PART(SHARED), MEMBER, MEMBERS, SHARED, SHARES_AT)
         }
         if (done >= 0 && done < mine)
             UNROLL for (int p = 0; p < CHUNK; p++) {
@@ -500,8 +505,8 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
             }
         WAIT_FOR_READERS
         if (begin < most) {
-            LAY(next_light, 2 * CHUNK * HELD_SLABS, 2 * CHUNK * TILE_SLABS * spread, LIGHT_AT, light[OTHER(side)])
-            LAY(next_shares, ITEMS * EACH * CHUNK * 4, ITEMS * EACH * CHUNK * 4, SHARES_AT, shares[OTHER(side)])
+            LAY(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_AT, light[OTHER(side)], OF_ROW)
+            LAY(next_shares, PART(SHARED), MEMBER, MEMBERS, SHARED, SHARES_AT, shares[OTHER(side)], ITSELF)
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
@@ -565,10 +570,11 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
     __global const float4 *from = (__global const float4 *)spectrum + (size_t)k * n_cell * THREADS + lane;
     Vector real[TILE_SLABS][TILE_MINOR], imaginary[TILE_SLABS][TILE_MINOR];
     EACH_SLAB(u) UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) real[u][pair] = imaginary[u][pair] = ZERO;
-    float4 next_light[PART(ROWS * HELD_SLABS)], next_shares[PART(ITEMS * TILE_MINOR * 4)];
-    // m counts lanes and slabs, then rows; entries of a pair, then pairs.
-#define LIGHT_OF(m)                                                                                                    \
-    from[SLAB_AT((m) / spread % TILE_SLABS, n_k * n_cell) + (tile * ROWS + (m) / (spread * TILE_SLABS)) * THREADS]
+#define LIT (ROWS * TILE_SLABS)
+#define SHARED (ITEMS * TILE_MINOR * 4)
+    float4 next_light[PART_OF_ROWS(LIT)], next_shares[PART(SHARED)];
+    // m counts slabs of an item, then cells; entries of a pair, then pairs.
+#define LIGHT_OF(m) from[SLAB_AT((m) % TILE_SLABS, n_k * n_cell) + (tile * ROWS + (m) / TILE_SLABS) * THREADS]
 #define SHARES_OF(m)                                                                                                   \
     (begin + (m) / 4 < pairs ? ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[m] : (float4)(0.0f))
     int tile = -1, pairs = 0;
@@ -578,8 +584,8 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
         __global const int *own = TILE_OF(min(tile, n_tile - 1));
         pairs = PAIRS_OF(own);
         if (tile < n_tile) {
-            FETCH(next_light, ROWS * HELD_SLABS, ROWS * TILE_SLABS * spread, LIGHT_OF)
-            FETCH(next_shares, ITEMS * TILE_MINOR * 4, ITEMS * TILE_MINOR * 4, SHARES_OF)
+            FETCH(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_OF)
+            FETCH(next_shares, PART(SHARED), MEMBER, MEMBERS, SHARED, SHARES_OF)
         }
         if (lit > first)
             for (int upper = 0; upper < 2; upper++) {
@@ -594,8 +600,8 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
             }
         WAIT_FOR_READERS
         if (tile < n_tile) {
-            LAY(next_light, ROWS * HELD_SLABS, ROWS * TILE_SLABS * spread, LIGHT_OF, light[OTHER(side)])
-            LAY(next_shares, ITEMS * TILE_MINOR * 4, ITEMS * TILE_MINOR * 4, SHARES_OF, shares[OTHER(side)])
+            LAY(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_OF, light[OTHER(side)], OF_ROW)
+            LAY(next_shares, PART(SHARED), MEMBER, MEMBERS, SHARED, SHARES_OF, shares[OTHER(side)], ITSELF)
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
