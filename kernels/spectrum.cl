@@ -55,6 +55,7 @@ FIELD_KERNEL unfold_columns(ARRAY folded, int mirrored, __global float *restrict
 #endif
 
 #ifdef COMPILE_fourier
+#define BELT 17
 #define TURN(value, c, s) (value) = (c) * (value) + sign * (s) * turned(value)
 #define SWAP(a, b) { const Vector held = a; a = b; b = held; }
 
@@ -222,160 +223,173 @@ static inline void passes(ARRAY from, const int *read, Vector *near, Vector *far
 }
 #endif
 
-#ifdef GPU
-// Of the two factors of a radix the greater, both of at most FACTOR; 0 where there are no such two.
-static inline int greater_factor(int radix) {
-    for (int a = 1; a <= FACTOR; a++)
-        if (a * a >= radix && radix % a == 0) return a;
-    return 0;
+// OUTPUTS samples of a transform by direct sums: number `own` of those of a belt.
+static inline void direct_sums(ARRAY from, __global float *to, __global const int *belt, __global const float2 *wave,
+                               float sign, int own, int blocks) {
+    const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], turns = n / (done * radix);
+    const int ring = own % rings, block = own / rings % blocks * OUTPUTS, group = own / rings / blocks;
+    const int inner = group % done, start = group / done;
+    EACH_VECTOR {
+        Vector along[OUTPUTS], across[OUTPUTS];
+        int phase[OUTPUTS], step[OUTPUTS];
+        UNROLL for (int o = 0; o < OUTPUTS; o++) {
+            along[o] = across[o] = ZERO;
+            phase[o] = 0;
+            step[o] = (inner + min(block + o, radix - 1) * done) * turns;
+        }
+        int sample = start * done + inner;
+        for (int r = 0; r < radix; r++, sample += turns * done) {
+            const int at = belt[6] + sample % belt[7] * belt[8] + sample / belt[7] * belt[9] + ring;
+            const Vector given = LOAD(from + SAMPLE(0, at, 0));
+            UNROLL for (int o = 0; o < OUTPUTS; o++) {
+                const float2 turn = wave[phase[o]];
+                along[o] += turn.x * given;
+                across[o] += turn.y * given;
+                phase[o] += step[o];
+                phase[o] -= phase[o] >= n ? n : 0;
+            }
+        }
+        UNROLL for (int o = 0; o < OUTPUTS; o++) {
+            if (block + o >= radix) break;
+            const int out = start * done * radix + inner + (block + o) * done;
+            const int at = belt[10] + out % belt[11] * belt[12] + out / belt[11] * belt[13] + ring;
+            STORE(to + SAMPLE(0, at, 0), along[o] + sign * turned(across[o]));
+        }
+    }
 }
 
+#ifdef GPU
 #define SLOTS ((int)get_local_size(0) / THREADS)
 #define SLOT ((int)get_local_id(0) / THREADS)
-#define LANE_HERE ((int)get_local_id(0) % THREADS)
 
-// What a group computes at once of a belt: whole transforms of the pass, as many as HELD has room for, or SLOTS items
-// of direct sums where its radix has no two small factors.
-static inline int group_blocks(__global const int *belt, int *at_once) {
-    const int radix = belt[3], whole = greater_factor(radix) > 0;
-    const int tasks = belt[1] / radix * belt[2] * (whole ? 1 : (radix + OUTPUTS - 1) / OUTPUTS);
-    *at_once = whole ? HELD / radix : SLOTS;
-    return (tasks + *at_once - 1) / *at_once;
+// Samples that are evenly apart: where the first one lies, how far the next one, and what to add where that passes n.
+typedef struct {
+    int at, within, n, step, apart, wrap;
+} Places;
+
+static inline Places places_of(__global const int *place, int sample, int step) {
+    Places own;
+    own.n = place[1];
+    own.step = step % own.n;
+    own.within = sample % own.n;
+    own.at = place[0] + own.within * place[2] + sample / own.n * place[3];
+    own.apart = own.step * place[2] + step / own.n * place[3];
+    own.wrap = place[3] - own.n * place[2];
+    return own;
 }
+
+static inline int next_place(Places *own) {
+    const int at = own->at, over = own->within + own->step >= own->n;
+    own->at += own->apart + (over ? own->wrap : 0);
+    own->within += own->step - (over ? own->n : 0);
+    return at;
+}
+
+// Of `count` values, taken all at once, the transform: from the source into local memory, and from there to the sink.
+#define TAKE(count)                                                                                                    \
+    case count: {                                                                                                      \
+        Vector g[count];                                                                                               \
+        UNROLL for (int i = 0; i < count; i++) g[i] = given[(size_t)next_place(&places) * THREADS];                    \
+        if (inner)                                                                                                     \
+            UNROLL for (int i = 0; i < count; i++) {                                                                   \
+                const float2 turn = wave[(i * c + q) * inner * turns];                                                 \
+                TURN(g[i], turn.x, turn.y);                                                                            \
+            }                                                                                                          \
+        of_few(g, count, sign);                                                                                        \
+        UNROLL for (int i = 1; i < count; i++) {                                                                       \
+            const float2 turn = wave[i * q * (n / radix)];                                                             \
+            TURN(g[i], turn.x, turn.y);                                                                                \
+        }                                                                                                              \
+        UNROLL for (int i = 0; i < count; i++) own[i * c * THREADS] = g[i];                                            \
+        break;                                                                                                         \
+    }
+#define GIVE(count)                                                                                                    \
+    case count: {                                                                                                      \
+        Vector g[count];                                                                                               \
+        UNROLL for (int i = 0; i < count; i++) g[i] = own[i * THREADS];                                                \
+        of_few(g, count, sign);                                                                                        \
+        UNROLL for (int i = 0; i < count; i++) found[(size_t)next_place(&places) * THREADS] = g[i];                    \
+        break;                                                                                                         \
+    }
 #endif
 
 // An item computes OUTPUTS samples of a transform, which share what they are made of. Of a radix above ONE_SUM a
-// processor's item computes all or none, where there is room for it; on GPUs, where the radix is a · b, the items of a
-// group transform a values each, pass them on through local memory, and transform b values each.
+// processor's item computes all or none, where there is room for it; on GPUs, where the radix is a · c, the items of a
+// group transform a values each, pass them on through local memory, and transform c values each.
 FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global const float2 *restrict waves, float sign,
                      __global float *restrict sink, int n_a, int n_b, int n_z, int n_belt, int n_wave, int n_i, int n_j) {
     ARRAY from = source + slab_offset(n_a, n_b);
     __global float *to = sink + slab_offset(n_i, n_j);
 #ifdef GPU
     __local Vector held[HELD * THREADS];
-    const int groups = get_num_groups(0) * get_num_groups(1);
+    const int groups = get_num_groups(0) * get_num_groups(1), lane = (int)get_local_id(0) % THREADS;
     for (int number = get_group_id(1) * get_num_groups(0) + get_group_id(0);; number += groups) {
         __global const int *belt = belts;
-        int batch = number, at_once = 0, b = 0;
-        for (; b < n_belt; b++, belt += 14) {
-            const int count = group_blocks(belt, &at_once);
-            if (batch < count) break;
-            batch -= count;
+        for (int b = 1; b < n_belt && number >= belts[b * BELT + 16]; b++) belt = belts + b * BELT;
+        const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], a = belt[14], at_once = belt[15];
+        const int batches = (rings + at_once - 1) / at_once, unit = (number - belt[16]) / batches;
+        if (unit >= n / radix) return;
+        __global const float2 *wave = waves + belt[5];
+        if (a == 0) {
+            const int blocks = (radix + OUTPUTS - 1) / OUTPUTS;
+            for (int task = SLOT; task < blocks * rings; task += SLOTS)
+                direct_sums(from, to, belt, wave, sign, unit * blocks * rings + task, blocks);
+            continue;
         }
-        if (b == n_belt) return;
+        const int c = radix / a, turns = n / (done * radix), inner = unit % done, start = unit / done;
+        const int first = (number - belt[16]) % batches * at_once, here = min(at_once, rings - first);
+        for (int task = SLOT; task < here * c; task += SLOTS) {
+            const int ring = task % here, q = task / here;
+            Places places = places_of(belt + 6, start * done + inner + q * turns * done, c * turns * done);
+            __global const Vector *given = (__global const Vector *)(from + SAMPLE(0, first + ring, 0));
+            __local Vector *own = held + (ring * radix + q) * THREADS + lane;
+            switch (a) { TAKE(2) TAKE(3) TAKE(4) TAKE(5) TAKE(6) TAKE(7) TAKE(8) TAKE(9) TAKE(10) }
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (int task = SLOT; task < here * a; task += SLOTS) {
+            const int ring = task % here, p = task / here;
+            Places places = places_of(belt + 10, start * done * radix + inner + p * done, a * done);
+            __global Vector *found = (__global Vector *)(to + SAMPLE(0, first + ring, 0));
+            __local const Vector *own = held + (ring * radix + p * c) * THREADS + lane;
+            switch (c) { GIVE(1) GIVE(2) GIVE(3) GIVE(4) GIVE(5) GIVE(6) GIVE(7) GIVE(8) GIVE(9) GIVE(10) }
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
 #else
     if (ITEM_MAJOR >= n_i || ITEM_Z >= n_z) return;
     const int items = (n_j + 1) / 2, first = ITEM_MAJOR * items, begin = TILE_MINOR ? ITEM_MINOR : 0;
     for (int item = first + begin, end = first + (TILE_MINOR ? min(begin + 1, items) : items); item < end; item++) {
         __global const int *belt = belts;
         int own = item, blocks = 0, b = 0;
-        for (; b < n_belt; b++, belt += 14) {
+        for (; b < n_belt; b++, belt += BELT) {
             blocks = (belt[3] + OUTPUTS - 1) / OUTPUTS;
             const int count = belt[1] / belt[3] * blocks * belt[2];
             if (own < count) break;
             own -= count;
         }
         if (b == n_belt) return;
-#endif
         const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], turns = n / (done * radix);
-#ifdef GPU
-        const int a = greater_factor(radix);
-        if (a) {
-            const int c = radix / a, units = min(at_once, n / radix * rings - batch * at_once);
-            __global const float2 *wave = waves + belt[5];
-            Vector g[FACTOR];
-            for (int task = SLOT; task < units * c; task += SLOTS) {
-                const int unit = batch * at_once + task % units, ring = unit % rings, q = task / units;
-                const int inner = unit / rings % done, start = unit / rings / done;
-                UNROLL for (int i = 0; i < FACTOR; i++) {
-                    if (i >= a) break;
-                    const int r = i * c + q, sample = start * done + inner + r * turns * done;
-                    const int at = belt[6] + sample % belt[7] * belt[8] + sample / belt[7] * belt[9] + ring;
-                    const Vector given = *(__global const Vector *)(from + SAMPLE(0, at, 0));
-                    const float2 turn = wave[r * inner * turns % n];
-                    g[i] = turn.x * given + sign * turn.y * turned(given);
-                }
-                of_few(g, a, sign);
-                UNROLL for (int i = 0; i < FACTOR; i++) {
-                    if (i >= a) break;
-                    const float2 turn = wave[q * i * (n / radix)];
-                    held[(((task % units) * a + i) * c + q) * THREADS + LANE_HERE] =
-                        turn.x * g[i] + sign * turn.y * turned(g[i]);
-                }
-            }
-            barrier(CLK_LOCAL_MEM_FENCE);
-            for (int task = SLOT; task < units * a; task += SLOTS) {
-                const int unit = batch * at_once + task % units, ring = unit % rings, p = task / units;
-                const int inner = unit / rings % done, start = unit / rings / done;
-                UNROLL for (int i = 0; i < FACTOR; i++) {
-                    if (i >= c) break;
-                    g[i] = held[(((task % units) * a + p) * c + i) * THREADS + LANE_HERE];
-                }
-                of_few(g, c, sign);
-                UNROLL for (int i = 0; i < FACTOR; i++) {
-                    if (i >= c) break;
-                    const int out = start * done * radix + inner + (p + a * i) * done;
-                    const int at = belt[10] + out % belt[11] * belt[12] + out / belt[11] * belt[13] + ring;
-                    *(__global Vector *)(to + SAMPLE(0, at, 0)) = g[i];
-                }
-            }
-            barrier(CLK_LOCAL_MEM_FENCE);
-            continue;
-        }
-        const int blocks = (radix + OUTPUTS - 1) / OUTPUTS, own = batch * SLOTS + SLOT;
-        if (own >= n / radix * rings * blocks) continue;
-#endif
-#ifdef AT_ONCE
-        if (radix > ONE_SUM && radix <= AT_ONCE) {
-            if (own % blocks) continue;
-            const int which = own / blocks, ring = which % rings, inner = which / rings % done, start = which / rings / done;
-            __global const float2 *wave = waves + belt[5];
-            int read[AT_ONCE], write[AT_ONCE];
-            places_of(read, radix, start * done + inner, turns * done, belt + 6, ring);
-            places_of(write, radix, start * done * radix + inner, done, belt + 10, ring);
-            Vector near[AT_ONCE], far[AT_ONCE];
-            EACH_VECTOR {
-                if (inner)
-                    for (int r = 0; r < radix; r++) {
-                        near[r] = LOAD(from + SAMPLE(0, read[r], 0));
-                        TURN(near[r], wave[(long)r * inner * turns % n].x, wave[(long)r * inner * turns % n].y);
-                    }
-                passes(from, read, near, far, to, write, v, !inner, radix, wave, n / radix, sign);
-            }
-            continue;
-        }
-#endif
-        const int ring = own % rings, block = own / rings % blocks * OUTPUTS, group = own / rings / blocks;
-        const int inner = group % done, start = group / done;
         __global const float2 *wave = waves + belt[5];
+        if (radix <= ONE_SUM || radix > AT_ONCE) {
+            direct_sums(from, to, belt, wave, sign, own, blocks);
+            continue;
+        }
+        if (own % blocks) continue;
+        const int which = own / blocks, ring = which % rings, inner = which / rings % done, start = which / rings / done;
+        int read[AT_ONCE], write[AT_ONCE];
+        places_of(read, radix, start * done + inner, turns * done, belt + 6, ring);
+        places_of(write, radix, start * done * radix + inner, done, belt + 10, ring);
+        Vector near[AT_ONCE], far[AT_ONCE];
         EACH_VECTOR {
-            Vector along[OUTPUTS], across[OUTPUTS];
-            int phase[OUTPUTS], step[OUTPUTS];
-            UNROLL for (int o = 0; o < OUTPUTS; o++) {
-                along[o] = across[o] = ZERO;
-                phase[o] = 0;
-                step[o] = (inner + min(block + o, radix - 1) * done) * turns;
-            }
-            int sample = start * done + inner;
-            for (int r = 0; r < radix; r++, sample += turns * done) {
-                const int at = belt[6] + sample % belt[7] * belt[8] + sample / belt[7] * belt[9] + ring;
-                const Vector given = LOAD(from + SAMPLE(0, at, 0));
-                UNROLL for (int o = 0; o < OUTPUTS; o++) {
-                    const float2 turn = wave[phase[o]];
-                    along[o] += turn.x * given;
-                    across[o] += turn.y * given;
-                    phase[o] += step[o];
-                    phase[o] -= phase[o] >= n ? n : 0;
+            if (inner)
+                for (int r = 0; r < radix; r++) {
+                    near[r] = LOAD(from + SAMPLE(0, read[r], 0));
+                    TURN(near[r], wave[(long)r * inner * turns % n].x, wave[(long)r * inner * turns % n].y);
                 }
-            }
-            UNROLL for (int o = 0; o < OUTPUTS; o++) {
-                if (block + o >= radix) break;
-                const int out = start * done * radix + inner + (block + o) * done;
-                const int at = belt[10] + out % belt[11] * belt[12] + out / belt[11] * belt[13] + ring;
-                STORE(to + SAMPLE(0, at, 0), along[o] + sign * turned(across[o]));
-            }
+            passes(from, read, near, far, to, write, v, !inner, radix, wave, n / radix, sign);
         }
     }
+#endif
 }
 #endif
 
@@ -413,20 +427,29 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 #define WAIT_FOR_READERS if (SIDES == 1) barrier(CLK_LOCAL_MEM_FENCE);
 #define PLACE \
     const int spread = SPREAD, item = MEMBER / spread, near = MEMBER % spread, last = (n_z - 1) / LANES;               \
-    const int slab = get_group_id(2) * get_local_size(2) + near / THREADS, lane = near % THREADS;
-#define PART(total) ((total) / (ITEMS * THREADS * SLABS) > 0 ? (total) / (ITEMS * THREADS * SLABS) : 1)
-// Fetch `PART(total)` of values that are `VALUE` of m; the rest, where groups are small, when they are laid.
-#define FETCH(held, total, count, VALUE)                                                                               \
-    UNROLL for (int i = 0; i < PART(total); i++) {                                                                     \
-        const int m = MEMBER + i * MEMBERS;                                                                            \
-        if (m < (count)) held[i] = VALUE(m);                                                                           \
-    }
-#define LAY(held, total, count, VALUE, to)                                                                             \
+    const int beside = get_local_size(2), slab = get_group_id(2) * beside * TILE_SLABS + near / THREADS;               \
+    const int lane = near % THREADS;
+// Slabs of an item, TILE_SLABS of them, and where they begin in fields of `samples` samples.
+#define SLAB(u) (slab + (u) * beside)
+#define SLAB_AT(u, samples) ((size_t)min(SLAB(u), last) * (samples) * THREADS)
+#define EACH_SLAB(u) UNROLL for (int u = 0; u < TILE_SLABS; u++)
+#define HELD_SLABS (SLABS * TILE_SLABS * THREADS)
+#define MIN_ONE(count) ((count) > 0 ? (count) : 1)
+// Values that an item fetches, of ROWS of all lanes and slabs, and of entries. It takes every ITEMS-th row.
+#define PART_OF_ROWS(rows) MIN_ONE((rows) / ITEMS)
+#define PART(total) MIN_ONE((total) / (ITEMS * THREADS * SLABS))
+// Fetch `part` of `count` values, from a first on and `step` apart, that are VALUE(m); the rest when they are laid.
+#define FETCH(held, part, first, step, count, VALUE)                                                                   \
+    UNROLL for (int i = 0; i < part; i++)                                                                              \
+        if ((first) + i * (step) < (count)) held[i] = VALUE((first) + i * (step));
+#define LAY(held, part, first, step, count, VALUE, to, PLACE_OF)                                                       \
     {                                                                                                                  \
-        UNROLL for (int i = 0; i < PART(total); i++)                                                                   \
-            if (MEMBER + i * MEMBERS < (count)) (to)[MEMBER + i * MEMBERS] = held[i];                                  \
-        for (int m = MEMBER + PART(total) * MEMBERS; m < (count); m += MEMBERS) (to)[m] = VALUE(m);                    \
+        UNROLL for (int i = 0; i < part; i++)                                                                          \
+            if ((first) + i * (step) < (count)) (to)[PLACE_OF((first) + i * (step))] = held[i];                        \
+        for (int m = (first) + part * (step); m < (count); m += (step)) (to)[PLACE_OF(m)] = VALUE(m);                  \
     }
+#define OF_ROW(row) ((row) * spread + near)
+#define ITSELF(m) (m)
 #endif
 
 #ifdef COMPILE_light_rings
@@ -437,7 +460,7 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
     const int k = ITEM_MAJOR, middle = mirrored ? n_pair / 2 : 0;
     ENTRIES
     PLACE
-    __local float4 light[SIDES][2 * CHUNK * SLABS * THREADS], shares[SIDES][ITEMS * EACH * CHUNK * 4];
+    __local float4 light[SIDES][2 * CHUNK * HELD_SLABS], shares[SIDES][ITEMS * EACH * CHUNK * 4];
     __local int starts[ITEMS * EACH], counts[ITEMS * EACH];
     for (int m = MEMBER; m < ITEMS * EACH; m += MEMBERS) {
         const int tile = GROUP_ITEM * EACH + m;
@@ -449,13 +472,16 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
     int most = 0, mine = 0;
     for (int t = 0; t < ITEMS * EACH; t++) most = max(most, counts[t]);
     for (int t = 0; t < EACH; t++) mine = max(mine, counts[item * EACH + t]);
-    __global const float4 *from =
-        (__global const float4 *)(folded + ((size_t)min(slab, last) * n_k + k) * n_pair * LANES) + lane;
-    Vector real[EACH][ROWS], imaginary[EACH][ROWS];
-    UNROLL for (int t = 0; t < EACH; t++) EACH_ROW(row) real[t][row] = imaginary[t][row] = ZERO;
-    float4 next_light[PART(2 * CHUNK * SLABS * THREADS)], next_shares[PART(ITEMS * EACH * CHUNK * 4)];
-    // m counts lanes and slabs, pairs, then sums and differences; entries of a pair, pairs, then tiles.
-#define LIGHT_AT(m) from[(begin + (m) / spread % CHUNK + ((m) / spread >= CHUNK ? middle : 0)) * THREADS]
+    __global const float4 *from = (__global const float4 *)folded + (size_t)k * n_pair * THREADS + lane;
+    Vector real[EACH][TILE_SLABS][ROWS], imaginary[EACH][TILE_SLABS][ROWS];
+    UNROLL for (int t = 0; t < EACH; t++) EACH_SLAB(u) EACH_ROW(row) real[t][u][row] = imaginary[t][u][row] = ZERO;
+#define LIT (2 * CHUNK * TILE_SLABS)
+#define SHARED (ITEMS * EACH * CHUNK * 4)
+    float4 next_light[PART_OF_ROWS(LIT)], next_shares[PART(SHARED)];
+    // m counts slabs of an item, pairs, then sums and differences; entries of a pair, pairs, then tiles.
+#define LIGHT_AT(m)                                                                                                    \
+    from[SLAB_AT((m) % TILE_SLABS, n_k * n_pair)                                                                       \
+         + (begin + (m) / TILE_SLABS % CHUNK + ((m) / TILE_SLABS >= CHUNK ? middle : 0)) * THREADS]
 #define SHARES_AT(m)                                                                                                   \
     (begin < counts[(m) / (CHUNK * 4)]                                                                                 \
          ? ((__global const float4 *)(frequency + starts[(m) / (CHUNK * 4)] + 2 * ROWS * begin))[(m) % (CHUNK * 4)]   \
@@ -464,32 +490,32 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, _
         const int done = begin;
         begin += CHUNK;
         if (begin < most) {
-            FETCH(next_light, 2 * CHUNK * SLABS * THREADS, 2 * CHUNK * spread, LIGHT_AT)
-            FETCH(next_shares, ITEMS * EACH * CHUNK * 4, ITEMS * EACH * CHUNK * 4, SHARES_AT)
+            FETCH(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_AT)
+            FETCH(next_shares, PART(SHARED), MEMBER, MEMBERS, SHARED, SHARES_AT)
         }
         if (done >= 0 && done < mine)
             UNROLL for (int p = 0; p < CHUNK; p++) {
-                const Vector sum = light[side][p * spread + near], difference = light[side][(CHUNK + p) * spread + near];
                 UNROLL for (int t = 0; t < EACH; t++) {
                     __local const float4 *share = shares[side] + ((item * EACH + t) * CHUNK + p) * 4;
-                    ADD_EIGHT(real[t], share, sum)
-                    ADD_EIGHT(imaginary[t], share + 2, difference)
+                    EACH_SLAB(u) {
+                        ADD_EIGHT(real[t][u], share, light[side][(p * TILE_SLABS + u) * spread + near])
+                        ADD_EIGHT(imaginary[t][u], share + 2, light[side][((CHUNK + p) * TILE_SLABS + u) * spread + near])
+                    }
                 }
             }
         WAIT_FOR_READERS
         if (begin < most) {
-            LAY(next_light, 2 * CHUNK * SLABS * THREADS, 2 * CHUNK * spread, LIGHT_AT, light[OTHER(side)])
-            LAY(next_shares, ITEMS * EACH * CHUNK * 4, ITEMS * EACH * CHUNK * 4, SHARES_AT, shares[OTHER(side)])
+            LAY(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_AT, light[OTHER(side)], OF_ROW)
+            LAY(next_shares, PART(SHARED), MEMBER, MEMBERS, SHARED, SHARES_AT, shares[OTHER(side)], ITSELF)
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-    if (slab > last) return;
-    __global float4 *to = (__global float4 *)(spectrum + ((size_t)slab * n_k + k) * n_cell * LANES) + lane;
-    UNROLL for (int t = 0; t < EACH; t++) {
+    UNROLL for (int t = 0; t < EACH; t++) EACH_SLAB(u) {
         const int tile = (GROUP_ITEM + item) * EACH + t;
-        if (tile >= n_tile) break;
+        if (tile >= n_tile || SLAB(u) > last) break;
+        __global float4 *to = (__global float4 *)spectrum + ((size_t)SLAB(u) * n_k + k) * n_cell * THREADS + lane;
         EACH_ROW(row) to[(tile * ROWS + row) * THREADS] =
-            real[t][row] + (back ? -1.0f : 1.0f) * turned(imaginary[t][row]);
+            real[t][u][row] + (back ? -1.0f : 1.0f) * turned(imaginary[t][u][row]);
     }
 #else
     const int k = ITEM_MAJOR, tile = ITEM_MINOR, middle = mirrored ? n_pair / 2 : 0;
@@ -539,14 +565,16 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
     ENTRIES
     PLACE
     const int first = begin + item * TILE_MINOR;
-    __local float4 light[SIDES][ROWS * SLABS * THREADS], shares[SIDES][ITEMS * TILE_MINOR * 4];
-    __global const float4 *from =
-        (__global const float4 *)(spectrum + ((size_t)min(slab, last) * n_k + k) * n_cell * LANES) + lane;
-    Vector real[TILE_MINOR], imaginary[TILE_MINOR];
-    UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) real[pair] = imaginary[pair] = ZERO;
-    float4 next_light[PART(ROWS * SLABS * THREADS)], next_shares[PART(ITEMS * TILE_MINOR * 4)];
-    // m counts lanes and slabs, then rows; entries of a pair, then pairs.
-#define LIGHT_OF(m) from[(tile * ROWS + (m) / spread) * THREADS]
+    if (begin >= end) return;
+    __local float4 light[SIDES][ROWS * HELD_SLABS], shares[SIDES][ITEMS * TILE_MINOR * 4];
+    __global const float4 *from = (__global const float4 *)spectrum + (size_t)k * n_cell * THREADS + lane;
+    Vector real[TILE_SLABS][TILE_MINOR], imaginary[TILE_SLABS][TILE_MINOR];
+    EACH_SLAB(u) UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) real[u][pair] = imaginary[u][pair] = ZERO;
+#define LIT (ROWS * TILE_SLABS)
+#define SHARED (ITEMS * TILE_MINOR * 4)
+    float4 next_light[PART_OF_ROWS(LIT)], next_shares[PART(SHARED)];
+    // m counts slabs of an item, then cells; entries of a pair, then pairs.
+#define LIGHT_OF(m) from[SLAB_AT((m) % TILE_SLABS, n_k * n_cell) + (tile * ROWS + (m) / TILE_SLABS) * THREADS]
 #define SHARES_OF(m)                                                                                                   \
     (begin + (m) / 4 < pairs ? ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[m] : (float4)(0.0f))
     int tile = -1, pairs = 0;
@@ -556,32 +584,32 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
         __global const int *own = TILE_OF(min(tile, n_tile - 1));
         pairs = PAIRS_OF(own);
         if (tile < n_tile) {
-            FETCH(next_light, ROWS * SLABS * THREADS, ROWS * spread, LIGHT_OF)
-            FETCH(next_shares, ITEMS * TILE_MINOR * 4, ITEMS * TILE_MINOR * 4, SHARES_OF)
+            FETCH(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_OF)
+            FETCH(next_shares, PART(SHARED), MEMBER, MEMBERS, SHARED, SHARES_OF)
         }
         if (lit > first)
             for (int upper = 0; upper < 2; upper++) {
-                Vector ring[4];
-                UNROLL for (int row = 0; row < 4; row++) ring[row] = light[side][(4 * upper + row) * spread + near];
+                Vector ring[TILE_SLABS][4];
+                EACH_SLAB(u) UNROLL for (int row = 0; row < 4; row++)
+                    ring[u][row] = light[side][((4 * upper + row) * TILE_SLABS + u) * spread + near];
                 __local const float4 *share = shares[side] + item * TILE_MINOR * 4 + upper;
-                UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) {
-                    DOT_FOUR(real[pair], share[4 * pair], ring)
-                    DOT_FOUR(imaginary[pair], share[4 * pair + 2], ring)
+                UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) EACH_SLAB(u) {
+                    DOT_FOUR(real[u][pair], share[4 * pair], ring[u])
+                    DOT_FOUR(imaginary[u][pair], share[4 * pair + 2], ring[u])
                 }
             }
         WAIT_FOR_READERS
         if (tile < n_tile) {
-            LAY(next_light, ROWS * SLABS * THREADS, ROWS * spread, LIGHT_OF, light[OTHER(side)])
-            LAY(next_shares, ITEMS * TILE_MINOR * 4, ITEMS * TILE_MINOR * 4, SHARES_OF, shares[OTHER(side)])
+            LAY(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_OF, light[OTHER(side)], OF_ROW)
+            LAY(next_shares, PART(SHARED), MEMBER, MEMBERS, SHARED, SHARES_OF, shares[OTHER(side)], ITSELF)
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-    if (slab > last) return;
-    __global float4 *to = (__global float4 *)(folded + ((size_t)slab * n_k + k) * n_pair * LANES) + lane;
-    UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) {
-        if (first + pair >= end) break;
-        const Vector difference = (back ? 1.0f : -1.0f) * turned(imaginary[pair]);
-        to[(first + pair) * THREADS] = middle ? real[pair] : real[pair] + difference;
+    EACH_SLAB(u) UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) {
+        if (first + pair >= end || SLAB(u) > last) break;
+        __global float4 *to = (__global float4 *)folded + ((size_t)SLAB(u) * n_k + k) * n_pair * THREADS + lane;
+        const Vector difference = (back ? 1.0f : -1.0f) * turned(imaginary[u][pair]);
+        to[(first + pair) * THREADS] = middle ? real[u][pair] : real[u][pair] + difference;
         if (middle) to[(middle + first + pair) * THREADS] = difference;
     }
 #else

@@ -36,16 +36,41 @@ Folded = Annotated[np.ndarray, Field(("k", "pair", "z"))]
 FoldedOut = Annotated[np.ndarray, Field(("k", "pair", "z"), writes=True)]
 Spectrum = Annotated[np.ndarray, Field(("k", "cell", "z"))]
 SpectrumOut = Annotated[np.ndarray, Field(("k", "cell", "z"), writes=True)]
-Belts = Annotated[np.ndarray, Table("int32", ("belt", "14"))]
+Belts = Annotated[np.ndarray, Table("int32", ("belt", "17"))]
 """Rings of equally many samples: first sample, samples a ring, rings, radix, product of the radices before, first
-wave; and for the source, then the sink: first place, n, and steps a and b: sample s of ring j lies at
-first + (s mod n)·a + (s div n)·b + j."""
+wave; for the source, then the sink: first place, n, and steps a and b: sample s of ring j lies at
+first + (s mod n)·a + (s div n)·b + j; and what `in_groups` adds."""
 Waves = Annotated[np.ndarray, Table("float32", ("wave", "2"))]  # cosine and sine of each n-th of a turn
 Entries = Annotated[np.ndarray, Table("float32", ("entry",))]
 """For each frequency up to half of all, tile and pair of columns: real parts of `ROWS` cells, then the imaginary."""
 Tiles = Annotated[np.ndarray, Table("int32", ("tile", "5"))]
 """Of each `ROWS` cells: first entry, pairs of columns that light them, the tile whose entries are conjugate, and the
 frequencies, up to half of all, from which to before which no entry counts."""
+
+
+def greater_factor(radix: int) -> int:
+    """Of two factors of a radix the greater, both of at most `FACTOR`; 0 where there are no such two."""
+    return next((a for a in range(1, FACTOR + 1) if a * a >= radix and radix % a == 0), 0)
+
+
+def in_groups(belts: list[tuple[int, ...]]) -> np.ndarray:
+    """`Belts`: the columns of a pass, and how groups of a GPU share them out.
+
+    Args:
+        belts: Of each belt all columns but the last three.
+
+    Returns:
+        The whole table. Its last columns: the greater of two small factors of the radix, 0 where direct sums are to be
+        taken; how many rings a group takes at once; the belt's first group.
+    """
+    found, group = [], 0
+    for belt in belts:
+        _, n, rings, radix, *_ = belt
+        factor = greater_factor(radix)
+        batches = -(-rings // max(fourier.constants["gpu"]["HELD"] // radix, 1)) if factor else 1
+        found.append((*belt, factor, -(-rings // batches), group))
+        group += n // radix * batches
+    return np.array(found)
 
 
 def _paired(values: np.ndarray) -> np.ndarray:
@@ -102,7 +127,7 @@ def unfold_columns(folded: Folded, mirrored: Integer, sinogram: LightOut) -> Non
     gpu=Tiling(major=1, minor=2, group=(128, 1)),
     constants={
         "cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM, "FACTOR": FACTOR},
-        "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 128},
+        "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 256},
     },
 )
 def fourier(source: Source, belts: Belts, waves: Waves, sign: Real, sink: Sink) -> None:
@@ -113,7 +138,7 @@ def fourier(source: Source, belts: Belts, waves: Waves, sign: Real, sink: Sink) 
     slices = source.shape[2]
     given, found = _paired(source.reshape(-1, slices)), _paired(np.zeros((sink.shape[0] * sink.shape[1], slices)))
     for _, n, rings, radix, done, wave, *places in belts.tolist():
-        (first, *read), (begin, *write) = places[:4], places[4:]
+        (first, *read), (begin, *write) = places[:4], places[4:8]
         out, ring = np.arange(n), np.arange(rings)
         turns = n // (done * radix)
         step, start = out % (done * radix), out // (done * radix)
@@ -148,8 +173,8 @@ def _entries(entries: np.ndarray, tiles: np.ndarray, k: int, count: int) -> list
 @kernel(
     over="spectrum",
     cpu=Tiling(major=1, minor=ROWS),
-    gpu=Tiling(major=1, minor=2 * ROWS, group=(32, 1, 4)),
-    constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 8}},
+    gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(32, 1, 4)),
+    constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 4}},
 )
 def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Integer, spectrum: SpectrumOut) -> None:
     """spectrum = entries · light: real parts take sums of columns that mirror each other, imaginary ones differences.
@@ -167,7 +192,7 @@ def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Intege
 @kernel(
     over="folded",
     cpu=Tiling(major=1, minor=ROWS),
-    gpu=Tiling(major=1, minor=2 * ROWS, group=(32, 1, 4)),
+    gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(32, 1, 4)),
     constants={"gpu": {"GROUP": 32, "SLABS": 4}},
 )
 def gather_rings(spectrum: Spectrum, entries: Entries, tiles: Tiles, mirrored: Integer, folded: FoldedOut) -> None:

@@ -169,43 +169,48 @@ def light_rings(
     folded: Flat, entries: wp.array[float], tiles: wp.array2d[int], mirrored: int, spectrum: Flat,
     n_k: int, n_pair: int, n_z: int, n_entry: int, n_tile: int, n_cell: int,
 ) -> None:  # fmt: skip
-    slab, k, here, lane = wp.tid()
-    tile = 2 * here
+    two, k, tile, lane = wp.tid()
+    slab = 2 * two
     if slab >= spectrum.shape[0] or k >= n_k or tile >= n_tile:
         return
+    other = wp.min(slab + 1, spectrum.shape[0] - 1)
     lanes = spectrum.shape[1] // (n_k * n_cell)
     half = int(0)
     if mirrored != 0:
         half = n_pair // 2 * lanes
     own = tile_at(tiles, tile, k, n_k)
-    other = tile_at(tiles, wp.min(tile + 1, n_tile - 1), k, n_k)
     entry = first_entry(entries, k, n_k) + tiles[own, 0]
-    other_entry = first_entry(entries, k, n_k) + tiles[other, 0]
-    pairs = pairs_of(tiles, own, k, n_k)
-    other_pairs = pairs_of(tiles, other, k, n_k)
     real = Rows()
     imaginary = Rows()
     other_real = Rows()
     other_imaginary = Rows()
     at = k * n_pair * lanes + lane
-    for pair in range(wp.max(pairs, other_pairs)):
-        total = read(folded, slab, at)
-        difference = read(folded, slab, at + half)
-        if pair < pairs:
-            real += wp.outer(eight(entries, entry), total)
-            imaginary += wp.outer(eight(entries, entry + ROWS), difference)
-        if pair < other_pairs:
-            other_real += wp.outer(eight(entries, other_entry), total)
-            other_imaginary += wp.outer(eight(entries, other_entry + ROWS), difference)
+    for _ in range(pairs_of(tiles, own, k, n_k)):
+        a = eight(entries, entry)
+        b = eight(entries, entry + ROWS)
+        real += wp.outer(a, read(folded, slab, at))
+        imaginary += wp.outer(b, read(folded, slab, at + half))
+        other_real += wp.outer(a, read(folded, other, at))
+        other_imaginary += wp.outer(b, read(folded, other, at + half))
         entry += 2 * ROWS
-        other_entry += 2 * ROWS
         at += lanes
     sign = wp.where(2 * k > n_k, -1.0, 1.0)
     at = (k * n_cell + tile * ROWS) * lanes + lane
     for row in range(ROWS):
         write(spectrum, slab, at + row * lanes, real[row] + sign * turned(imaginary[row]))
-        if tile + 1 < n_tile:
-            write(spectrum, slab, at + (ROWS + row) * lanes, other_real[row] + sign * turned(other_imaginary[row]))
+        write(spectrum, other, at + row * lanes, other_real[row] + sign * turned(other_imaginary[row]))
+
+
+@wp.func
+def write_pair(
+    folded: Flat, slab: int, at: int, half: int, sign: float, real: wp.vec4, imaginary: wp.vec4,
+):  # fmt: skip
+    difference = sign * turned(imaginary)
+    if half != 0:
+        write(folded, slab, at, real)
+        write(folded, slab, at + half, difference)
+    else:
+        write(folded, slab, at, real + difference)
 
 
 @wp.kernel
@@ -213,37 +218,42 @@ def gather_rings(
     spectrum: Flat, entries: wp.array[float], tiles: wp.array2d[int], mirrored: int, folded: Flat,
     n_k: int, n_cell: int, n_z: int, n_entry: int, n_tile: int, n_pair: int,
 ) -> None:  # fmt: skip
-    slab, k, here, lane = wp.tid()
-    half = int(0)
-    pairs = n_pair
-    if mirrored != 0:
-        half = n_pair // 2
-        pairs = half
-    if slab >= folded.shape[0] or k >= n_k:
-        return
+    two, k, here, lane = wp.tid()
+    slab = 2 * two
+    first = here * ROWS
     lanes = folded.shape[1] // (n_k * n_pair)
+    pairs = n_pair
+    half = int(0)
+    if mirrored != 0:
+        pairs = n_pair // 2
+        half = pairs * lanes
+    if slab >= folded.shape[0] or k >= n_k or first >= pairs:
+        return
+    other = wp.min(slab + 1, folded.shape[0] - 1)
     frequency = first_entry(entries, k, n_k)
-    sign = wp.where(2 * k > n_k, 1.0, -1.0)
-    for block in range(2):
-        first = (2 * here + block) * ROWS
-        if first < pairs:
-            real = Rows()
-            imaginary = Rows()
-            for tile in range(n_tile):
-                own = tile_at(tiles, tile, k, n_k)
-                if pairs_of(tiles, own, k, n_k) > first:
-                    entry = frequency + tiles[own, 0] + 2 * ROWS * first
-                    rings = Rows()
-                    for row in range(ROWS):
-                        rings[row] = read(spectrum, slab, (k * n_cell + tile * ROWS + row) * lanes + lane)
-                    for pair in range(ROWS):
-                        real[pair] += eight(entries, entry + 2 * ROWS * pair) @ rings
-                        imaginary[pair] += eight(entries, entry + 2 * ROWS * pair + ROWS) @ rings
+    real = Rows()
+    imaginary = Rows()
+    other_real = Rows()
+    other_imaginary = Rows()
+    for tile in range(n_tile):
+        own = tile_at(tiles, tile, k, n_k)
+        if pairs_of(tiles, own, k, n_k) > first:
+            entry = frequency + tiles[own, 0] + 2 * ROWS * first
+            rings = Rows()
+            other_rings = Rows()
+            at = (k * n_cell + tile * ROWS) * lanes + lane
+            for row in range(ROWS):
+                rings[row] = read(spectrum, slab, at + row * lanes)
+                other_rings[row] = read(spectrum, other, at + row * lanes)
             for pair in range(ROWS):
-                difference = sign * turned(imaginary[pair])
-                at = (k * n_pair + first + pair) * lanes + lane
-                if mirrored != 0:
-                    write(folded, slab, at, real[pair])
-                    write(folded, slab, at + half * lanes, difference)
-                else:
-                    write(folded, slab, at, real[pair] + difference)
+                a = eight(entries, entry + 2 * ROWS * pair)
+                b = eight(entries, entry + 2 * ROWS * pair + ROWS)
+                real[pair] += a @ rings
+                imaginary[pair] += b @ rings
+                other_real[pair] += a @ other_rings
+                other_imaginary[pair] += b @ other_rings
+    sign = wp.where(2 * k > n_k, 1.0, -1.0)
+    for pair in range(ROWS):
+        at = (k * n_pair + first + pair) * lanes + lane
+        write_pair(folded, slab, at, half, sign, real[pair], imaginary[pair])
+        write_pair(folded, other, at, half, sign, other_real[pair], other_imaginary[pair])

@@ -10,7 +10,7 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.kernels.spectrum import fourier
+from vamgpu.kernels.spectrum import fourier, in_groups
 from vamgpu.operators.polar import PolarGrid, pose_on_rings
 from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.spectral import SpectralProjection
@@ -75,7 +75,7 @@ def test_transforms_of_every_short_length(device: Device) -> None:
     for sign in (-1.0, 1.0):
         found = device.empty(given.shape)
         device.launch(
-            fourier, source=device.upload(given), belts=device.table(np.array(belts), "int32"),
+            fourier, source=device.upload(given), belts=device.table(in_groups(belts), "int32"),
             waves=device.table(np.stack([np.cos(waves), np.sin(waves)], axis=1)), sign=sign, sink=found,
         )  # fmt: skip
         for first, n in zip(firsts, lengths, strict=False):

@@ -99,7 +99,7 @@ def test_auto_keeps_to_voxels_where_the_table_is_too_large(tmp_path: Path, monke
 
 def test_where_rings_pay(opencl_device: Any) -> None:
     beam = vam.Beam((96, 2), 0.1)
-    for across, pays in ((40, False), (96, not opencl_device.is_gpu), (256, True)):
+    for across, pays in ((40, False), (96, not opencl_device.is_gpu), (128, True)):
         grid = vam.Grid((across, across, 2), 0.1)
         assert pays_on_rings(vam.Projection(grid, beam, vam.Turntable(180), device=opencl_device)) == pays
     prime = vam.Projection(grid, beam, vam.Turntable(367), device=opencl_device)

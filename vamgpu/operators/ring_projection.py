@@ -240,10 +240,10 @@ def pays_on_rings(A: Projection) -> bool:
         A: The operator.
 
     Returns:
-        True in OpenCL for 48 voxels or more across (256 on GPUs) and 90 angles or more, in short transforms.
+        True in OpenCL for 48 voxels or more across (128 on GPUs) and 90 angles or more, in short transforms.
     """
     across, angles = min(A.grid.shape[:2]), A.motion.angles
-    enough = across >= (256 if getattr(A.device, "is_gpu", False) else 48) and angles >= 90
+    enough = across >= (128 if getattr(A.device, "is_gpu", False) else 48) and angles >= 90
     short = max(passes([angles], ONE_SUM.__ge__)[0]) <= ONE_SUM
     return A.device.name.startswith("opencl") and enough and short
 

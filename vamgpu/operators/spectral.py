@@ -17,11 +17,12 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Turntable, Vessel
 from vamgpu.kernels.spectrum import (
     AT_ONCE,
-    FACTOR,
     ONE_SUM,
     fold_columns,
     fourier,
     gather_rings,
+    greater_factor,
+    in_groups,
     light_rings,
     unfold_columns,
 )
@@ -177,7 +178,7 @@ class _Passes:
             read = sink if number else source
             found.append((item, n, rings, own[number], prod(own[:number]), wave, *read, *sink))
             item, wave = item + n * rings, wave + n
-        return np.array(found)
+        return in_groups(found)
 
     def run(
         self, sign: float, source: DeviceArray, work: Callable[[int], DeviceArray], last: DeviceArray | None = None
@@ -198,12 +199,7 @@ def _fits(device: Device) -> Callable[[int], bool]:
     """Which radices a device has short work with."""
     if not device.name.startswith("opencl"):
         return ONE_SUM.__ge__
-    return _is_split if getattr(device, "is_gpu", False) else AT_ONCE.__ge__
-
-
-def _is_split(radix: int) -> bool:
-    """Whether a radix has two factors that are small enough."""
-    return any(radix % a == 0 and radix <= a * FACTOR for a in range(1, FACTOR + 1))
+    return (lambda radix: greater_factor(radix) > 0) if getattr(device, "is_gpu", False) else AT_ONCE.__ge__
 
 
 def passes(lengths: list[int], fits: Callable[[int], bool]) -> list[tuple[int, ...]]:
