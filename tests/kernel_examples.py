@@ -13,6 +13,7 @@ from vamgpu.backend.device import Device
 from vamgpu.kernels.catalog import kernels
 from vamgpu.kernels.histogram import tally
 from vamgpu.kernels.signature import Field, Kernel, Moved, Scalar, Table
+from vamgpu.kernels.spectrum import in_groups
 
 
 @dataclass(frozen=True)
@@ -546,7 +547,7 @@ def _in_belts(size: int) -> Example:
         (16, 12, 1, 3, 1, 8, 4, 3, 1, 7, 4, 4, 7, 1),
     ]
     waves = np.concatenate([2.0 * np.pi * np.arange(n) / n for n in (8, 12)])
-    given = {"belts": belts, "waves": np.stack([np.cos(waves), np.sin(waves)], axis=1), "sign": -1.0}
+    given = {"belts": in_groups(belts), "waves": np.stack([np.cos(waves), np.sin(waves)], axis=1), "sign": -1.0}
     return Example({"a": 4, "b": 7, "i": 4, "j": 7, "z": size + size % 2, "belt": 2, "wave": 20}, given)
 
 
