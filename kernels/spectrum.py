@@ -124,10 +124,10 @@ def unfold_columns(folded: Folded, mirrored: Integer, sinogram: LightOut) -> Non
 @kernel(
     over="sink",
     cpu=Tiling(major=1, minor=0),
-    gpu=Tiling(major=1, minor=2, group=(128, 1)),
+    gpu=Tiling(major=1, minor=2, group=(128, 1), registers=80),
     constants={
         "cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM, "FACTOR": FACTOR},
-        "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 256},
+        "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 192},
     },
 )
 def fourier(source: Source, belts: Belts, waves: Waves, sign: Real, sink: Sink) -> None:
@@ -173,8 +173,8 @@ def _entries(entries: np.ndarray, tiles: np.ndarray, k: int, count: int) -> list
 @kernel(
     over="spectrum",
     cpu=Tiling(major=1, minor=ROWS),
-    gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(32, 1, 4)),
-    constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 4}},
+    gpu=Tiling(major=1, minor=ROWS, group=(32, 1, 4)),
+    constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 8}},
 )
 def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Integer, spectrum: SpectrumOut) -> None:
     """spectrum = entries · light: real parts take sums of columns that mirror each other, imaginary ones differences.
@@ -192,8 +192,8 @@ def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Intege
 @kernel(
     over="folded",
     cpu=Tiling(major=1, minor=ROWS),
-    gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(32, 1, 4)),
-    constants={"gpu": {"GROUP": 32, "SLABS": 4}},
+    gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(64, 1, 4)),
+    constants={"gpu": {"GROUP": 64, "SLABS": 4}},
 )
 def gather_rings(spectrum: Spectrum, entries: Entries, tiles: Tiles, mirrored: Integer, folded: FoldedOut) -> None:
     """The transpose of `light_rings`."""
