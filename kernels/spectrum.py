@@ -192,8 +192,8 @@ def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Intege
 @kernel(
     over="folded",
     cpu=Tiling(major=1, minor=ROWS),
-    gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(64, 1, 4)),
-    constants={"gpu": {"GROUP": 64, "SLABS": 4}},
+    gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(32, 1, 4)),
+    constants={"gpu": {"GROUP": 32, "SLABS": 4}},
 )
 def gather_rings(spectrum: Spectrum, entries: Entries, tiles: Tiles, mirrored: Integer, folded: FoldedOut) -> None:
     """The transpose of `light_rings`."""

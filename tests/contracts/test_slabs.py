@@ -211,10 +211,11 @@ def test_borders_pass_from_member_to_member_where_one_library_knows_both(
 def test_devices_of_other_libraries_pass_borders_through_the_host(opencl_name: str) -> None:
     from vamgpu.backend.opencl_platforms import all_devices
 
-    pocl = next((name for name in all_devices() if name != opencl_name), None)
-    if pocl is None:
-        pytest.skip("one OpenCL platform is here")
-    target, A = lit(f"{opencl_name}+{pocl}")
+    gpu = vam.open_device(opencl_name).is_gpu
+    other = next((n for n in all_devices() if n != opencl_name and vam.open_device(n).is_gpu == gpu), None)
+    if other is None:
+        pytest.skip("one OpenCL platform of this kind is here")
+    target, A = lit(f"{opencl_name}+{other}")
     _, alone = lit(opencl_name)
     light = np.random.default_rng(1).random(A.range.shape).astype(np.float32)
     expected = alone.T(light)

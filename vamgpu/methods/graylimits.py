@@ -47,6 +47,7 @@ class GrayLimits:
     classes: DeviceArray
     voxels: float
     tolerances: tuple[float, ...]
+    reach: float
 
     def __init__(self, target: DeviceArray, limits: Limits, reach: float) -> None:
         fractions = target.numpy()

@@ -32,6 +32,12 @@ class FilmMarcher:
     inner, outer: radii of the film [mm].  leg: length of the legs [mm].  stride: length of a step, about [mm].
     """
 
+    marcher: Marcher
+    inner: float
+    outer: float
+    leg: float
+    stride: float
+
     def __init__(
         self, medium: IndexField, inner: float, outer: float, leg: float, stride: float, device: str | Device | None
     ) -> None:
