@@ -134,8 +134,13 @@ def live(
                        'driver = "camera" to its file')  # fmt: skip
     frames, proof = planned.jobs[0].frames, prove(path, "numpy").proof
     A = proof.operator
-    even = A.motion.is_even and A.motion.angles > 1
-    if frames is None or not isinstance(A, Projection) or not isinstance(A.vessel, Vial) or not even:
+    if (
+        frames is None
+        or not isinstance(A, Projection)
+        or not isinstance(A.vessel, Vial)
+        or not A.motion.is_even
+        or A.motion.angles < 2
+    ):
         raise BadInput(f"{str(path)!r} is not for a round vial in even light, at two or more even angles over a full "
                        f"turn; expected such a job, got {A!r}")  # fmt: skip
     dose = camera.resin.solid / proof.scores.threshold  # each method has a unit of its own

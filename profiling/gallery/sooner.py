@@ -39,8 +39,8 @@ def sooner(
                   tuple((str(k + 1), (p.seconds, p.window, p.outside)) for k, p in enumerate(points)))  # fmt: skip
     caption = (
         "An exposure lasts until the dose midway between part and voids is the critical one; its brightest pixel is "
-        "full-on. Each point is the widest window found of light that may last so long, by primal-dual steps from the "
-        "light of the point before on; it ends where no light prints any more. Doses are those before packing. "
+        "full-on. Each point is what primal-dual steps find within a limit of time, from the light of the point before "
+        "on; it ends where no light prints any more. Of two as wide take the shorter. Doses are those before packing. "
         "`vam solve --pareto` draws the same of a job."
     )
     return Picture(figure, caption, facts, table, (PRIMAL_DUAL,))
