@@ -175,7 +175,8 @@ class Tomograph:
             combine(0.0, self._ones, 0.0, self._ones, start)
         else:
             require(self.operator.domain, last.field, "the last field")
-            combine(1.0, here(self._device, last.field), 0.0, here(self._device, last.field), start)
+            was = here(self._device, last.field)
+            combine(1.0, was, 0.0, was, start)
             depth = self._unbiased(depth, start, last)
         steps = _Descent(self, depth, told, start, floor=0.0)
         done, longest, now = 0, 0.0, perf_counter()

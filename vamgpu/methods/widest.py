@@ -210,7 +210,9 @@ class _Saddle:
         if state.piece is not None:
             state.device.launch(multiply, x=rows, y=upload(_near(state)), out=rows)
         state.expose(light, held)
-        found, greatest = self._window(held), state.window(held)[1]
+        found, greatest = state.window(held)
+        if self.gray is not None:
+            found = self._window(held)
         owed = memory.pop("owed", None)
         if owed is None:
             self.active.begin(held)
