@@ -96,6 +96,7 @@ class Kernel:
     less one. A table along z: those of another field, from its entry on, as many as the axis ``tap``. A number: the
     one of another field that comes to lie there when that begins at the slice of this number. "all": any. A kernel
     over a table reaches along "part" where partial results of partial results are the result.
+    nvidia: in place of `gpu` where NVIDIA's OpenCL has matrix units, of fields with whole slabs.
     """
 
     definition: Callable[..., None]
@@ -103,6 +104,7 @@ class Kernel:
     reach: str = ""
     cpu: Tiling = Tiling()
     gpu: Tiling = Tiling()
+    nvidia: Tiling | None = None
     constants: dict[str, dict[str, int]] = field(default_factory=dict)
 
     @property
@@ -162,6 +164,7 @@ def kernel(
     reach: str = "",
     cpu: Tiling = Tiling(),
     gpu: Tiling = Tiling(),
+    nvidia: Tiling | None = None,
     constants: dict[str, dict[str, int]] | None = None,
 ) -> Callable[[Callable[..., None]], Kernel]:
     """Declare the decorated NumPy definition as a kernel whose items share out the field ``over``.
@@ -170,6 +173,6 @@ def kernel(
     """
 
     def declare(definition: Callable[..., None]) -> Kernel:
-        return Kernel(definition, over, reach, cpu, gpu, constants or {})
+        return Kernel(definition, over, reach, cpu, gpu, nvidia, constants or {})
 
     return declare

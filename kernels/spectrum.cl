@@ -400,6 +400,9 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 #define TILE_OF(tile) (tiles + 5 * (back ? tiles[5 * (tile) + 2] : (tile)))
 // How many pairs of columns light it at this frequency.
 #define PAIRS_OF(own) (kept >= (own)[3] && kept < (own)[4] ? 0 : (own)[1])
+#ifdef MATRIX_UNITS
+#include "ring_units.h"
+#else
 #define EACH_ROW(row) UNROLL for (int row = 0; row < ROWS; row++)
 
 // Adds `ROWS` entries that follow each other, which are two loads, times a vector.
@@ -454,8 +457,8 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 
 #ifdef COMPILE_light_rings
 FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, __global const int *restrict tiles,
-                         int mirrored, __global float *restrict spectrum, int n_k, int n_pair, int n_z, int n_entry,
-                         int n_tile, int n_cell) {
+                         int mirrored, int tf32, __global float *restrict spectrum, int n_k, int n_pair, int n_z,
+                         int n_entry, int n_tile, int n_cell) {
 #ifdef GPU
     const int k = ITEM_MAJOR, middle = mirrored ? n_pair / 2 : 0;
     ENTRIES
@@ -557,8 +560,8 @@ static inline int next_lit(int tile, int n_tile, int pair, __global const int *t
 #endif
 
 FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries, __global const int *restrict tiles,
-                          int mirrored, __global float *restrict folded, int n_k, int n_cell, int n_z, int n_entry,
-                          int n_tile, int n_pair) {
+                          int mirrored, int tf32, __global float *restrict folded, int n_k, int n_cell, int n_z,
+                          int n_entry, int n_tile, int n_pair) {
     const int middle = mirrored ? n_pair / 2 : 0, end = mirrored ? middle : n_pair;
 #ifdef GPU
     const int k = ITEM_MAJOR, begin = GROUP_ITEM * TILE_MINOR;
@@ -642,4 +645,5 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
     }
 #endif
 }
+#endif
 #endif

@@ -174,12 +174,16 @@ def _entries(entries: np.ndarray, tiles: np.ndarray, k: int, count: int) -> list
     over="spectrum",
     cpu=Tiling(major=1, minor=ROWS),
     gpu=Tiling(major=1, minor=ROWS, group=(32, 1, 4)),
-    constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 8}},
+    nvidia=Tiling(major=1, minor=ROWS, group=(64, 1, 4), registers=112),
+    constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 8}, "nvidia": {"GROUP": 64, "SLABS": 4}},
 )
-def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Integer, spectrum: SpectrumOut) -> None:
+def light_rings(
+    folded: Folded, entries: Entries, tiles: Tiles, mirrored: Integer, tf32: Integer, spectrum: SpectrumOut,
+) -> None:  # fmt: skip
     """spectrum = entries · light: real parts take sums of columns that mirror each other, imaginary ones differences.
 
-    Where light is not mirrored (0), both take the columns themselves.
+    Where light is not mirrored (0), both take the columns themselves. tf32: numbers may lose what is beyond eleven
+    bits of them, which is for matrix units alone.
     """
     half = folded.shape[1] // 2 if mirrored else 0
     for k, light in enumerate(_paired(folded)):
@@ -193,9 +197,12 @@ def light_rings(folded: Folded, entries: Entries, tiles: Tiles, mirrored: Intege
     over="folded",
     cpu=Tiling(major=1, minor=ROWS),
     gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(32, 1, 4)),
-    constants={"gpu": {"GROUP": 32, "SLABS": 4}},
+    nvidia=Tiling(major=1, minor=ROWS // 2, group=(64, 1, 4), registers=112),
+    constants={"gpu": {"GROUP": 32, "SLABS": 4}, "nvidia": {"GROUP": 64, "SLABS": 4}},
 )
-def gather_rings(spectrum: Spectrum, entries: Entries, tiles: Tiles, mirrored: Integer, folded: FoldedOut) -> None:
+def gather_rings(
+    spectrum: Spectrum, entries: Entries, tiles: Tiles, mirrored: Integer, tf32: Integer, folded: FoldedOut,
+) -> None:  # fmt: skip
     """The transpose of `light_rings`."""
     half = folded.shape[1] // 2 if mirrored else 0
     for k, rings in enumerate(_paired(spectrum)):

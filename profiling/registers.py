@@ -13,6 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from vamgpu.backend.opencl import FULL_SLAB
 from vamgpu.kernels.catalog import kernels
 from vamgpu.kernels.signature import Kernel
 
@@ -25,18 +26,20 @@ LIBRARY = Path("/usr/lib/clc/nvptx64--nvidiacl.bc")
 
 def assembled(kernel: Kernel, lanes: int, ptxas: str, architecture: str, library: Path, folder: Path) -> str:
     """What the assembler tells of a kernel compiled for fields of so many lanes; else what failed."""
-    tiling, code = kernel.gpu, folder / "kernel.ptx"
+    kind = "nvidia" if kernel.nvidia and lanes == FULL_SLAB else "gpu"
+    tiling, code = getattr(kernel, kind), folder / "kernel.ptx"
     defined = {
         "LANES": lanes, "WIDTH": WIDTH, "THREADS": lanes // WIDTH, "VECTORS": 1, "TILE_MAJOR": tiling.major,
-        "TILE_MINOR": tiling.minor, "TILE_SLABS": tiling.slabs, **kernel.constants.get("gpu", {}),
+        "TILE_MINOR": tiling.minor, "TILE_SLABS": tiling.slabs, **kernel.constants.get(kind, {}),
     }  # fmt: skip
     flags = [f"-D{name}={value}" for name, value in defined.items()] + ["-DGPU", f"-DCOMPILE_{kernel.name}"]
+    flags += ["-DMATRIX_UNITS"] if kind == "nvidia" else []
     included = [f"-I{kernel.source.parent}", "-Xclang", "-finclude-default-header"]
     included += ["-Xclang", "-mlink-builtin-bitcode", "-Xclang", str(library)]
     target = ["-target", "nvptx64--nvidiacl", "-Xclang", "-target-cpu", "-Xclang", "sm_80"]
     target += ["-Xclang", "-target-feature", "-Xclang", "+ptx70", "-x", "cl", "-cl-std=CL1.2", "-cl-mad-enable", "-O3"]
     compiled = ["clang", *target, *included, *flags, "-S", str(kernel.source), "-o", str(code)]
-    limit = [f"-maxrregcount={kernel.gpu.registers}"] if kernel.gpu.registers else []
+    limit = [f"-maxrregcount={tiling.registers}"] if tiling.registers else []
     for command in (compiled, [ptxas, f"-arch={architecture}", "-v", *limit, "-c", str(code), "-o", str(folder / "o")]):
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:

@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import HERE, machine, timed, write_record
+from common import HERE, MESH, benchy, machine, timed, write_record
 
+import vamgpu
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.geometry import Beam, Grid, Turntable
@@ -69,7 +70,7 @@ def _flops(kernel: str, given: dict[str, Any]) -> int:
     return 0
 
 
-def measured(n: int, angles: int, device: Device, runs: int, cases: list[str]) -> dict[str, Any]:
+def measured(n: int, angles: int, device: Device, runs: int, cases: list[str], tf32: bool) -> dict[str, Any]:
     """Every operator of one size on a device."""
     grid, motion, pitch = Grid((n, n, n), SIZE / n), Turntable(angles), SIZE / n
     rng = np.random.default_rng(0)
@@ -83,11 +84,11 @@ def measured(n: int, angles: int, device: Device, runs: int, cases: list[str]) -
             continue
         A = Projection(grid, beam, motion, vessel, device)
         began = time.perf_counter()
-        R = RingProjection.of(A)
+        R = RingProjection.of(A, tf32=tf32)
         made = time.perf_counter() - began
         # rings as wide as voxels, without the way to voxels
         half = -(-n // 16) * 8
-        S = SpectralProjection(type(R.rings)(half, n, pitch, angles), beam, vessel, device)
+        S = SpectralProjection(type(R.rings)(half, n, pitch, angles), beam, vessel, device, tf32=tf32)
         for which, operator in (("voxels", A), ("rings", R), ("cells", S)):
             volume, out = device.upload(rng.random(operator.domain.shape, np.float32)), device.empty(light.shape)
             dose = device.empty(operator.domain.shape)
@@ -105,6 +106,23 @@ def measured(n: int, angles: int, device: Device, runs: int, cases: list[str]) -
             del volume, out, dose
         found[f"{name}, made [s]"] = made
         del A, R, S
+    return found
+
+
+def printed(mesh: Path, n: int, angles: int, device: Device, iterations: int) -> dict[str, Any]:
+    """Windows of the Benchy, proved from frames: light found on rings by products of float32, of TF32, and by rays."""
+    target = benchy(mesh, n, device)
+    A = Projection(target.grid, Beam((n, n), target.grid.pitch), Turntable(angles), None, device)
+    operators = {"rays": A, "rings": RingProjection.of(A), "rings, tf32": RingProjection.of(A, tf32=True)}
+    found: dict[str, Any] = {}
+    for method in ("widest", "osmo"):
+        for name, operator in operators.items():
+            plan = vamgpu.optimize(operator, target, method, iterations, progress=False)
+            proof = vamgpu.simulate(A, vamgpu.pack(plan), target)
+            row = {"window": round(proof.scores.window, 5), "iou": round(proof.scores.iou, 5)}
+            row |= {"claimed": round(plan.window, 5), "seconds": round(plan.seconds, 2)}
+            found[f"{method}, {name}"] = row
+            print(method, name, row, flush=True)
     return found
 
 
@@ -191,6 +209,9 @@ def main() -> None:
     parser.add_argument("--device", default=None)
     parser.add_argument("--picture", type=Path, default=None, help="draw that of the docs there, measure nothing")
     parser.add_argument("--cases", nargs="+", default=["straight", "vial"])
+    parser.add_argument("--tf32", action="store_true", help="products of eleven bits where there are units for them")
+    parser.add_argument("--print", type=int, default=0, metavar="ITERATIONS", help="solve and prove the Benchy instead")
+    parser.add_argument("--mesh", type=Path, default=MESH)
     parser.add_argument("--records", type=Path, default=HERE / "records")
     parser.add_argument("--label", default="here", help="of the machine, part of the record's name")
     args = parser.parse_args()
@@ -198,7 +219,12 @@ def main() -> None:
         picture(args.picture)
         return
     device = open_device(args.device)
-    times = measured(args.n, args.angles, device, args.runs, args.cases)
+    if args.print:
+        found = printed(args.mesh, args.n, args.angles, device, args.print)
+        record = {"n": args.n, "angles": args.angles, "machine": machine(device), "prints": found}
+        print(write_record(args.records, f"rings-prints-{args.n}-{args.label}", record))
+        return
+    times = measured(args.n, args.angles, device, args.runs, args.cases, args.tf32)
     record = {"n": args.n, "angles": args.angles, "machine": machine(device), "times": times}
     show(record)
     print(write_record(args.records, f"rings-{args.n}-{args.label}", record))

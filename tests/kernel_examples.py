@@ -555,7 +555,7 @@ def _on_rings(size: int, pairs: int = 16, mirrored: int = 1) -> Example:
     """Three tiles of cells, two of which stand in for each other, lit by all pairs of columns or half of them."""
     k, tiles = 6 + size % 3, [(0, 16, 1, 0, 0), (256, 16, 0, 2, 3), (512, 8, 2, 1, 9)]
     sizes = {"k": k, "pair": pairs * (1 + mirrored), "cell": 24, "z": size + size % 2, "tile": 3}
-    return Example(sizes | {"entry": (k // 2 + 1) * 640}, {"tiles": tiles, "mirrored": mirrored})
+    return Example(sizes | {"entry": (k // 2 + 1) * 640}, {"tiles": tiles, "mirrored": mirrored, "tf32": 0})
 
 
 def _mirrored(size: int, mirrored: int = 1) -> Example:

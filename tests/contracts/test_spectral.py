@@ -25,6 +25,8 @@ GEOMETRIES: dict[str, Any] = {
     "a prime number of angles": (PolarGrid(8, 2, 0.1, 53), vam.Beam((16, 2), 0.1), None),
     "refracted and absorbed": (PolarGrid(8, 2, 0.11, 12), vam.Beam((13, 3), 0.15), VIAL),
     "light that nothing mirrors": (PolarGrid(8, 2, 0.11, 12), vam.Beam((14, 3), 0.15), ASIDE),
+    "whole slabs of slices": (PolarGrid(40, 70, 0.05, 7), vam.Beam((80, 70), 0.05), None),
+    "whole slabs, light that nothing mirrors": (PolarGrid(16, 132, 0.055, 8), vam.Beam((30, 132), 0.075), ASIDE),
 }
 every_geometry = pytest.mark.parametrize("geometry", GEOMETRIES)
 
@@ -63,6 +65,16 @@ def test_the_transpose_is_exact(device: Device, geometry: str) -> None:
     if np.prod(A.domain.shape) < 4000:
         matrix, transpose = A.dense(), A.T.dense()
         assert np.abs(matrix - transpose.T).max() <= 3e-6 * np.abs(matrix).max()
+
+
+@pytest.mark.parametrize("geometry", ["refracted and absorbed", "whole slabs of slices"])
+def test_products_of_eleven_bits_are_near(device: Device, geometry: str) -> None:
+    """As they are on devices without units for them, which leave numbers whole."""
+    grid, beam, vessel = GEOMETRIES[geometry]
+    whole, part = (SpectralProjection(grid, beam, vessel, device, tf32=tf32) for tf32 in (False, True))
+    light, volume = (np.random.default_rng(0).random(space.shape) for space in (whole.range, whole.domain))
+    for wanted, found in ((whole.T(light), part.T(light)), (whole(volume), part(volume))):
+        assert np.abs(np.asarray(found) - np.asarray(wanted)).max() <= 1e-3 * np.asarray(wanted).max()
 
 
 def test_transforms_of_every_short_length(device: Device) -> None:

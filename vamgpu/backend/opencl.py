@@ -25,6 +25,8 @@ SMALL_TABLE = 1 << 24
 """Bytes up to which a table stays in memory, whatever that may hold."""
 VECTOR = 64
 """Bytes of the widest vectors that kernels load."""
+FULL_SLAB = 32
+"""Slices of a slab on GPUs, where there are as many; kernels for matrix units are written for it."""
 MOST_TOGETHER = 64
 """Items of a table kernel that PoCL runs together: it keeps the arrays of them all on one stack, and left to choose
 takes groups of thousands, which overflow it."""
@@ -71,6 +73,7 @@ class OpenclDevice(Device):
         self.queue: cl.CommandQueue = cl.CommandQueue(context)
         self._device = device
         self._is_nvidia = device.platform.name.startswith("NVIDIA")
+        self._has_matrix_units: bool = self._is_nvidia and device.compute_capability_major_nv >= 8
         self._small_groups = "Portable Computing Language" in device.platform.name
         svm = getattr(device, "svm_capabilities", 0)
         self._shares_memory = bool(svm & cl.device_svm_capabilities.FINE_GRAIN_SYSTEM)
@@ -82,7 +85,7 @@ class OpenclDevice(Device):
 
     def lanes_for(self, nz: int) -> int:
         if self.is_gpu:
-            return min(32, -(-nz // 4) * 4)
+            return min(FULL_SLAB, -(-nz // 4) * 4)
         # the widest slab that pads z least
         return min((64, 48, 32, 16), key=lambda lanes: (-(-nz // lanes) * lanes, -lanes))
 
@@ -171,8 +174,11 @@ class OpenclDevice(Device):
         options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info"]
         options += [f"-DCOMPILE_{kernel.name}", "-DGPU" if self.is_gpu else "-DCPU"]
         options += [f"-D{key}={value}" for key, value in self._constants(kernel, lanes).items()]
-        if self._is_nvidia and kernel.gpu.registers:
-            options.append(f"-cl-nv-maxrregcount={kernel.gpu.registers}")
+        if self._kind(kernel, lanes) == "nvidia":
+            options.append("-DMATRIX_UNITS")
+        registers = self._tiling(kernel, lanes).registers
+        if self._is_nvidia and registers:
+            options.append(f"-cl-nv-maxrregcount={registers}")
         try:
             with warnings.catch_warnings():  # a compiler that merely talks is no news
                 warnings.simplefilter("ignore", cl.CompilerWarning)
@@ -185,17 +191,24 @@ class OpenclDevice(Device):
     def _constants(self, kernel: Kernel, lanes: int) -> dict[str, int]:
         width = 4 if self.is_gpu else 16
         threads = max(lanes // width, 1) if self.is_gpu else 1  # a kernel over tables alone has no lanes
-        tiling = self._tiling(kernel)
+        tiling = self._tiling(kernel, lanes)
         shape = {"LANES": lanes, "WIDTH": width, "THREADS": threads, "VECTORS": lanes // width // threads}
         tile = {"TILE_MAJOR": tiling.major, "TILE_MINOR": tiling.minor, "TILE_SLABS": tiling.slabs}
-        return (shape if lanes else {}) | tile | kernel.constants.get("gpu" if self.is_gpu else "cpu", {})
+        return (shape if lanes else {}) | tile | kernel.constants.get(self._kind(kernel, lanes), {})
 
-    def _tiling(self, kernel: Kernel) -> Tiling:
-        return kernel.gpu if self.is_gpu else kernel.cpu
+    def _kind(self, kernel: Kernel, lanes: int) -> str:
+        """Which tiling and constants of a kernel are this device's."""
+        if self._has_matrix_units and kernel.nvidia and lanes == FULL_SLAB:
+            return "nvidia"
+        return "gpu" if self.is_gpu else "cpu"
+
+    def _tiling(self, kernel: Kernel, lanes: int) -> Tiling:
+        return getattr(kernel, self._kind(kernel, lanes))
 
     def _counts(self, kernel: Kernel, shape: tuple[int, int, int]) -> tuple[int, int, int]:
         """Work items along (minor × threads, major, slab)."""
-        lanes, tiling = self.lanes_for(shape[2]), self._tiling(kernel)
+        lanes = self.lanes_for(shape[2])
+        tiling = self._tiling(kernel, lanes)
         threads = lanes // 4 if self.is_gpu else 1
         minor = -(-shape[1] // tiling.minor) if tiling.minor else 1
         major = -(-shape[0] // tiling.major) if tiling.major else 1
@@ -203,8 +216,9 @@ class OpenclDevice(Device):
 
     def _group(self, kernel: Kernel, counts: tuple[int, ...], lanes: int) -> tuple[int, int, int]:
         """The work-group as declared, cut to whole samples and to the slabs there are."""
-        threads, (minor, major, slabs) = lanes // 4, (*self._tiling(kernel).group, 1)[:3]
-        return (max(minor // threads, 1) * threads, major, min(slabs, counts[2]))
+        threads, (minor, major, slabs) = lanes // 4, (*self._tiling(kernel, lanes).group, 1)[:3]
+        whole = self._kind(kernel, lanes) == "nvidia"  # whose items share out what they bring
+        return (max(minor // threads, 1) * threads, major, slabs if whole else min(slabs, counts[2]))
 
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
         return int(np.prod(self._counts(kernel, shape)))
@@ -218,7 +232,7 @@ class OpenclDevice(Device):
         elif isinstance(spec, Table):
             if 0 in over:
                 return
-            minor = self._tiling(kernel).minor or over[-1]
+            minor = self._tiling(kernel, lanes).minor or over[-1]
             counts = tuple(reversed((*over[:-1], -(-over[-1] // minor))))
             group = (_divisor(counts[0]), *(1 for _ in counts[1:])) if self._small_groups else None
         else:

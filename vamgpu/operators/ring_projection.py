@@ -58,6 +58,7 @@ class RingProjection(LinearOperator):
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best one here by default.
         rings: Those to compute on, of the voxels' height; by default 0.55 times as wide as voxels.
+        tf32: Let products take eleven bits of each number, as of `SpectralProjection`.
 
     Raises:
         BadInput: An argument is of another kind, or rings do not take it; says what does.
@@ -81,6 +82,7 @@ class RingProjection(LinearOperator):
         device: str | Device | None = None,
         *,
         rings: PolarGrid | None = None,
+        tf32: bool = False,
     ) -> None:
         for value, kind in ((grid, Grid), (beam, Beam), (motion, Turntable)):
             if not isinstance(value, kind):
@@ -95,7 +97,7 @@ class RingProjection(LinearOperator):
         self.device: Device = open_device(device)
         self._strips, slices = _strips(self.rings, beam, self.device)
         some = replace(self.rings, slices=slices)
-        self._spectral = SpectralProjection(some, beam, vessel, self.device, square=grid.pitch, faint=FAINT)
+        self._spectral = SpectralProjection(some, beam, vessel, self.device, square=grid.pitch, faint=FAINT, tf32=tf32)
         self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
         found = _interpolated(self.rings, grid)
         self._to_voxels = found.table(self.device, grid.shape[:2], BLOCK)
@@ -104,12 +106,13 @@ class RingProjection(LinearOperator):
             self._take_memory()
 
     @classmethod
-    def of(cls, A: Projection, width: float = WIDTH) -> RingProjection:
+    def of(cls, A: Projection, width: float = WIDTH, *, tf32: bool = False) -> RingProjection:
         """What gives the dose of a projection, on its device.
 
         Args:
             A: The projection.
             width: Of rings over that of voxels; wider ones are faster, and less exact.
+            tf32: Let products take eleven bits of each number, as of `SpectralProjection`.
 
         Returns:
             The same on rings; ``direct`` of it is ``A``.
@@ -121,7 +124,7 @@ class RingProjection(LinearOperator):
         if why:
             raise BadInput(f"rings do not take {A!r}: {why}; use that operator itself")
         rings = _rings(A.grid, A.motion.angles, positive("width", width))
-        found = cls(A.grid, A.beam, A.motion, A.vessel, A.device, rings=rings)
+        found = cls(A.grid, A.beam, A.motion, A.vessel, A.device, rings=rings, tf32=tf32)
         found.direct = A
         return found
 
