@@ -97,6 +97,10 @@ class KernelError(DeviceError):
     """A kernel was bound to arguments that do not fit its declaration, or did not compile."""
 
 
+class WorkerLost(DeviceError):
+    """The process of a cluster that computed is gone, and with it all that it kept."""
+
+
 class DeviceNotFound(DeviceError):
     """A configured machine does not answer at its address."""
 

@@ -7,7 +7,7 @@ the window of light begins ``k · step`` further along the web; everything else 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -152,5 +152,17 @@ def light_of_pose(wrap: Wrap, grid: WebGrid, beam: Beam, device: object) -> Prop
     Returns:
         The sparse matrix P[r, rho, l].
     """
-    there = {"device": device} if getattr(wrap, "marched", False) else {}
-    return wrap.propagation(grid, beam, **there)
+    return wrap.propagation(grid, beam, **where_marched(wrap, device))
+
+
+def where_marched(wrap: object, device: object) -> dict[str, Any]:
+    """The device as an argument, where a machine says that it ``marched`` its light on one.
+
+    Args:
+        wrap: The machine.
+        device: A name or a device.
+
+    Returns:
+        ``device=`` that; nothing for other machines.
+    """
+    return {"device": device} if getattr(wrap, "marched", False) else {}

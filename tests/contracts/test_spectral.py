@@ -161,3 +161,5 @@ def test_bad_arguments_are_refused() -> None:
         SpectralProjection(vam.Grid((8, 8, 2), 0.1), beam)  # pyright: ignore[reportArgumentType]
     with pytest.raises(BadInput, match="Vial"):
         SpectralProjection(grid, beam, "vial")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(BadInput, match="tf32='yes'; expected True"):
+        SpectralProjection(grid, beam, tf32="yes")  # pyright: ignore[reportArgumentType]

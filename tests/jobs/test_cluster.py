@@ -17,8 +17,7 @@ import pytest
 
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
-from vamgpu.backend.remote import DeviceLost
-from vamgpu.errors import Cancelled, ClusterWarning, DeviceError
+from vamgpu.errors import Cancelled, ClusterWarning, DeviceError, WorkerLost
 from vamgpu.jobs import cluster, run
 from vamgpu.jobs.demo import JOB, WEB_JOB
 from vamgpu.jobs.read import Job
@@ -133,7 +132,7 @@ def test_a_job_that_is_replaced_is_solved_anew_whoever_is_lost(tmp_path: Path, m
         def made() -> Device:
             begun.append(bool(sum(one.is_dir() for one in tmp_path.glob(".boat-*/boat"))))
             if len(begun) == 3:
-                raise DeviceLost("the worker is gone")
+                raise WorkerLost("the worker is gone")
             return open_device("numpy")
 
         yield made
@@ -175,6 +174,26 @@ def test_ctrl_c_in_a_terminal_reaches_workers_too_and_leaves_the_plan(
 
 
 @pytest.mark.slow
+class Deserted:
+    """The client of a scheduler whose workers are gone for good."""
+
+    status = "running"
+
+    def nthreads(self) -> dict[str, int]:
+        return {}
+
+    def wait_for_workers(self, count: int, timeout: float) -> None:
+        raise TimeoutError(f"{count} of 0 workers")
+
+
+def test_a_cluster_without_workers_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "PATIENCE", 0.2)
+    monkeypatch.setattr(cluster, "RETURN", 0.0)
+    with pytest.raises(DeviceError, match="no worker is left; start some") as told:
+        cluster._remote(Deserted(), None, 0, 4)
+    assert not isinstance(told.value, WorkerLost)  # which a run would go on after
+
+
 def test_a_worker_takes_one_device(tmp_path: Path) -> None:
     job = Job.parse(JOB, [*VIAL, "solve.device=numpy+numpy"])
     with pytest.raises(DeviceError, match="several devices, for a worker; expected one"):

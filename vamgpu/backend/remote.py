@@ -28,10 +28,6 @@ Send = Callable[[list[Order]], Callable[[], list[Any]]]
 """Sends orders, and gives what waits for their answers."""
 
 
-class DeviceLost(DeviceError):
-    """The process behind a device is gone, and with it all that it kept."""
-
-
 class Facts(NamedTuple):
     """What a device says of itself: its name, whether it is a GPU, its floating-point type, and what it is."""
 
@@ -142,7 +138,7 @@ class RemoteDevice(Device):
     Args:
         name: As messages have it.
         facts: What the device says of itself.
-        send: Brings orders to `Served.act` there; its answers come, or raise `DeviceLost`.
+        send: Brings orders to `Served.act` there; its answers come, or raise `WorkerLost`.
     """
 
     def __init__(self, name: str, facts: Facts, send: Send) -> None:

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import vamgpu
-from vamgpu.backend.remote import DeviceLost, RemoteDevice, Served
-from vamgpu.errors import BadInput, DeviceError, VamError
+from vamgpu.backend.remote import RemoteDevice, Served
+from vamgpu.errors import BadInput, DeviceError, VamError, WorkerLost
 
 if TYPE_CHECKING:
     from vamgpu.backend.slabs import SlabDevice
@@ -96,7 +96,7 @@ def slabs(where: str, device: str | None = None) -> Iterator[Callable[[], SlabDe
 
     Yields:
         A function that makes the device; and makes it anew, of as many slabs, on the workers that are left once one was
-        lost (`DeviceLost`) and all that was kept there with it.
+        lost (`WorkerLost`) and all that was kept there with it.
 
     Raises:
         BadInput: ``where`` is no such address.
@@ -122,7 +122,7 @@ def slabs(where: str, device: str | None = None) -> Iterator[Callable[[], SlabDe
 
 
 def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteDevice:
-    """A device of a worker, one of ``count``; of another one where fewer are left. Raises `DeviceLost`."""
+    """A device of a worker, one of ``count``; of another one where fewer are left. Raises `WorkerLost`."""
     until = time.monotonic() + PATIENCE
     while True:
         try:
@@ -142,14 +142,16 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
         except Exception as error:  # noqa: BLE001 - a worker that dies breaks whatever is under way
             if time.monotonic() > until and client.status != "running":
                 raise DeviceError("the scheduler is gone; begin it anew, and go on with the same command") from error
+            if time.monotonic() > until and not client.nthreads():
+                raise DeviceError("no worker is left; start some, and go on with the same command") from error
             if time.monotonic() > until:
-                raise DeviceLost(f"no worker takes slab {number}: {type(error).__name__}: {error}") from error
+                raise WorkerLost(f"no worker takes slab {number}: {type(error).__name__}: {error}") from error
 
     def send(orders: list[Any]) -> Callable[[], list[Any]]:
         try:
             answers = actor.act(orders)
         except Exception as error:  # noqa: BLE001 - as above
-            raise DeviceLost(f"the worker {where[0]} is gone: {error}") from error
+            raise WorkerLost(f"the worker {where[0]} is gone: {error}") from error
 
         def wait() -> list[Any]:
             while True:
@@ -159,9 +161,9 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
                     raise
                 except TimeoutError:
                     if future.status not in ("finished", "pending") or where[0] not in client.nthreads():
-                        raise DeviceLost(f"the worker {where[0]} is gone") from None
+                        raise WorkerLost(f"the worker {where[0]} is gone") from None
                 except Exception as error:  # noqa: BLE001 - as above
-                    raise DeviceLost(f"the worker {where[0]} is gone: {type(error).__name__}: {error}") from error
+                    raise WorkerLost(f"the worker {where[0]} is gone: {type(error).__name__}: {error}") from error
 
         return wait
 

@@ -21,8 +21,16 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.backend.remote import DeviceLost
-from vamgpu.errors import BadInput, Cancelled, ClusterWarning, JobError, MeshWarning, OutOfMemory, StorageError
+from vamgpu.errors import (
+    BadInput,
+    Cancelled,
+    ClusterWarning,
+    JobError,
+    MeshWarning,
+    OutOfMemory,
+    StorageError,
+    WorkerLost,
+)
 from vamgpu.jobs.build import packing_of, projection_of, target_of, with_diffusion
 from vamgpu.jobs.read import Job
 from vamgpu.methods.saved import (
@@ -136,7 +144,7 @@ def solve(
             due = _Due(CHECKPOINT if file.colors is None else inf)
             try:
                 return _solve(job, method, place, made(), kept=kept, due=due, **given)
-            except DeviceLost as error:
+            except WorkerLost as error:
                 if tried >= TRIES or _while_stopped(error):
                     raise
                 warnings.warn(f"{error}; going on from the plan that was kept last", ClusterWarning, stacklevel=2)

@@ -77,6 +77,8 @@ class SpectralProjection(LinearOperator):
                 raise BadInput(f"got {value!r} where a {kind.__name__} is expected; SpectralProjection(grid, beam, …)")
         if vessel is not None and not isinstance(vessel, Vessel):
             raise BadInput(f"got {vessel!r} as vessel; expected a Vial, a Vat, or None for straight light")
+        if not isinstance(tf32, bool):
+            raise BadInput(f"got tf32={tf32!r}; expected True for products of eleven bits, or False")
         self.grid, self.beam, self.vessel, self.motion = grid, beam, vessel, Turntable(grid.angles)
         self.domain = PolarSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]

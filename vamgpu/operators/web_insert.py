@@ -22,7 +22,7 @@ from vamgpu.operators.space import WebSinogramSpace, WebSpace
 from vamgpu.operators.traced import PLANES, POSES, WHOLE, SparseEntries
 from vamgpu.operators.web import WebProjection
 from vamgpu.operators.web_motion import WebMotion
-from vamgpu.web import Propagation, WebGrid, WebRays, Wrap
+from vamgpu.web import Propagation, WebGrid, WebRays, Wrap, where_marched
 
 LARGEST = 1 << 29
 """Entries of all matrices together: 4 GB of tables, each entry being kept by rows and by columns."""
@@ -86,8 +86,7 @@ class WebInsertProjection(LinearOperator):
         if not hasattr(wrap, "rays_of"):
             raise BadInput(f"got {wrap!r} with inserts; expected a machine that tells its light ray by ray, such as a "
                            "Roller, whose rays_of(grid, beam) does")  # fmt: skip
-        there = {"device": device} if getattr(wrap, "marched", False) else {}
-        rays: WebRays = wrap.rays_of(grid, beam, **there)  # type: ignore[attr-defined]
+        rays: WebRays = wrap.rays_of(grid, beam, **where_marched(wrap, device))  # type: ignore[attr-defined]
         self.grid, self.beam, self.light, self.vessel, self.wrap = grid, beam, plain.light, None, wrap
         self.domain, self.range = plain.domain, plain.range  # pyright: ignore[reportIncompatibleVariableOverride]
         self.motion, self.device = plain.motion, open_device(device)
