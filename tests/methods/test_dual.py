@@ -159,8 +159,8 @@ def test_least_squares_falls_and_stays_on_the_device(fast_device: Device) -> Non
 
 @pytest.mark.slow
 def test_least_squares_reaches_the_bounded_minimum() -> None:
-    """Against scipy's non-negative solver on the dense matrices of both colors."""
-    from scipy.optimize import nnls
+    """Against scipy's solver of bounded least squares on the dense matrices of both colors."""
+    from scipy.optimize import lsq_linear  # nnls misses the minimum of so few independent columns on some processors
 
     n, angles = 8, 2
     grid, motion = Grid((n, n, 1), 1.0), Turntable(angles)
@@ -168,10 +168,11 @@ def test_least_squares_reaches_the_bounded_minimum() -> None:
     design = np.zeros((n, n, 1))
     design[2:5, 3:7] = 1.0
     design[3, 4] = 0.0
-    _, residual = nnls(np.hstack([A.dense().T, -2.0 * B.dense().T]), design.ravel(), maxiter=100_000)
+    both = np.hstack([A.dense().T, -2.0 * B.dense().T])
+    least = lsq_linear(both, design.ravel(), bounds=(0.0, np.inf), tol=1e-14, max_iter=5000)
     plan = superpose(Colors(A, B, strength=2.0, whole=True), design, LeastSquares(3000))
     loss = 0.5 * float(((plan.dose().numpy() - design) ** 2).sum())
-    assert loss == pytest.approx(0.5 * float(residual) ** 2, rel=5e-3)
+    assert loss == pytest.approx(least.cost, rel=1e-9)
 
 
 @pytest.mark.slow
