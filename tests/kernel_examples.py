@@ -248,7 +248,7 @@ def _array_sizes(n: int) -> dict[str, int]:
 
 def _partial(n: int, **given: Any) -> Example:
     kinds: dict[str, Callable[[np.ndarray], Any]] = {"lows": np.min, "highs": np.max}
-    kinds |= dict.fromkeys(("parts", "moved", "crossed", "inside", "outside"), np.sum)
+    kinds |= dict.fromkeys(("parts", "moved", "crossed", "inside", "outside", "below", "shorts", "above", "over"), np.sum)
     return Example({**_array_sizes(n), "part": 0, "sample": 2}, given, combine=kinds)
 
 
@@ -604,6 +604,10 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "apply_penalty": lambda n: _partial(n, weight=0.1, power=3.0, hold=1),
     "light_step": lambda n: _partial(n, step=0.7, most=0.8),
     "limit_step": lambda n: _partial(n, step=0.7, least=0.6, leak=0.3, loose=0.3, reach=0.4 * n, target=_with_gray),
+    "split_levels": lambda n: _partial(n, least=0.8, leak=1.7, reach=0.4 * n),
+    "split_dose": lambda n: _elementwise(n, least=0.8, leak=1.7, relax=1.6, reach=0.4 * n),
+    "split_light": lambda n: Example(_array_sizes(n), {"base": 0.3, "relax": 1.6}, below=0.5),
+    "split_prices": lambda n: _elementwise(n, least=0.8, leak=1.7, reach=0.4 * n),
     "price_dose": _elementwise,
     "reflect": lambda n: _elementwise(n, share=0.8),
     "divide_prices": lambda n: _elementwise(n, inside=0.3, outside=0.7),

@@ -10,6 +10,7 @@ from vamgpu.errors import OutOfMemory
 from vamgpu.methods.certificate import Bound
 from vamgpu.methods.corners import owed
 from vamgpu.methods.method import Criterion, Method, Steps
+from vamgpu.methods.split import splits
 from vamgpu.methods.state import OptimizerState
 from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
@@ -27,10 +28,11 @@ VOLUMES, SINOGRAMS = 12, 6
 
 @dataclass(frozen=True)
 class BestWindow(Method):
-    """`WidestWindow` where a run may spend 64 evaluations, and one for every 110 voxels; else `ProcessWindow`.
+    """`WidestWindow` where the light of one pose turns; else `ProcessWindow` for runs of few evaluations.
 
-    With tolerances thresholds come first. A run that may spend 400 evaluations of every corner goes on by prices after
-    200, and begins with what voxels that stay off weigh.
+    Elsewhere, and where light may not be too bright, prices follow where a run may spend 64 evaluations, and one for
+    every 110 voxels. With tolerances thresholds come first there: a run that may spend 400 evaluations of every corner
+    goes on by prices after 200, and begins with what voxels that stay off weigh.
 
     Bodies with weights are `ProcessWindow`'s at any number, and gray ones, whose doses it keeps right where no light
     has a window above 0.
@@ -48,7 +50,10 @@ class BestWindow(Method):
     def steps(self, state: OptimizerState) -> Steps:
         memory, scenarios = state.memory, state.operator
         corners = len(scenarios) if isinstance(scenarios, Scenarios) and len(scenarios) > 1 else 0
-        if not memory.get("priced") and not _by_thresholds(state) and _many(state, corners) and _fits(state):
+        if not memory.get("priced") and not _by_thresholds(state) and splits(state):
+            memory |= {"priced": 1.0, "turned": 1.0}
+            _turn(state)
+        elif not memory.get("priced") and not _by_thresholds(state) and _many(state, corners) and _fits(state):
             memory["priced"] = 1.0
             memory["thresholds until"] = max(state.evaluations, FIRST * corners) if state.brightness == inf else 0.0
             if not corners:

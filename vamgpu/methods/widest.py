@@ -20,8 +20,9 @@ from vamgpu.methods.certificate import Bound, certified
 from vamgpu.methods.graylimits import GrayLimits
 from vamgpu.methods.limit import MARGIN
 from vamgpu.methods.method import Criterion, Method, Steps
-from vamgpu.methods.papers import ANCHORED, DIAGONAL, PRIMAL_DUAL, SAFE_STEPS
+from vamgpu.methods.papers import ANCHORED, DIAGONAL, PRIMAL_DUAL, SAFE_STEPS, SPLITTING
 from vamgpu.methods.recipe import Recipe
+from vamgpu.methods.split import SplitSteps, split_bound, splits
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.reductions import dot, extent, folded, parts_for, total
@@ -51,25 +52,27 @@ TOLD = 60
 
 @dataclass(frozen=True)
 class WidestWindow(Method):
-    """Maximize the strict process window itself, by primal-dual steps; an iteration is one projector evaluation.
+    """Maximize the strict process window itself; an iteration is one projector evaluation, or half of one more.
 
-    Every voxel prices its limit: a dose of the part at least, one of voids at most, and 1 at most. Light follows the
-    prices, and prices follow the dose. Each pixel and voxel has a step of its own; steps grow as far as they prove
-    safe, go beyond where they lead, and are held back by where their round began. There is nothing to choose. Takes
-    twelve volumes and six sinograms of memory.
+    Where the light of one pose turns, `SplitSteps` find it: light that makes up for what doses lack is found at once, by
+    the inverse of how projecting and exposing blur light. Elsewhere, with gray bodies, and where light may not be too
+    bright, steps are primal-dual: every voxel prices its limit: a dose of the part at least, one of voids at most, and 1
+    at most. Light follows the prices, and prices follow the dose. Each pixel and voxel has a step of its own; steps grow
+    as far as they prove safe, go beyond where they lead, and are held back by where their round began. There is nothing
+    to choose. Takes twelve volumes and six sinograms of memory at most.
 
     A gray dose has two limits: it keeps half of the window from both ends of its tolerance about the dose midway
     between the part's least and its greatest. The window is then twice what all doses may be off by.
 
     Args:
-        passes: Passes of the recipe that come first.
+        passes: Passes of the recipe that come before primal-dual steps.
 
     Raises:
         BadInput: A value is out of its range.
     """
 
     passes: int = 2
-    papers: ClassVar[tuple[str, ...]] = (PRIMAL_DUAL, DIAGONAL, ANCHORED, SAFE_STEPS)
+    papers: ClassVar[tuple[str, ...]] = (SPLITTING, PRIMAL_DUAL, DIAGONAL, ANCHORED, SAFE_STEPS)
     iterations: ClassVar[int] = 400
     cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "window"
@@ -82,6 +85,9 @@ class WidestWindow(Method):
             raise BadInput(f"passes is {self.passes!r}; expected a whole number ≥ 1")
 
     def steps(self, state: OptimizerState) -> Steps:
+        if "rows" not in state.memory and splits(state):
+            yield from SplitSteps(state).steps()
+            return
         if state.piece is None:
             yield from Recipe().first(state, self.passes)
         yield from _Saddle(state).steps()
@@ -93,8 +99,11 @@ class WidestWindow(Method):
             state: Of the run; it stays as it is.
 
         Returns:
-            The bound, by `SWEEPS` and two evaluations that are not counted; None after fewer than 60 steps.
+            The bound, by `SWEEPS` and two evaluations that are not counted; None after fewer than 60 primal-dual steps, or
+            30 of the others.
         """
+        if "free" in state.memory:
+            return split_bound(state)
         return _Saddle(state).bound() if state.number("made") >= TOLD else None
 
 

@@ -187,6 +187,11 @@ class RingProjection(LinearOperator):
             work("voxels", (*self.grid.shape[:2], slices))
 
     @property
+    def row_weights(self) -> np.ndarray:
+        """What each slice gets of the light of each row of pixels, (slices, rows)."""
+        return self._rows.weights
+
+    @property
     def _slices(self) -> tuple[int, int, int]:
         """Shape of light of as many rows as there are slices."""
         return (*self.range.shape[:2], self.grid.shape[2])

@@ -101,9 +101,7 @@ class SpectralProjection(LinearOperator):
 
     @cached_property
     def _of_light(self) -> _Passes:
-        angles, width, _ = self._folded
-        straight = (0, angles, width, 0)
-        return _Passes(self.device, [(angles, width, straight, straight)])
+        return straight_passes(self.device, *self._folded[:2])
 
     @cached_property
     def _to_rings(self) -> _Passes:
@@ -198,6 +196,12 @@ class _Passes:
             self._device.launch(fourier, source=source, belts=belts, waves=self._waves, sign=sign, sink=sink)
             source = sink
         return source
+
+
+def straight_passes(device: Device, angles: int, width: int) -> _Passes:
+    """Transforms over the angles of light [angle, r, z] of so many columns, in place."""
+    straight = (0, angles, width, 0)
+    return _Passes(device, [(angles, width, straight, straight)])
 
 
 def _fits(device: Device) -> Callable[[int], bool]:

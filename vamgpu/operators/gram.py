@@ -1,0 +1,237 @@
+"""The light that makes a dose nearly what is asked: the inverse of how projecting and exposing blur light."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from math import sqrt
+from typing import Any, final
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.cores import threads
+from vamgpu.backend.device import Device
+from vamgpu.kernels.lanes import copy_slices
+from vamgpu.kernels.reduce import disc
+from vamgpu.kernels.spectrum import ROWS, fold_columns, gather_rings, light_rings, unfold_columns
+from vamgpu.kernels.update import multiply
+from vamgpu.operators.compose import combine
+from vamgpu.operators.polar import PolarGrid
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.reductions import dot
+from vamgpu.operators.ring_projection import RingProjection, against_rings
+from vamgpu.operators.scenarios import Scenarios
+from vamgpu.operators.spectral import SpectralProjection, straight_passes
+
+AT_ONCE = 32
+"""Columns whose blur is computed at once."""
+SHARES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
+"""``base`` over the greatest that A Aᵀ makes of light, from the least on that is safe."""
+MOST, STEPS = 1.15, 12
+"""Times that light may become brighter, and steps that the brightest is looked for."""
+DARK = 1e-6
+"""Share of what the brightest column blurs into itself, up to which a column lights nothing that counts."""
+
+
+@final
+class GramInverse:
+    """(A Aᵀ + base)⁻¹ for light [angle, r, z], of a projector A whose light is one pose, turned.
+
+    A Aᵀ exposes light and projects the dose of the voxels that count. At even angles that is, on rings, a matrix
+    (columns × columns) for each angular frequency, of which this applies the inverses between two Fourier transforms; it
+    costs about as much as the products of one projection on rings. What rows of pixels share along z counts by its
+    greatest amount, and of several scenarios their sum does. Voxels are no rings: what sharp or fine pixels tell apart
+    is more than rings know of. So ``base`` grows until no light is made more than `MOST` times as bright as it was by
+    what A Aᵀ + base and this make of it, measured on two slices; steps by the inverse are then safe.
+
+    Args:
+        operator: For which `against_gram` has no reason.
+        reach: Radius of the cylinder that counts, in voxels.
+    """
+
+    base: float
+    device: Device
+
+    def __init__(self, operator: Any, reach: float) -> None:
+        self.device = operator.device
+        members = _members(operator)
+        blur = sum(weight * _shared(each) * _blur(each, reach) for weight, each in members)
+        angles, columns, rows = operator.range.shape
+        wide = -(-columns // ROWS) * ROWS
+        self._passes = straight_passes(self.device, angles, wide)
+        thin, greatest = _Thin(members, reach), float(np.linalg.norm(blur[0], 2))
+        for share in SHARES:
+            self.base = share * greatest
+            self._entries = _table(self.device, _inverses(blur, self.base) / np.float32(angles), wide)
+            self._take_room((angles, columns, 2), wide)
+            if thin.most(self) <= MOST:
+                break
+        self._take_room((angles, columns, rows), wide)
+
+    def _take_room(self, light: tuple[int, int, int], wide: int) -> None:
+        """Fields to work in for light of a shape."""
+        (angles, columns, rows), empty = light, self.device.empty
+        deep = rows + rows % 2
+        even = (angles, columns, deep)
+        self._even = None if rows == deep else (self.device.upload(np.zeros(even, np.float32)), empty(even))
+        self._work = tuple(empty((angles, wide, deep)) for _ in range(2))
+
+    def __call__(self, light: DeviceArray, out: DeviceArray) -> None:
+        """Apply it.
+
+        Args:
+            light: [angle, r, z]; an odd number of rows is filled up with a dark one.
+            out: Takes the result; may be ``light``.
+        """
+        launch, (first, second), even = self.device.launch, self._work, self._even
+        source, sink = even or (light, out)
+        if even is not None:
+            launch(copy_slices, source=light, first=0, lanes=light, field=source)
+        launch(fold_columns, sinogram=source, mirrored=0, folded=first)
+        spectrum = self._passes.run(-1.0, first, lambda number: (second, first)[number])
+        other = first if spectrum is second else second
+        launch(light_rings, folded=spectrum, **self._entries, spectrum=other)
+        found = self._passes.run(1.0, other, lambda number: (spectrum, other)[number])
+        launch(unfold_columns, folded=found, mirrored=0, sinogram=sink)
+        if even is not None:
+            launch(copy_slices, source=sink, first=0, lanes=sink, field=out)
+
+
+def against_gram(operator: Any) -> str:
+    """Why there is no `GramInverse` of an operator.
+
+    Args:
+        operator: The projector, or scenarios of some.
+
+    Returns:
+        The reason; empty where there is one.
+    """
+    members = operator.operators if isinstance(operator, Scenarios) else (operator,)
+    for each in members:
+        motion, grid = getattr(each, "motion", None), getattr(each, "grid", None)
+        if isinstance(each, RingProjection):
+            continue
+        if not isinstance(each, Projection) or motion is None or grid is None:
+            return against_rings(each)
+        if not motion.is_even or motion.angles < 2:
+            return f"its angles, {motion}, are not two or more, even over a full turn from 0, each lit as long"
+    return ""
+
+
+def _members(operator: Any) -> list[tuple[float, Any]]:
+    """Projectors, and how often the blur of each counts at most."""
+    if not isinstance(operator, Scenarios):
+        return [(1.0, operator)]
+    shares = np.abs(operator.mix)  # |Σ m d|² ≤ Σ|m| · Σ|m| d²
+    return [
+        (float(weight), each)
+        for weight, each in zip((shares.sum(axis=1, keepdims=True) * shares).sum(axis=0), operator.operators, strict=True)
+        if weight
+    ]
+
+
+def _blur(operator: Projection | RingProjection, reach: float) -> np.ndarray:
+    """A Aᵀ for each angular frequency up to half of the angles, complex64 (frequency, column, column)."""
+    grid, beam, angles = operator.grid, operator.beam, operator.motion.angles
+    columns = beam.pixels[0]
+    rings = replace(PolarGrid.within(grid, angles), slices=2 * AT_ONCE)
+    shape = replace(beam, pixels=(columns, 2 * AT_ONCE))
+    pose = SpectralProjection(rings, shape, operator.vessel, operator.device, square=grid.pitch)
+    device, entries = pose.device, pose._entries
+    counted = device.upload(np.broadcast_to(_counted(rings, reach)[:, None], rings.shape).astype(np.float32))
+    spectrum, folded = device.empty(rings.shape), device.empty(pose._folded)
+    found = np.empty((angles // 2 + 1, columns, columns), np.complex64)
+    for begin in range(0, columns, AT_ONCE):
+        some = np.arange(begin, min(begin + AT_ONCE, columns))
+        units = np.zeros((angles, columns, 2 * AT_ONCE), np.float32)
+        units[:, some, 2 * (some - begin)] = 1.0
+        lit = device.upload(units)
+        device.launch(fold_columns, sinogram=lit, mirrored=entries["mirrored"], folded=folded)
+        device.launch(light_rings, folded=folded, **entries, spectrum=spectrum)
+        device.launch(multiply, x=spectrum, y=counted, out=spectrum)
+        device.launch(gather_rings, spectrum=spectrum, **entries, folded=folded)
+        device.launch(unfold_columns, folded=folded, mirrored=entries["mirrored"], sinogram=lit)
+        values = lit.numpy()[: len(found), :, : 2 * len(some)]
+        found[:, :, some] = values[..., 0::2] + 1j * values[..., 1::2]
+    return np.float32(0.5 * angles) * (found + found.conj().swapaxes(1, 2))
+
+
+def _shared(operator: Projection | RingProjection) -> float:
+    """The greatest that rows make of light along z, there and back."""
+    return float(np.linalg.norm(operator.row_weights, 2)) ** 2
+
+
+class _Thin:
+    """A Aᵀ on two slices; what rows share along z is as of the whole."""
+
+    def __init__(self, members: list[tuple[float, Any]], reach: float) -> None:
+        self._members = []
+        for weight, each in members:
+            (wide, deep, _), beam = each.grid.shape, replace(each.beam, pixels=(each.beam.pixels[0], 2))
+            thin = Projection(replace(each.grid, shape=(wide, deep, 2)), beam, each.motion, each.vessel, each.device)
+            self._members.append((weight * _shared(each) / _shared(thin), thin))
+        upload, shape = thin.device.upload, thin.domain.shape
+        near = disc(*shape[:2], reach)[:, :, None]
+        self._near = upload(np.broadcast_to(near, shape).astype(np.float32))
+
+    def most(self, inverse: GramInverse) -> float:
+        """Times that what A Aᵀ + base and its inverse make of a light is as bright as that, at most."""
+        thin = self._members[0][1]
+        device = thin.device
+        light, dose, part, blurred = (
+            device.empty(space.shape) for space in (thin.range, thin.domain, thin.range, thin.range)
+        )
+        found = device.upload(np.random.default_rng(0).standard_normal(light.shape).astype(np.float32))
+        grown = 1.0
+        for _ in range(STEPS):
+            combine(1.0 / sqrt(dot(found, found)), found, 0.0, found, light)
+            combine(inverse.base, light, 0.0, light, blurred)
+            for weight, each in self._members:
+                each.T(light, out=dose)
+                device.launch(multiply, x=dose, y=self._near, out=dose)
+                each(dose, out=part)
+                combine(1.0, blurred, weight, part, blurred)
+            inverse(blurred, found)
+            grown = sqrt(dot(found, found))
+        return grown
+
+
+def _counted(rings: PolarGrid, reach: float) -> np.ndarray:
+    """What a cell counts: its area in voxels, times the samples of its ring, which its transforms leave out."""
+    samples = np.concatenate([np.full(b.rings * b.samples, b.samples * rings.angles) for b in rings.belts])
+    return rings.areas * samples * (rings.places[0] <= reach * rings.pitch)
+
+
+def _inverses(blur: np.ndarray, base: float) -> np.ndarray:
+    """(blur + base)⁻¹ of each frequency; nothing for columns that light nothing."""
+    own = np.real(np.diagonal(blur[0]))
+    lit = np.flatnonzero(own > DARK * own.max())
+    found = np.zeros_like(blur)
+
+    def invert(k: int) -> None:
+        some = blur[k][np.ix_(lit, lit)] + np.float32(base) * np.eye(len(lit), dtype=np.float32)
+        found[k][np.ix_(lit, lit)] = np.linalg.inv(some)
+
+    with ThreadPoolExecutor(threads()) as pool:
+        list(pool.map(invert, range(len(blur))))
+    return found
+
+
+def _table(device: Device, matrices: np.ndarray, wide: int) -> dict[str, Any]:
+    """Matrices (frequency, column, column) as `light_rings` takes them, columns in place of cells."""
+    count, columns, _ = matrices.shape
+    filled = np.zeros((count, wide, wide), np.complex64)
+    filled[:, :columns, :columns] = matrices
+    tiles = wide // ROWS
+    own = filled.reshape(count, tiles, ROWS, wide).transpose(0, 1, 3, 2)
+    entries = np.stack([own.real, own.imag], axis=3)  # (frequency, tile, pair, part, cell)
+    number = np.arange(tiles)
+    none = np.zeros(tiles, int)
+    table = np.stack([2 * ROWS * wide * number, none + wide, number, none, none], axis=1)
+    return {
+        "entries": device.table(entries.ravel()),
+        "tiles": device.table(table, "int32"),
+        "mirrored": 0,
+        "tf32": 0,
+    }
