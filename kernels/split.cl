@@ -1,12 +1,12 @@
 #include "partial.h"
 
-// Where limits are looked for, and which voxels have any.
+// Where limits are looked for, and what a voxel counts.
 #define DOSE (2.0f * LOAD(held + at) + LOAD(owed + at))
-#define CIRCLE ((Lanes)(disc_distance(i, j, n_i, n_j) <= reach * reach ? -1 : 0))
+#define COUNTED ((Vector)(disc_distance(i, j, n_i, n_j) <= reach * reach ? 1.0f : rim))
 #define INSIDE (LOAD(target + at) >= 0.5f)
 
 #ifdef COMPILE_split_levels
-FIELD_KERNEL split_levels(ARRAY held, ARRAY owed, ARRAY target, float least, float leak, float reach,
+FIELD_KERNEL split_levels(ARRAY held, ARRAY owed, ARRAY target, float least, float leak, float reach, float rim,
                           __global float *restrict below, __global float *restrict shorts,
                           __global float *restrict above, __global float *restrict over, SIZES, int n_part) {
     const int part = part_index(n_i, n_j, n_z);
@@ -15,12 +15,11 @@ FIELD_KERNEL split_levels(ARRAY held, ARRAY owed, ARRAY target, float least, flo
     EACH_VECTOR few[v] = lacking[v] = many[v] = leaking[v] = ZERO;
     EACH_VECTOR_AT {
         const Vector dose = DOSE, lacks = least - fmin((Vector)(1.0f), dose), leaks = dose - leak;
-        const Lanes near = CIRCLE & REAL_LANES, part_of_it = INSIDE;
-        const Lanes low = near & part_of_it & (lacks > ZERO), high = near & ~part_of_it & (leaks > ZERO);
-        few[v] += MASKED(low, (Vector)(1.0f));
-        lacking[v] += MASKED(low, lacks);
-        many[v] += MASKED(high, (Vector)(1.0f));
-        leaking[v] += MASKED(high, leaks);
+        const Lanes body = INSIDE, low = REAL_LANES & body & (lacks > ZERO), high = REAL_LANES & ~body & (leaks > ZERO);
+        few[v] += MASKED(low, COUNTED);
+        lacking[v] += MASKED(low, COUNTED * lacks);
+        many[v] += MASKED(high, COUNTED);
+        leaking[v] += MASKED(high, COUNTED * leaks);
     }
     below[part] = sum_of(few);
     shorts[part] = sum_of(lacking);
@@ -30,40 +29,46 @@ FIELD_KERNEL split_levels(ARRAY held, ARRAY owed, ARRAY target, float least, flo
 #endif
 
 #ifdef COMPILE_split_dose
-FIELD_KERNEL split_dose(ARRAY held, ARRAY target, float least, float leak, float relax, float reach,
+FIELD_KERNEL split_dose(ARRAY held, ARRAY target, float least, float leak, float relax, float reach, float rim,
                         __global float *owed, __global float *pull, SIZES) {
     if (!MINE) return;
     EACH_VECTOR_AT {
         const Vector dose = DOSE, own = LOAD(held + at);
         const Vector inside = fmax((Vector)(least), fmin((Vector)(1.0f), dose)), outside = fmin((Vector)(leak), dose);
         const Vector beyond = relax * select(outside, inside, INSIDE) + (1.0f - relax) * own;
-        STORE(pull + at, select(ZERO, beyond - dose, CIRCLE));
-        STORE(owed + at, select(ZERO, dose - own - beyond, CIRCLE));
+        STORE(pull + at, COUNTED * (beyond - dose));
+        STORE(owed + at, dose - own - beyond);
     }
 }
 #endif
 
 #ifdef COMPILE_split_light
-FIELD_KERNEL split_light(ARRAY light, float base, float relax, __global float *owed, __global float *pull, SIZES) {
-    if (!MINE) return;
+FIELD_KERNEL split_light(ARRAY light, float base, float relax, float most, __global float *restrict owed,
+                         __global float *restrict pull, __global float *restrict over, SIZES, int n_part) {
+    const int part = part_index(n_i, n_j, n_z);
+    if (part < 0 || part >= n_part) return;
+    Vector sum[VECTORS];
+    EACH_VECTOR sum[v] = ZERO;
     EACH_VECTOR_AT {
         const Vector own = LOAD(light + at), bright = 2.0f * own + LOAD(owed + at);
-        const Vector beyond = relax * fmax(ZERO, bright) + (1.0f - relax) * own;
+        const Vector beyond = relax * fmin((Vector)(most), fmax(ZERO, bright)) + (1.0f - relax) * own;
         STORE(pull + at, LOAD(pull + at) + base * (beyond - bright));
         STORE(owed + at, bright - own - beyond);
+        sum[v] += MASKED(REAL_LANES, fmax(ZERO, bright - most));
     }
+    over[part] = sum_of(sum);
 }
 #endif
 
 #ifdef COMPILE_split_prices
-FIELD_KERNEL split_prices(ARRAY held, ARRAY owed, ARRAY target, float least, float leak, float reach,
+FIELD_KERNEL split_prices(ARRAY held, ARRAY owed, ARRAY target, float least, float leak, float reach, float rim,
                           __global float *restrict wall, __global float *restrict cap, SIZES) {
     if (!MINE) return;
     EACH_VECTOR_AT {
         const Vector dose = DOSE;
         const Vector excess = select(dose - leak, least - dose, INSIDE);
-        STORE(wall + at, select(ZERO, fmax(ZERO, excess), CIRCLE));
-        STORE(cap + at, select(ZERO, fmax(ZERO, dose - 1.0f), CIRCLE & INSIDE));
+        STORE(wall + at, COUNTED * fmax(ZERO, excess));
+        STORE(cap + at, COUNTED * select(ZERO, fmax(ZERO, dose - 1.0f), INSIDE));
     }
 }
 #endif

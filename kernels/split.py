@@ -19,59 +19,65 @@ from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real, Tiling, 
 GPU = Tiling(major=1, minor=1)
 
 
-def _near(target: np.ndarray, reach: float) -> np.ndarray:
-    return disc(target.shape[0], target.shape[1], reach)[:, :, None]
+def _counted(target: np.ndarray, reach: float, rim: float) -> np.ndarray:
+    return np.where(disc(target.shape[0], target.shape[1], reach), 1.0, rim)[:, :, None]
 
 
 @kernel(over="held", cpu=CPU, gpu=PARTIAL)
 def split_levels(
-    held: Array, owed: Array, target: Array, least: Real, leak: Real, reach: Real, below: Parts, shorts: Parts,
-    above: Parts, over: Parts,
+    held: Array, owed: Array, target: Array, least: Real, leak: Real, reach: Real, rim: Real, below: Parts,
+    shorts: Parts, above: Parts, over: Parts,
 ) -> None:  # fmt: skip
     """How many voxels of the part are below a least dose and how much they lack together; likewise above a leak outside.
 
     Doses of the part count as 1 at most.
     """
-    near, dose = _near(target, reach), 2.0 * held + owed
-    lacks = np.where(near & (target >= 0.5), least - np.minimum(dose, 1.0), 0.0)
-    leaks = np.where(near & (target < 0.5), dose - leak, 0.0)
+    counted, dose = _counted(target, reach, rim), 2.0 * held + owed
+    lacks = np.where(target >= 0.5, least - np.minimum(dose, 1.0), 0.0)
+    leaks = np.where(target < 0.5, dose - leak, 0.0)
     for count, amount, values in ((below, shorts, lacks), (above, over, leaks)):
         count[...] = amount[...] = 0.0
-        count[0], amount[0] = np.count_nonzero(values > 0.0), np.maximum(values, 0.0).sum()
+        count[0], amount[0] = (counted * (values > 0.0)).sum(), (counted * np.maximum(values, 0.0)).sum()
 
 
 @kernel(over="pull", cpu=CPU, gpu=GPU)
 def split_dose(
-    held: Array, target: Array, least: Real, leak: Real, relax: Real, reach: Real, owed: ArrayInOut, pull: ArrayOut
-) -> None:
+    held: Array, target: Array, least: Real, leak: Real, relax: Real, reach: Real, rim: Real, owed: ArrayInOut,
+    pull: ArrayOut,
+) -> None:  # fmt: skip
     """pull = the dose within its limits, gone beyond by ``relax``, less where it was looked for; owed is renewed.
 
     Limits are least to 1 inside, leak at most outside.
     """
-    near, dose = _near(target, reach), 2.0 * held + owed
+    dose = 2.0 * held + owed
     within = np.where(target >= 0.5, np.maximum(np.minimum(dose, 1.0), least), np.minimum(dose, leak))
     beyond = relax * within + (1.0 - relax) * held
-    pull[...] = np.where(near, beyond - dose, 0.0)
-    owed[...] = np.where(near, dose - held - beyond, 0.0)
+    pull[...] = _counted(target, reach, rim) * (beyond - dose)
+    owed[...] = dose - held - beyond
 
 
-@kernel(over="light", cpu=CPU, gpu=GPU)
-def split_light(light: Array, base: Real, relax: Real, owed: ArrayInOut, pull: ArrayInOut) -> None:
-    """pull += base·(the light that is 0 or more, gone beyond by ``relax``, less where it was looked for).
+@kernel(over="light", cpu=CPU, gpu=PARTIAL)
+def split_light(
+    light: Array, base: Real, relax: Real, most: Real, owed: ArrayInOut, pull: ArrayInOut, over: Parts
+) -> None:
+    """pull += base·(the light from 0 to most, gone beyond by ``relax``, less where it was looked for).
 
-    owed is renewed, as of `split_dose`.
+    owed is renewed, as of `split_dose`.  Σ over: by how much light was looked for above most.
     """
     bright = 2.0 * light + owed
-    beyond = relax * np.maximum(bright, 0.0) + (1.0 - relax) * light
+    beyond = relax * np.clip(bright, 0.0, most) + (1.0 - relax) * light
     pull[...] += base * (beyond - bright)
     owed[...] = bright - light - beyond
+    over[...] = 0.0
+    over[0] = np.maximum(bright - most, 0.0).sum()
 
 
 @kernel(over="wall", cpu=CPU, gpu=GPU)
 def split_prices(
-    held: Array, owed: Array, target: Array, least: Real, leak: Real, reach: Real, wall: ArrayOut, cap: ArrayOut
-) -> None:
+    held: Array, owed: Array, target: Array, least: Real, leak: Real, reach: Real, rim: Real, wall: ArrayOut,
+    cap: ArrayOut,
+) -> None:  # fmt: skip
     """Prices that the limits put on a dose: ``wall`` of too little inside and too much outside, ``cap`` above 1 inside."""
-    near, part, dose = _near(target, reach), target >= 0.5, 2.0 * held + owed
-    wall[...] = np.where(near, np.maximum(0.0, np.where(part, least - dose, dose - leak)), 0.0)
-    cap[...] = np.where(near & part, np.maximum(0.0, dose - 1.0), 0.0)
+    counted, part, dose = _counted(target, reach, rim), target >= 0.5, 2.0 * held + owed
+    wall[...] = counted * np.maximum(0.0, np.where(part, least - dose, dose - leak))
+    cap[...] = counted * np.where(part, np.maximum(0.0, dose - 1.0), 0.0)

@@ -27,6 +27,7 @@ from vamgpu.methods import (
     optimize,
 )
 from vamgpu.methods.trajectory import LossTrajectory
+from vamgpu.operators.gram import _Thin
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.web import WebProjection
 from vamgpu.optics.roller import Film, Roller
@@ -131,6 +132,7 @@ def test_looking_costs_one_pair_and_choosing_half_a_pair_at_most(method: Any, mo
         monkeypatch.setattr(
             Projection, name, lambda self, x, out, plain=plain, name=name: (calls.append(name), plain(self, x, out))[1]
         )
+    monkeypatch.setattr(_Thin, "most", lambda self, inverse: 1.0)  # which projects two slices
     plan = optimize(operator(), part(), method, 6)
     assert calls[:2] == ["forward", "transposed"] and calls[-1] == "transposed"
     choice = 0 if isinstance(method, Recipe | OSMO) else 1  # these offered their last light too: nothing is to be asked

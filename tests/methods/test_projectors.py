@@ -63,7 +63,8 @@ def part(shape: tuple[int, ...]) -> np.ndarray:
 @pytest.mark.parametrize("method", ["default", "fbp", "osmo", "bclp"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_projector_prints(kind: str, method: str) -> None:
-    assert share(KINDS[kind](), method) > 0.85 * plain(method)
+    alike = "window" if method == "default" else method  # which the default is where the light of no pose turns
+    assert share(KINDS[kind](), method) > 0.85 * plain(alike)
 
 
 def share(A: Any, method: str) -> float:

@@ -68,7 +68,7 @@ def strict(entries: Any, light: np.ndarray, inside: np.ndarray, near: np.ndarray
 
 def circle() -> np.ndarray:
     x, y = np.meshgrid(*2 * [np.arange(SIZE) - 0.5 * (SIZE - 1)], indexing="ij")
-    return (np.hypot(x, y) <= 0.5 * SIZE).ravel()
+    return (np.hypot(x, y) <= 0.5 * (SIZE - 1) * (1.0 + 1e-6)).ravel()
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -77,8 +77,8 @@ def test_it_comes_near_the_optimum_and_never_beyond(fast_device: Device, entries
     plan = optimize(operator(fast_device), inside[:, :, None].astype(np.float32), "widest", evaluations=400)
     top, found = optimum(entries, inside.ravel(), near), strict(entries, plan.sinogram.numpy(), inside.ravel(), near)
     assert plan.window == pytest.approx(found, abs=2e-5)
-    assert 0.95 * top < found <= top + 2e-5, found / top
-    assert plan.evaluations <= 400 and plan.state["length"] > 0.8
+    assert 0.99 * top < found <= top + 2e-5, found / top
+    assert plan.evaluations <= 400
 
 
 def test_every_device_takes_the_same_way(device: Device) -> None:
@@ -124,14 +124,14 @@ def test_no_method_goes_beyond_a_bound_of_few_steps(fast_device: Device) -> None
 
 def test_a_bound_comes_with_the_plan_and_changes_nothing() -> None:
     A, target = operator("numpy"), part("bars")[:, :, None].astype(np.float32)
-    first = optimize(A, target, "widest", 61)
+    first = optimize(A, target, "widest", 31)
     assert first.bound is None
     with pytest.raises(BadInput, match="63"):
         bound(A, target, evaluations=62)
     second = optimize(A, target, "widest", 70, resume=first)
     third = optimize(A, target, "widest", 75, resume=second)
     whole = optimize(A, target, "widest", 75)
-    assert third.history == whole.history and third.evaluations == whole.evaluations == 75
+    assert third.history == whole.history and 74 <= third.evaluations == whole.evaluations <= 75
     assert third.bound is not None and whole.bound is not None and third.bound.value == whole.bound.value
     assert bound(A, target, third, evaluations=75).value == third.bound.value
     assert second.bound is not None
@@ -151,18 +151,21 @@ def test_a_part_without_a_void_has_a_bound(fast_device: Device) -> None:
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_the_default_takes_thresholds_for_few_evaluations_and_prices_for_many(name: str) -> None:
+def test_the_default_is_the_widest_at_any_number_of_evaluations(name: str) -> None:
     A, target = operator("numpy"), part(name)[:, :, None].astype(np.float32)
-    for budget, method in ((40, "window"), (80, "widest")):
-        plan, other = optimize(A, target, evaluations=budget), optimize(A, target, method, evaluations=budget)
+    for budget in (20, 80):
+        plan, other = optimize(A, target, evaluations=budget), optimize(A, target, "widest", evaluations=budget)
         assert plan.history == other.history and (plan.bound is None) == (other.bound is None)
-    assert optimize(A, target).history == optimize(A, target, "window").history
+        thresholds = optimize(A, target, "window", evaluations=budget)
+        assert plan.window > thresholds.window
 
 
-def test_the_default_goes_on_by_prices_where_many_evaluations_are_left(fast_device: Device) -> None:
-    A, target = operator(fast_device), part("bars")[:, :, None].astype(np.float32)
+def test_elsewhere_the_default_takes_thresholds_for_few_evaluations_and_goes_on_by_prices_for_many() -> None:
+    turned = Turntable(np.linspace(0.0, 2.0 * np.pi, 30, endpoint=False) + 0.02)
+    A = Projection(Grid((SIZE, SIZE, 1), PITCH), Beam((30, 1), PITCH), turned, device="numpy")
+    target = part("bars")[:, :, None].astype(np.float32)
     few = optimize(A, target)
-    assert few.bound is None
+    assert few.bound is None and few.history == optimize(A, target, "window").history
     many = optimize(A, target, evaluations=240, resume=few)
     kept = optimize(A, target, evaluations=60, resume=few)
     assert kept.history == optimize(A, target, evaluations=60).history

@@ -11,11 +11,13 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import OutOfMemory
 from vamgpu.kernels.reduce import disc
 from vamgpu.kernels.split import split_dose, split_levels, split_light, split_prices
+from vamgpu.losses.band import Band
 from vamgpu.methods.certificate import Bound, certified
+from vamgpu.methods.limit import MARGIN
 from vamgpu.methods.method import Steps
 from vamgpu.methods.state import OptimizerState
-from vamgpu.operators.compose import combine
-from vamgpu.operators.gram import GramInverse, against_gram
+from vamgpu.operators.compose import capped, combine
+from vamgpu.operators.gram import RIM, GramInverse, against_gram
 from vamgpu.operators.reductions import extent, folded, parts_for
 from vamgpu.operators.scenarios import Scenarios
 
@@ -29,10 +31,11 @@ CLOSE, PASSES = 1e-3, 12
 """Share of that lack which levels may be off by, and times that they are looked for at most."""
 FIRST, SPACED = 8, 5
 """Steps to the second light that is judged; then a light is judged after another fifth of all steps so far."""
+UNLIMITED = 3e38
 TOLD = 30
 """Steps from which on prices tell how wide a window can be."""
-AFFORDED = 1.5
-"""Evaluations of a step whose light is judged."""
+UNSEEN = Band.thresholds(0.78, 0.95)
+"""Stands for the loss of the last light, which is chosen by its window."""
 VOLUMES, SINOGRAMS = 6, 7
 """Memory that it takes."""
 
@@ -45,7 +48,7 @@ def splits(state: OptimizerState) -> bool:
     """
     if "free" in state.memory:
         return True
-    if state.piece is not None or state.brightness < inf or state.limits is not None or against_gram(state.operator):
+    if state.piece is not None or state.limits is not None or against_gram(state.operator):
         return False
     try:
         fields = [state.volume() for _ in range(VOLUMES)] + [state.sinogram() for _ in range(SINOGRAMS)]
@@ -69,8 +72,9 @@ def split_bound(state: OptimizerState) -> Bound | None:
     operator, device = state.operator, state.device
     rows, columns, wall, cap = state.volume(), state.sinogram(), state.volume(), state.volume()
     operator.T(device.upload(np.ones(columns.shape, np.float32)), out=rows)
-    operator(device.upload(_near(state).astype(np.float32)), out=columns)
-    device.launch(split_prices, **_point(state), wall=wall, cap=cap)
+    near = disc(*rows.shape[:2], state.reach)[:, :, None]
+    operator(device.upload(np.broadcast_to(near, rows.shape).astype(np.float32)), out=columns)
+    device.launch(split_prices, **{**_point(state), "rim": 0.0}, wall=wall, cap=cap)  # where nobody judges, none
     return certified(operator, state.target, state.reach, wall, cap, rows, columns, state.evaluations)
 
 
@@ -80,7 +84,8 @@ class SplitSteps:
     The dose of the light ``free`` is held to levels that lie as far apart as prices of one allow, apart from the light;
     light is held to 0 or more apart from both. The light that makes up for what either lacks is found at once, by the
     inverse of how projecting and exposing blur. What is dark in ``free`` may be below 0 until the end; the light that is
-    judged, ``light``, has it cut off, which takes half an evaluation more.
+    judged, ``light``, has it cut off, which takes half an evaluation more; that of the last light is not counted, as of
+    other methods.
 
     Args:
         state: Of the run.
@@ -97,19 +102,30 @@ class SplitSteps:
         self.pull, self.step, self.dose = state.volume(), state.sinogram(), state.volume()
         scenarios = state.operator
         count = len(scenarios) if isinstance(scenarios, Scenarios) else 1
-        self.lack = LACK * float(np.count_nonzero(_near(state) & (state.target.numpy() >= 0.5))) / count
+        self.lack = LACK * float(np.count_nonzero(state.target.numpy() >= 0.5)) / count
 
     def steps(self) -> Steps:
-        """The first light, then a step each."""
+        """The first light, then a step each, as many as evaluations allow."""
         memory, state = self.memory, self.state
         if "free" not in memory:
             self._begin()
-        while not memory["made"] or state.affords(AFFORDED):
+        light = state.buffer("light")
+        while not memory["made"] or self._pays(1.0):
             self._step()
             memory["made"] += 1.0
-            if memory["made"] >= state.number("judged next") or self._is_last():
-                self._judge()
-            yield 1.0 - state.best.window, state.number("seen")
+            combine(1.0, memory["free"], 0.0, memory["free"], light, floor=0.0)
+            if state.brightness < inf:
+                capped(light, self._most())
+            else:
+                state.best.unseen = UNSEEN
+            if memory["made"] >= memory["judged next"] or (state.brightness < inf and not self._pays(1.5)):
+                self._judge(light)
+            yield 1.0 - state.best.window, memory["seen"]
+
+    def _pays(self, evaluations: float) -> bool:
+        """Whether the run may spend so many more."""
+        state, cost = self.state, getattr(self.state.operator, "cost", 1.0)
+        return state.affords(evaluations) and state.evaluations + evaluations * cost <= state.budget
 
     # ---- a run -----------------------------------------------------------------------------------------------
     def _begin(self) -> None:
@@ -138,47 +154,63 @@ class SplitSteps:
         self._find_levels()
         launch(split_dose, **_point(state), relax=RELAX, pull=self.pull)
         state.project(self.pull, self.step)
-        free = state.buffer("free")
-        launch(split_light, light=free, base=self.inverse.base, relax=RELAX, owed=memory["light owed"], pull=self.step)
+        free, over = state.buffer("free"), parts_for(split_light, self.step)
+        launch(
+            split_light, light=free, base=self.inverse.base, relax=RELAX, most=self._most(), owed=memory["light owed"],
+            pull=self.step, over=over,
+        )  # fmt: skip
+        if state.brightness < inf:
+            memory["raised"] = 0.5 * MARGIN * state.brightness * self.inverse.base * folded(over)
         self.inverse(self.step, self.step)
         state.combine(1.0, free, 1.0, self.step, free)
         state.expose(free, state.buffer("held"))
 
     def _find_levels(self) -> None:
-        """Levels at which the part lacks, and voids leak, as much as they may together: Newton's steps from the last."""
+        """Levels at which the part lacks, and voids leak, as much as they may together: Newton's steps from the last.
+
+        A dose at the threshold that is higher allows brighter light: what that is worth raises both levels.
+        """
         state, memory = self.state, self.memory
-        held = state.buffer("held")
+        held, raised = state.buffer("held"), state.number("raised")
         for _ in range(PASSES):
             parts = {name: parts_for(split_levels, held) for name in ("below", "shorts", "above", "over")}
             state.device.launch(split_levels, **_point(state), **parts)
             found = {name: folded(each) for name, each in parts.items()}
-            low, high = self.lack - found["shorts"], found["over"] - self.lack
+            low, high = self.lack + raised - found["shorts"], found["over"] - max(self.lack - raised, 0.0)
             if found["below"]:
                 memory["least"] = min(memory["least"] + low / found["below"], 1.0)
             else:
-                memory["least"] = min(extent(self._looked_for(), state.target, 0.5, inf, state.reach)[0] + self.lack, 1.0)
+                memory["least"] = min(extent(self._looked_for(), state.target, 0.5, inf)[0] + self.lack, 1.0)
             if found["above"]:
                 memory["leak"] += high / found["above"]
             else:
-                most = extent(self._looked_for(), state.target, -inf, 0.5, state.reach)[1]
+                most = extent(self._looked_for(), state.target, -inf, 0.5)[1]
                 memory["leak"] = most - self.lack if most > -inf else 0.0
             if max(abs(low), abs(high)) <= CLOSE * self.lack:
                 return
 
-    def _judge(self) -> None:
-        """Judge the light without what is below 0."""
+    def _judge(self, light: DeviceArray) -> None:
+        """Find the window of the light without what is below 0, where the run can pay for it."""
         state, memory = self.state, self.memory
-        light = state.buffer("light")
-        combine(1.0, state.buffer("free"), 0.0, state.buffer("free"), light, floor=0.0)
-        state.expose(light, self.dose)
-        memory["seen"] = state.window(self.dose)[0]
-        state.best.offer(light, 1.0 - memory["seen"], memory["seen"], state.iteration + 1)
         memory["judged next"] = max(memory["made"] + ceil(memory["made"] / SPACED), float(FIRST))
+        if memory["made"] > 1.0 and not self._pays(0.5):
+            return
+        state.expose(light, self.dose)
+        memory["seen"] = kept = state.window(self.dose)[0]
+        if state.brightness < inf:
+            over = self._over(light)
+            kept = kept if over <= 1.0 else -1.0 - min(over, 1e9)
+        state.best.offer(light, 1.0 - kept, kept, state.iteration + 1)
 
-    def _is_last(self) -> bool:
-        """Whether the run may not make another step and judge its light too."""
-        state, cost = self.state, getattr(self.state.operator, "cost", 1.0)
-        return not state.affords(AFFORDED) or (state.iteration + 1) * cost >= state.budget
+    def _over(self, light: DeviceArray) -> float:
+        """Brightest pixel over what the dose at the threshold of this light allows."""
+        least, leak, _ = self.state.extremes(self.dose)
+        return extent(light)[1] / max(self.state.brightness * 0.5 * (least + max(leak, 0.0)), 1e-30)
+
+    def _most(self) -> float:
+        """Greatest light of a pixel, by the dose at the threshold that levels have."""
+        middle = 0.5 * (self.memory["least"] + max(self.memory["leak"], 0.0))
+        return min(MARGIN * self.state.brightness * middle, UNLIMITED)
 
     def _looked_for(self) -> DeviceArray:
         return combine(2.0, self.memory["held"], 1.0, self.memory["dose owed"], self.pull)
@@ -189,11 +221,5 @@ def _point(state: OptimizerState) -> dict[str, Any]:
     memory = state.memory
     return {
         "held": memory["held"], "owed": memory["dose owed"], "target": state.target, "least": memory["least"],
-        "leak": memory["leak"], "reach": state.reach,
+        "leak": memory["leak"], "reach": state.reach, "rim": RIM,
     }  # fmt: skip
-
-
-def _near(state: OptimizerState) -> np.ndarray:
-    """Which voxels count."""
-    shape = state.target.shape
-    return np.broadcast_to(disc(shape[0], shape[1], state.reach)[:, :, None], shape)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from math import sqrt
+from math import ceil, hypot, sqrt
 from typing import Any, final
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.cores import threads
 from vamgpu.backend.device import Device
+from vamgpu.geometry import Grid
 from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.reduce import disc
 from vamgpu.kernels.spectrum import ROWS, fold_columns, gather_rings, light_rings, unfold_columns
@@ -24,6 +25,8 @@ from vamgpu.operators.ring_projection import RingProjection, against_rings
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.spectral import SpectralProjection, straight_passes
 
+RIM = 0.1
+"""What voxels count that nobody judges."""
 AT_ONCE = 32
 """Columns whose blur is computed at once."""
 SHARES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
@@ -38,7 +41,7 @@ DARK = 1e-6
 class GramInverse:
     """(A Aᵀ + base)⁻¹ for light [angle, r, z], of a projector A whose light is one pose, turned.
 
-    A Aᵀ exposes light and projects the dose of the voxels that count. At even angles that is, on rings, a matrix
+    A Aᵀ exposes light and projects its dose, of which voxels beyond the judged cylinder count `RIM`. At even angles that is, on rings, a matrix
     (columns × columns) for each angular frequency, of which this applies the inverses between two Fourier transforms; it
     costs about as much as the products of one projection on rings. What rows of pixels share along z counts by its
     greatest amount, and of several scenarios their sum does. Voxels are no rings: what sharp or fine pixels tell apart
@@ -47,7 +50,7 @@ class GramInverse:
 
     Args:
         operator: For which `against_gram` has no reason.
-        reach: Radius of the cylinder that counts, in voxels.
+        reach: Radius of the judged cylinder, in voxels.
     """
 
     base: float
@@ -135,7 +138,7 @@ def _blur(operator: Projection | RingProjection, reach: float) -> np.ndarray:
     """A Aᵀ for each angular frequency up to half of the angles, complex64 (frequency, column, column)."""
     grid, beam, angles = operator.grid, operator.beam, operator.motion.angles
     columns = beam.pixels[0]
-    rings = replace(PolarGrid.within(grid, angles), slices=2 * AT_ONCE)
+    rings = _rings(grid, angles)
     shape = replace(beam, pixels=(columns, 2 * AT_ONCE))
     pose = SpectralProjection(rings, shape, operator.vessel, operator.device, square=grid.pitch)
     device, entries = pose.device, pose._entries
@@ -171,9 +174,9 @@ class _Thin:
             (wide, deep, _), beam = each.grid.shape, replace(each.beam, pixels=(each.beam.pixels[0], 2))
             thin = Projection(replace(each.grid, shape=(wide, deep, 2)), beam, each.motion, each.vessel, each.device)
             self._members.append((weight * _shared(each) / _shared(thin), thin))
-        upload, shape = thin.device.upload, thin.domain.shape
-        near = disc(*shape[:2], reach)[:, :, None]
-        self._near = upload(np.broadcast_to(near, shape).astype(np.float32))
+        shape = thin.domain.shape
+        counted = np.where(disc(*shape[:2], reach), 1.0, RIM)[:, :, None]
+        self._counted = thin.device.upload(np.broadcast_to(counted, shape).astype(np.float32))
 
     def most(self, inverse: GramInverse) -> float:
         """Times that what A Aᵀ + base and its inverse make of a light is as bright as that, at most."""
@@ -189,7 +192,7 @@ class _Thin:
             combine(inverse.base, light, 0.0, light, blurred)
             for weight, each in self._members:
                 each.T(light, out=dose)
-                device.launch(multiply, x=dose, y=self._near, out=dose)
+                device.launch(multiply, x=dose, y=self._counted, out=dose)
                 each(dose, out=part)
                 combine(1.0, blurred, weight, part, blurred)
             inverse(blurred, found)
@@ -197,10 +200,16 @@ class _Thin:
         return grown
 
 
+def _rings(grid: Grid, angles: int) -> PolarGrid:
+    """Rings as wide as voxels, out to the corners."""
+    count = ceil(0.5 * hypot(*grid.shape[:2]))
+    return PolarGrid(-(-count // ROWS) * ROWS, 2 * AT_ONCE, grid.pitch, angles)
+
+
 def _counted(rings: PolarGrid, reach: float) -> np.ndarray:
     """What a cell counts: its area in voxels, times the samples of its ring, which its transforms leave out."""
     samples = np.concatenate([np.full(b.rings * b.samples, b.samples * rings.angles) for b in rings.belts])
-    return rings.areas * samples * (rings.places[0] <= reach * rings.pitch)
+    return rings.areas * samples * np.where(rings.places[0] <= reach * rings.pitch, 1.0, RIM)
 
 
 def _inverses(blur: np.ndarray, base: float) -> np.ndarray:
