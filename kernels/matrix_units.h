@@ -1,68 +1,55 @@
-// Matrix units and copies into local memory of NVIDIA's GPUs, by inline PTX. A warp adds to TALL · 16 rows of WIDE · 8
-// slices what STEPS · 8 columns of a matrix make of as many rows of light. The units take eleven bits of a number. Split in
-// two, numbers keep twenty-two, by three products in place of one; sums are then taken outside the units, which round toward
-// zero.
-#define TALL 2
+// Sums on matrix units of NVIDIA's GPUs. A warp adds to TALL · 16 rows of WIDE · 8 slices what sixteen columns of a
+// matrix make of as many rows of light. The units multiply halves, which have eleven bits. Split into two of them, numbers
+// keep twenty-two, by three products in place of one; sums are then taken outside the units, which round toward zero. Halves
+// have few exponents, so that numbers are scaled by powers of two that bring the greatest near theirs.
+#define TALL 4
 #define WIDE 4
-#define STEPS 2
-#define DEEP (8 * STEPS)
 #define WARP_ITEM ((int)get_local_id(0) % 32)
-// Where the sums of an item lie: rows of m, and eight below; two slices of n that follow each other.
-#define ROW_OF(m) (16 * (m) + WARP_ITEM / 4)
+// Sums of an item: of rows item / 4 of m, and eight below, two slices of n that follow each other.
 #define SLICE_OF(n) (8 * (n) + WARP_ITEM % 4 * 2)
+// Sixteen bytes of a matrix of entries and of a slab of light, of their high parts; the low ones follow.
+#define MATRIX 32
+#define LIGHT 64
 
-// Copies sixteen bytes, or as many zeros, into local memory while the item goes on.
-static inline void bring(__local float4 *to, __global const float4 *from, int there) {
-    __asm__ volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;"
-                     :: "r"((uint)(size_t)to), "l"(from), "r"(there ? 16 : 0) : "memory");
-}
-#define CLOSE_ROUND __asm__ volatile("cp.async.commit_group;" ::: "memory")
-#define WAIT_FOR_ALL_BUT(rounds) __asm__ volatile("cp.async.wait_group %0;" :: "n"(rounds) : "memory")
+#include "ptx.h"
 
-// The eleven highest bits of a number, rounded, and what they lack; of both the units leave off the bits beyond eleven.
-static inline uint high_part(float value) { return as_uint(value) + 0x1000u; }
-static inline uint low_part(float value) { return as_uint(value - as_float(high_part(value) & 0xffffe000u)); }
-
-#define PRODUCT "mma.sync.aligned.m16n8k8.row.col.f32.tf32.tf32.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, "
-#define OF_ROWS_AND_LIGHT "r"(rows[0]), "r"(rows[1]), "r"(rows[2]), "r"(rows[3]), "r"(light[0]), "r"(light[1])
-static inline float4 multiplied(const uint *rows, const uint *light) {
-    float4 sums;
-    __asm__(PRODUCT "{%10, %10, %10, %10};" : "=f"(sums.x), "=f"(sums.y), "=f"(sums.z), "=f"(sums.w)
-            : OF_ROWS_AND_LIGHT, "f"(0.0f));
-    return sums;
-}
-static inline float4 multiplied_more(float4 sums, const uint *rows, const uint *light) {
-    __asm__(PRODUCT "{%0, %1, %2, %3};" : "+f"(sums.x), "+f"(sums.y), "+f"(sums.z), "+f"(sums.w) : OF_ROWS_AND_LIGHT);
-    return sums;
+static inline float greatest_of(float most, float4 values) {
+    return fmax(fmax(fmax(most, fabs(values.x)), fabs(values.y)), fmax(fmax(most, fabs(values.z)), fabs(values.w)));
 }
 
-// sums += matrix · light. Entry (row, column) of the matrix lies at row · down + column · on, a row of light `far` from the
-// next. The last eight rows of light are read `swapped` slices on, their signs changed where `negated` has one; tf32: of
-// eleven bits.
-static inline void add_products(float4 sums[TALL][WIDE], __local const float *matrix, int down, int on,
-                                __local const float *light, int far, int swapped, uint negated, int tf32) {
-    const int high = WARP_ITEM / 4, low = WARP_ITEM % 4;
-    UNROLL for (int s = 0; s < STEPS; s++) {
-        uint rows[TALL][4], rest[TALL][4];
-        UNROLL for (int m = 0; m < TALL; m++) UNROLL for (int i = 0; i < 4; i++) {
-            const float entry = matrix[(16 * m + high + i % 2 * 8) * down + (8 * s + low + i / 2 * 4) * on];
-            rows[m][i] = high_part(entry);
-            rest[m][i] = low_part(entry);
-        }
-        UNROLL for (int n = 0; n < WIDE; n++) {
-            uint near[2], less[2];
-            UNROLL for (int i = 0; i < 2; i++) {
-                const int at = (8 * s + low + 4 * i) * far + 8 * n + high;
-                const float value = s ? as_float(as_uint(light[at + swapped]) ^ negated) : light[at];
-                near[i] = high_part(value);
-                less[i] = low_part(value);
-            }
-            UNROLL for (int m = 0; m < TALL; m++) {
-                if (tf32)
-                    sums[m][n] = multiplied_more(sums[m][n], rows[m], near);
-                else
-                    sums[m][n] += multiplied_more(multiplied_more(multiplied(rest[m], near), rows[m], less), rows[m], near);
-            }
+// What brings a number that is not negative to 2¹⁴ or more, below 2¹⁵, and its inverse.
+static inline float2 scale_of(uint number) {
+    const uint exponent = max(number >> 23, 15u);
+    return (float2)(as_float((268 - exponent) << 23), as_float((exponent - 14) << 23));
+}
+
+#define INLINE static inline __attribute__((always_inline)) void
+// Lays four numbers as halves and, where they are to be whole, what these lack, `apart` from there.
+INLINE lay(__local uint2 *to, int apart, float4 value, int whole) {
+    const uint2 high = (uint2)(halves(value.x, value.y), halves(value.z, value.w));
+    *to = high;
+    if (!whole) return;
+    const float2 first = numbers(high.x), second = numbers(high.y);
+    to[apart] = (uint2)(halves(value.x - first.x, value.y - first.y), halves(value.z - second.x, value.w - second.y));
+}
+
+// Where four slices of a row of light are laid, so that rows lie in different banks, and the row that an item names, of its
+// first two pairs of matrices: that of the others lies two beside, by exclusive or.
+static inline int place_of_light(int row, int four) { return row * 8 + (four / 2 ^ row / 2 % 4) * 2 + four % 2; }
+static inline int named_row_of_light(int item) { return item % 16 * 4 + (item / 16 ^ item % 16 / 2 % 4); }
+
+// sums += scale · rows · light; rest and less are what rows and light lack.
+INLINE add_products(float4 sums[TALL][WIDE], const uint4 *rows, const uint4 *rest, float scale, __local const uint4 *light,
+                    int named, int whole) {
+    UNROLL for (int two = 0; two < WIDE / 2; two++) {
+        __local const uint4 *at = light + (named ^ 2 * two);
+        const uint4 near = turned_matrices(at), less = whole ? turned_matrices(at + LIGHT) : (uint4)(0);
+        UNROLL for (int n = 0; n < 2; n++) UNROLL for (int m = 0; m < TALL; m++) {
+            const uint2 high = n ? near.hi : near.lo, low = n ? less.hi : less.lo;
+            const float4 sum = whole
+                ? multiplied_more(multiplied_more(multiplied(rest[m], high), rows[m], low), rows[m], high)
+                : multiplied(rows[m], high);
+            sums[m][2 * two + n] += scale * sum;
         }
     }
 }

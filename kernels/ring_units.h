@@ -1,155 +1,201 @@
-// The products of `light_rings` and `gather_rings` on matrix units. A group of eight warps computes 64 cells, or the real
-// and imaginary parts of 32 pairs of columns, of four slabs; a warp 32 of these rows of one. What the next rounds take is on
-// its way into local memory while one is computed.
+// The products of `light_rings` and `gather_rings` on matrix units. A group computes sixteen tiles of cells, or the real and
+// imaginary parts of 64 pairs of columns, of SLABS slabs, at a frequency and at that of conjugate entries; a warp, half of
+// these rows of one slab. A step takes sixteen columns of the matrix. Each warp fetches its part of the entries and the light
+// of a step into registers, those half of a step before and this a whole one, and lays them as halves for all.
 #include "matrix_units.h"
-#define ROUNDS 3
-// From one row of local memory to the next, in fours of floats, so that what a warp reads lies in different banks.
-#define LIGHT_STEP ((LANES + 8) / 4)
-#define CELL_STEP ((CELLS + 8) / 4)
-#define PAIR_STEP ((DEEP + 4) / 4)
-#define CELLS 64
-#define PAIRS 32
+#define TILES 16
+#define PAIRS 64
 #define GROUP_KERNEL __kernel __attribute__((reqd_work_group_size(GROUP, 1, SLABS))) void
-#define MEMBER ((int)(get_local_id(2) * GROUP + get_local_id(0)))
-// Groups of the same frequency, and of the two that share their entries, follow each other.
+#define WARP ((int)(get_local_id(2) * GROUP + get_local_id(0)) / 32)
+// Matrices of entries that a warp brings, of eight, each of two tiles.
+#define OWN (4 / SLABS)
+#define EACH_PART(own, t) UNROLL for (int own = 0; own < OWN; own++) UNROLL for (int t = 0; t < 2; t++)
+
+// Where a group stands; those of the same entries follow each other. A frequency without another takes its own place twice.
 #define PLACE                                                                                                          \
-    const int blocks = get_num_groups(2), across = get_num_groups(0);                                                  \
+    __local uint4 light[2][SLABS][2][2 * LIGHT], matrix[2][8][2 * MATRIX];                                             \
+    __local float scale[2][SLABS][2];                                                                                  \
+    const int blocks = get_num_groups(2), across = get_num_groups(0), item = WARP_ITEM, strip = get_local_id(0) / 32;  \
     const int number = get_group_id(0) + across * (get_group_id(1) + get_num_groups(1) * get_group_id(2));             \
-    const int here = number / blocks % across, turn = number / (blocks * across);                                      \
-    const int k = turn % 2 ? n_k - (turn + 1) / 2 : turn / 2, beside = get_local_id(2), strip = get_local_id(0) / 32;  \
-    const int last = (n_z - 1) / LANES, slab = number % blocks * SLABS + beside;                                      \
-    const int row = get_local_id(0) / THREADS, lane = get_local_id(0) % THREADS;
+    const int here = number / blocks % across, k = number / (blocks * across), last = (n_z - 1) / LANES;               \
+    const int beside = get_local_id(2), slab = number % blocks * SLABS + beside;                                       \
+    const int alone = k == 0 || 2 * k == n_k, other_k = alone ? k : n_k - k, turned = strip && !alone;                 \
+    __global const int4 *tile = (__global const int4 *)order + k * n_tile;                                             \
+    __global const float4 *frequency =                                                                                 \
+        (__global const float4 *)(entries + (size_t)k * (n_entry / (n_k / 2 + 1))) + ENTRIES_OF_ITEM;                  \
+    __local const uint4 *light_from = light[0][beside][0], *matrix_from = matrix[0][strip * TALL] + item;              \
+    __local uint2 *light_to = (__local uint2 *)light[0][beside][strip];                                                \
+    __local uint2 *matrix_to = (__local uint2 *)matrix[0][WARP * OWN] + PLACE_OF_ENTRIES;                              \
+    const int place = place_of_light(item / 8, item % 8), lower = place_of_light(item / 8 + 4, item % 8);              \
+    const int named = named_row_of_light(item);                                                                        \
+    const float2 unit = scale_of(as_uint(greatest));                                                                   \
+    float4 next_light[4], next_entries[OWN][2], sums[2][TALL][WIDE];                                                   \
+    int there[OWN][2];                                                                                                 \
+    UNROLL for (int which = 0; which < 2; which++) UNROLL for (int m = 0; m < TALL; m++)                               \
+        UNROLL for (int n = 0; n < WIDE; n++) sums[which][m][n] = (float4)(0.0f);
+// Where the light of a warp's slab and side begins in a field of so many samples.
+#define LIGHT_OF_WARP(field, samples)                                                                                  \
+    (__global const float4 *)(field) + ((size_t)min(slab, last) * n_k + (strip ? other_k : k)) * (samples) * THREADS + item
+
+// Of eight pairs of a tile, where an item finds four entries, and where it lays those of the first of two tiles. Columns of
+// the matrix are eight real parts, then eight imaginary ones, of rows that are cells; or rows are, of columns that are cells.
+#define ENTRIES_OF_ITEM (item / 2 % 8 * 4 + item / 16 * 2 + item % 2)
+#define PLACE_OF_ENTRIES (item / 16 * (CELLS_IN_ROWS ? 32 : 16) + item % 16)
+#define FETCH_ENTRIES(step)                                                                                            \
+    EACH_PART(own, t) {                                                                                                \
+        there[own][t] = THERE(step, own, t);                                                                           \
+        next_entries[own][t] = fetched(frequency + (there[own][t] ? ENTRIES_OF(step, own, t) : 0));                    \
+    }
+#define FETCH_LIGHT(step) UNROLL for (int i = 0; i < 4; i++) next_light[i] = fetched(LIGHT_OF(step, i / 2) + i % 2 * 32);
+// 0, but not before sums are known: keeps compilers from waiting for what is under way ahead of their products.
+#define NOTHING(which) as_float(OR_OF(which, 0) | OR_OF(which, 1))
+#define OR_OF(which, n)                                                                                                \
+    ((as_uint(sums[which][0][n].x) | as_uint(sums[which][1][n].x) | as_uint(sums[which][2][n].x)                       \
+      | as_uint(sums[which][3][n].x)) & (uint)(n_z >> 31))
+#define LAY_ENTRIES(side, whole, nothing)                                                                              \
+    {                                                                                                                  \
+        const float factor = unit.x + nothing;                                                                         \
+        EACH_PART(own, t) lay(matrix_to + ((side) * 8 + own) * 4 * MATRIX + t * (CELLS_IN_ROWS ? 16 : 32), 2 * MATRIX, \
+                              (there[own][t] ? factor : 0.0f) * next_entries[own][t], whole);                          \
+    }
+#define LAY_LIGHT(side, whole, nothing)                                                                                \
+    {                                                                                                                  \
+        const float none = nothing;                                                                                    \
+        const float most = fmax(fmax(greatest_of(none, next_light[0]), greatest_of(none, next_light[1])),              \
+                                fmax(greatest_of(none, next_light[2]), greatest_of(none, next_light[3])));             \
+        const float2 factor = scale_of(greatest_of_warp(as_uint(most)));                                               \
+        if (item == 0) scale[side][beside][strip] = factor.y * unit.y;                                                 \
+        UNROLL for (int i = 0; i < 4; i++)                                                                             \
+            lay(light_to + (side) * SLABS * 8 * LIGHT + i / 2 * LIGHT + (i % 2 ? lower : place), 2 * LIGHT,            \
+                SCALED(next_light[i], factor.x, i / 2), whole);                                                        \
+    }
+#define MULTIPLY(side, which, whole)                                                                                   \
+    add_products(sums[which], rows, rest, scale[side][beside][which],                                                  \
+                 light_from + ((side) * SLABS * 2 + (which)) * 2 * LIGHT, named, whole);
+#define EACH_STEP(whole)                                                                                               \
+    {                                                                                                                  \
+        FETCH_LIGHT(0)                                                                                                 \
+        FETCH_ENTRIES(0)                                                                                               \
+        LAY_LIGHT(0, whole, 0.0f)                                                                                      \
+        FETCH_LIGHT(1)                                                                                                 \
+        LAY_ENTRIES(0, whole, 0.0f)                                                                                    \
+        barrier(CLK_LOCAL_MEM_FENCE);                                                                                  \
+        for (int step = 0; IS_STEP(step); step++) {                                                                    \
+            const int side = step % 2;                                                                                 \
+            uint4 rows[TALL], rest[TALL];                                                                              \
+            UNROLL for (int m = 0; m < TALL; m++) {                                                                    \
+                __local const uint4 *at = matrix_from + (side * 8 + m) * 2 * MATRIX;                                   \
+                rows[m] = CELLS_IN_ROWS ? turned_matrices(at) : matrices(at);                                          \
+                rest[m] = !(whole) ? (uint4)(0) : CELLS_IN_ROWS ? turned_matrices(at + MATRIX) : matrices(at + MATRIX); \
+            }                                                                                                          \
+            LOOK_AHEAD(step)                                                                                           \
+            MULTIPLY(side, 0, whole)                                                                                   \
+            LAY_LIGHT(1 - side, whole, NOTHING(0))                                                                     \
+            FETCH_LIGHT(step + 2)                                                                                      \
+            FETCH_ENTRIES(step + 1)                                                                                    \
+            ASKED                                                                                                      \
+            MULTIPLY(side, 1, whole)                                                                                   \
+            LAY_ENTRIES(1 - side, whole, NOTHING(1))                                                                   \
+            CLOSE_STEP                                                                                                 \
+            barrier(CLK_LOCAL_MEM_FENCE);                                                                              \
+        }                                                                                                              \
+    }
 
 #ifdef COMPILE_light_rings
-GROUP_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, __global const int *restrict tiles,
-                         int mirrored, int tf32, __global float *restrict spectrum, int n_k, int n_pair, int n_z,
-                         int n_entry, int n_tile, int n_cell) {
+#define CELLS_IN_ROWS 1
+#define IS_STEP(step) ((step) < n_step)
+#define LIGHT_OF(step, t) (lit + (min(step, n_step - 1) * ROWS + (t) * middle) * THREADS)
+#define ENTRIES_OF(step, own, t) (from[own][t] + (step) * 32)
+#define THERE(step, own, t) ((step) < steps[own][t])
+#define LOOK_AHEAD(step) if ((step) + 3 < reach) call(ahead + ((step) + 3) * stride);
+#define CLOSE_STEP
+// Differences are multiplied by ±i.
+#define SCALED(value, factor, t)                                                                                       \
+    ((t) ? sign * (factor) * (float4)(-(value).y, (value).x, -(value).w, (value).z) : (factor) * (value))
+GROUP_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, float greatest,
+                         __global const int *restrict tiles, __global const int *restrict order, int mirrored, int tf32,
+                         __global float *restrict spectrum, int n_k, int n_pair, int n_z, int n_entry, int n_tile,
+                         int n_frequency, int n_cell) {
     PLACE
-    ENTRIES
-    __local float4 light[ROUNDS][SLABS][DEEP * LIGHT_STEP], matrix[ROUNDS][DEEP * CELL_STEP];
-    __local int counts[CELLS / ROWS];
-    // An item brings four lanes of a sum of columns, of a difference, and four entries of a tile.
-    const int tile = here * (CELLS / ROWS) + MEMBER / 32, part = MEMBER % 32, middle = mirrored ? n_pair / 2 : 0;
-    __global const int *own = TILE_OF(min(tile, n_tile - 1));
-    const int count = tile < n_tile ? PAIRS_OF(own) : 0;
-    if (part == 0) counts[MEMBER / 32] = count;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    int most = 0;
-    for (int t = 0; t < CELLS / ROWS; t++) most = max(most, counts[t]);
-    const int rounds = most / ROWS;
-    __global const float4 *sum =
-        (__global const float4 *)folded + (((size_t)min(slab, last) * n_k + k) * n_pair + row) * THREADS + lane;
-    __global const float4 *entry = (__global const float4 *)(frequency + own[0]) + part;
-    __local float4 *light_to = light[0][beside] + row * LIGHT_STEP + lane;
-    __local float4 *entry_to = matrix[0] + (part / 4 + part / 2 % 2 * ROWS) * CELL_STEP + MEMBER / 32 * 2 + part % 2;
-#define BRING(round)                                                                                                   \
-    {                                                                                                                  \
-        const int side = (round) % ROUNDS;                                                                             \
-        bring(light_to + side * SLABS * DEEP * LIGHT_STEP, sum + (round) * ROWS * THREADS, 1);                         \
-        bring(light_to + (side * SLABS * DEEP + ROWS) * LIGHT_STEP, sum + ((round) * ROWS + middle) * THREADS, 1);     \
-        bring(entry_to + side * DEEP * CELL_STEP, entry + (round) * 32, (round) * ROWS < count);                       \
+    const int middle = mirrored ? n_pair / 2 : 0, n_step = max(tile[here * TILES].y / ROWS, 1);
+    __global const float4 *lit = LIGHT_OF_WARP(folded, n_pair);
+    const float sign = turned ? -1.0f : 1.0f;
+    int from[OWN][2], steps[OWN][2];
+    EACH_PART(own, t) {
+        const int at = here * TILES + (WARP * OWN + own) * 2 + t;
+        const int4 given = tile[min(at, n_tile - 1)];
+        from[own][t] = given.x / 4;
+        steps[own][t] = at < n_tile ? given.y / ROWS : 0;
     }
-    UNROLL for (int round = 0; round < ROUNDS - 1; round++) {
-        if (round < rounds) BRING(round)
-        CLOSE_ROUND;
-    }
-    // Differences are multiplied by ±i.
-    const int odd = WARP_ITEM / 4 % 2, swapped = odd ? -1 : 1;
-    const uint negated = odd == back ? 0x80000000u : 0u;
-    float4 sums[TALL][WIDE];
-    UNROLL for (int m = 0; m < TALL; m++) UNROLL for (int n = 0; n < WIDE; n++) sums[m][n] = (float4)(0.0f);
-    for (int round = 0; round < rounds; round++) {
-        WAIT_FOR_ALL_BUT(ROUNDS - 2);
-        barrier(CLK_LOCAL_MEM_FENCE);
-        if (round + ROUNDS - 1 < rounds) BRING(round + ROUNDS - 1)
-        CLOSE_ROUND;
-        const int side = round % ROUNDS;
-        __local const float *matrix_of = (__local const float *)matrix[side] + strip * 16 * TALL;
-        __local const float *light_of = (__local const float *)light[side][beside];
-        if (tf32)
-            add_products(sums, matrix_of, 1, 4 * CELL_STEP, light_of, 4 * LIGHT_STEP, swapped, negated, 1);
-        else
-            add_products(sums, matrix_of, 1, 4 * CELL_STEP, light_of, 4 * LIGHT_STEP, swapped, negated, 0);
-    }
+    // A line of what the warp fetches: half of its items look ahead for light, half for entries, four lines a tile.
+    const int line = item % 16, light_ahead = item < 16;
+    const int4 given = tile[min(here * TILES + WARP * OWN * 2 + line / 4, n_tile - 1)];
+    const int reach = light_ahead ? n_step : given.y / ROWS, stride = light_ahead ? ROWS * THREADS : 32;
+    __global const float4 *ahead = light_ahead ? lit - item + (line % 8 + line / 8 * middle) * THREADS
+                                               : frequency - ENTRIES_OF_ITEM + given.x / 4 + line % 4 * 8;
+    if (tf32)
+        EACH_STEP(0)
+    else
+        EACH_STEP(1)
     if (slab > last) return;
-    UNROLL for (int m = 0; m < TALL; m++) {
-        const int cell = here * CELLS + strip * 16 * TALL + ROW_OF(m);
-        __global float *to = spectrum + (((size_t)slab * n_k + k) * n_cell + cell) * LANES;
-        UNROLL for (int n = 0; n < WIDE; n++) {
-            if (cell < n_cell) *(__global float2 *)(to + SLICE_OF(n)) = sums[m][n].lo;
-            if (cell + 8 < n_cell) *(__global float2 *)(to + 8 * LANES + SLICE_OF(n)) = sums[m][n].hi;
+    UNROLL for (int m = 0; m < TALL; m++) UNROLL for (int t = 0; t < 2; t++) {
+        const int at = here * TILES + (strip * TALL + m) * 2 + t;
+        if (at >= n_tile) continue;
+        const int4 own = tile[at];
+        UNROLL for (int which = 0; which < 2; which++) {
+            if (which && alone) continue;
+            const int cell = (which ? own.w : own.z) * ROWS + item / 4;
+            __global float *to = spectrum + (((size_t)slab * n_k + (which ? other_k : k)) * n_cell + cell) * LANES;
+            UNROLL for (int n = 0; n < WIDE; n++)
+                *(__global float2 *)(to + SLICE_OF(n)) = t ? sums[which][m][n].hi : sums[which][m][n].lo;
         }
     }
 }
 #endif
 
 #ifdef COMPILE_gather_rings
-GROUP_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries, __global const int *restrict tiles,
-                          int mirrored, int tf32, __global float *restrict folded, int n_k, int n_cell, int n_z,
-                          int n_entry, int n_tile, int n_pair) {
+#define CELLS_IN_ROWS 0
+// The two tiles of a step: those that pairs from `begin` on do not light follow all others, and zeros the last.
+#define GIVEN(step, t) given[(step) % 4][t]
+#define LOOK_AHEAD(step)                                                                                               \
+    if (WARP == 0 && item < 2)                                                                                         \
+        bring(&GIVEN((step) + 3, item), tile + 2 * ((step) + 3) + item, 2 * ((step) + 3) + item < n_tile);
+#define CLOSE_STEP WAIT_FOR_BROUGHT
+#define IS_STEP(step) (GIVEN(step, 0).y > begin)
+#define LIGHT_OF(step, t) (lit + (turned ? GIVEN(step, t).w : GIVEN(step, t).z) * ROWS * THREADS)
+#define ENTRIES_OF(step, own, t) (GIVEN(step, t).x / 4 + (begin / ROWS + WARP * OWN + own) * 32)
+#define THERE(step, own, t) (begin + ROWS * (WARP * OWN + own) < GIVEN(step, t).y)
+#define SCALED(value, factor, t) ((factor) * (value))
+GROUP_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries, float greatest,
+                          __global const int *restrict tiles, __global const int *restrict order, int mirrored, int tf32,
+                          __global float *restrict folded, int n_k, int n_cell, int n_z, int n_entry, int n_tile,
+                          int n_frequency, int n_pair) {
     PLACE
-    ENTRIES
     const int middle = mirrored ? n_pair / 2 : 0, end = mirrored ? middle : n_pair, begin = here * PAIRS;
     if (begin >= end) return;
-    __local float4 light[ROUNDS][SLABS][DEEP * LIGHT_STEP], matrix[ROUNDS][2 * PAIRS * PAIR_STEP];
-    // An item brings four lanes of a cell of each of two tiles, and four entries of one. Rows are real parts of 16 pairs,
-    // then their imaginary parts.
-    const int which = MEMBER / (4 * PAIRS), part = MEMBER % (4 * PAIRS), pair = part / 4;
-    __global const float4 *ring =
-        (__global const float4 *)spectrum + (((size_t)min(slab, last) * n_k + k) * n_cell + row) * THREADS + lane;
-    __global const float4 *entry = (__global const float4 *)(frequency + 2 * ROWS * begin) + part;
-    __local float4 *light_to = light[0][beside] + row * LIGHT_STEP + lane;
-    __local float4 *entry_to =
-        matrix[0] + (pair / 16 * 32 + part / 2 % 2 * 16 + pair % 16) * PAIR_STEP + which * 2 + part % 2;
-    int tile[2], pairs[2], start = 0, found = 0, next = 0;
-// The next two tiles that pairs from `begin` on light.
-#define FIND                                                                                                           \
-    UNROLL for (int t = 0; t < 2; t++) {                                                                               \
-        pairs[t] = 0;                                                                                                  \
-        while (next < n_tile && (pairs[t] = PAIRS_OF(TILE_OF(next))) <= begin) next++;                                 \
-        if (next == n_tile) pairs[t] = 0;                                                                              \
-        tile[t] = min(next, n_tile - 1);                                                                               \
-        if (t == which) start = TILE_OF(tile[t])[0] / 4;                                                               \
-        next = min(next + 1, n_tile);                                                                                  \
-    }
-#define BRING(round)                                                                                                   \
-    if (pairs[0]) {                                                                                                    \
-        const int side = (round) % ROUNDS;                                                                             \
-        bring(light_to + side * SLABS * DEEP * LIGHT_STEP, ring + tile[0] * ROWS * THREADS, 1);                        \
-        bring(light_to + (side * SLABS * DEEP + ROWS) * LIGHT_STEP, ring + tile[1] * ROWS * THREADS, 1);               \
-        bring(entry_to + side * 2 * PAIRS * PAIR_STEP, entry + start, begin + pair < (which ? pairs[1] : pairs[0]));   \
-        found++;                                                                                                       \
-    }
-    UNROLL for (int round = 0; round < ROUNDS - 1; round++) {
-        FIND
-        BRING(round)
-        CLOSE_ROUND;
-    }
-    float4 sums[TALL][WIDE];
-    UNROLL for (int m = 0; m < TALL; m++) UNROLL for (int n = 0; n < WIDE; n++) sums[m][n] = (float4)(0.0f);
-    for (int round = 0; round < found; round++) {
-        FIND
-        WAIT_FOR_ALL_BUT(ROUNDS - 2);
-        barrier(CLK_LOCAL_MEM_FENCE);
-        BRING(round + ROUNDS - 1)
-        CLOSE_ROUND;
-        const int side = round % ROUNDS;
-        __local const float *matrix_of = (__local const float *)(matrix[side] + strip * 16 * TALL * PAIR_STEP);
-        __local const float *light_of = (__local const float *)light[side][beside];
-        if (tf32)
-            add_products(sums, matrix_of, 4 * PAIR_STEP, 1, light_of, 4 * LIGHT_STEP, 0, 0u, 1);
-        else
-            add_products(sums, matrix_of, 4 * PAIR_STEP, 1, light_of, 4 * LIGHT_STEP, 0, 0u, 0);
-    }
+    __global const float4 *lit = LIGHT_OF_WARP(spectrum, n_cell);
+    __local int4 given[4][2];
+    for (int step = -3; step < 0; step++) LOOK_AHEAD(step)
+    WAIT_FOR_BROUGHT
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (tf32)
+        EACH_STEP(0)
+    else
+        EACH_STEP(1)
     if (slab > last) return;
-    const float sign = back ? 1.0f : -1.0f;
-    __global float *to = folded + ((size_t)slab * n_k + k) * n_pair * LANES;
-    UNROLL for (int n = 0; n < WIDE; n++) UNROLL for (int below = 0; below < 2; below++) {
-        const int at = begin + strip * 16 + ROW_OF(0) + 8 * below;
-        const float2 sum = below ? sums[0][n].hi : sums[0][n].lo, other = below ? sums[1][n].hi : sums[1][n].lo;
-        const float2 difference = sign * (float2)(-other.y, other.x);
-        if (at < end) *(__global float2 *)(to + at * LANES + SLICE_OF(n)) = middle ? sum : sum + difference;
-        if (at < end && middle) *(__global float2 *)(to + (middle + at) * LANES + SLICE_OF(n)) = difference;
+    UNROLL for (int m = 0; m < TALL; m++) {
+        const int pair = begin + (strip * TALL + m) * ROWS + item / 4;
+        if (pair >= end) continue;
+        UNROLL for (int which = 0; which < 2; which++) {
+            if (which && alone) continue;
+            __global float *to = folded + (((size_t)slab * n_k + (which ? other_k : k)) * n_pair + pair) * LANES;
+            UNROLL for (int n = 0; n < WIDE; n++) {
+                const float2 sum = sums[which][m][n].lo, other = sums[which][m][n].hi;
+                const float2 difference = (which ? 1.0f : -1.0f) * (float2)(-other.y, other.x);
+                *(__global float2 *)(to + SLICE_OF(n)) = middle ? sum : sum + difference;
+                if (middle) *(__global float2 *)(to + middle * LANES + SLICE_OF(n)) = difference;
+            }
+        }
     }
 }
 #endif

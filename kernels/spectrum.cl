@@ -456,9 +456,10 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 #endif
 
 #ifdef COMPILE_light_rings
-FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, __global const int *restrict tiles,
-                         int mirrored, int tf32, __global float *restrict spectrum, int n_k, int n_pair, int n_z,
-                         int n_entry, int n_tile, int n_cell) {
+FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, float greatest,
+                         __global const int *restrict tiles, __global const int *restrict order, int mirrored, int tf32,
+                         __global float *restrict spectrum, int n_k, int n_pair, int n_z, int n_entry, int n_tile,
+                         int n_frequency, int n_cell) {
 #ifdef GPU
     const int k = ITEM_MAJOR, middle = mirrored ? n_pair / 2 : 0;
     ENTRIES
@@ -559,9 +560,10 @@ static inline int next_lit(int tile, int n_tile, int pair, __global const int *t
 }
 #endif
 
-FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries, __global const int *restrict tiles,
-                          int mirrored, int tf32, __global float *restrict folded, int n_k, int n_cell, int n_z,
-                          int n_entry, int n_tile, int n_pair) {
+FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries, float greatest,
+                          __global const int *restrict tiles, __global const int *restrict order, int mirrored, int tf32,
+                          __global float *restrict folded, int n_k, int n_cell, int n_z, int n_entry, int n_tile,
+                          int n_frequency, int n_pair) {
     const int middle = mirrored ? n_pair / 2 : 0, end = mirrored ? middle : n_pair;
 #ifdef GPU
     const int k = ITEM_MAJOR, begin = GROUP_ITEM * TILE_MINOR;

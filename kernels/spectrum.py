@@ -46,6 +46,9 @@ Entries = Annotated[np.ndarray, Table("float32", ("entry",))]
 Tiles = Annotated[np.ndarray, Table("int32", ("tile", "5"))]
 """Of each `ROWS` cells: first entry, pairs of columns that light them, the tile whose entries are conjugate, and the
 frequencies, up to half of all, from which to before which no entry counts."""
+Order = Annotated[np.ndarray, Table("int32", ("frequency", "tile", "4"))]
+"""For each frequency up to half of all, the tiles, those first that most pairs of columns light: first entry, pairs of
+columns that light them there, the tile, and that whose entries are conjugate."""
 
 
 def greater_factor(radix: int) -> int:
@@ -156,6 +159,15 @@ def _place(first: int, steps: list[int], sample: np.ndarray, ring: np.ndarray) -
     return (first + sample % n * a + sample // n * b)[:, None] + ring
 
 
+def most_lit_first(tiles: np.ndarray, count: int) -> np.ndarray:
+    """`Order` of `Tiles` at so many frequencies."""
+    k = np.arange(count // 2 + 1)[:, None]
+    first, pairs, other, dark, lit = tiles.T
+    given = np.where((k >= dark) & (k < lit), 0, pairs)
+    order = np.argsort(-given, axis=1, kind="stable")
+    return np.stack([first[order], np.take_along_axis(given, order, 1), order, other[order]], axis=2).astype(np.int32)
+
+
 def _entries(entries: np.ndarray, tiles: np.ndarray, k: int, count: int) -> list[np.ndarray]:
     """Of a frequency: entries (pairs, `ROWS`) of each tile, complex."""
     back, per = 2 * k > count, len(entries) // (count // 2 + 1)
@@ -174,16 +186,17 @@ def _entries(entries: np.ndarray, tiles: np.ndarray, k: int, count: int) -> list
     over="spectrum",
     cpu=Tiling(major=1, minor=ROWS),
     gpu=Tiling(major=1, minor=ROWS, group=(32, 1, 4)),
-    nvidia=Tiling(major=1, minor=ROWS, group=(64, 1, 4), registers=112),
-    constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 8}, "nvidia": {"GROUP": 64, "SLABS": 4}},
+    nvidia=Tiling(major=2, minor=2 * ROWS, group=(64, 1, 2)),
+    constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 8}, "nvidia": {"GROUP": 64, "SLABS": 2}},
 )
 def light_rings(
-    folded: Folded, entries: Entries, tiles: Tiles, mirrored: Integer, tf32: Integer, spectrum: SpectrumOut,
+    folded: Folded, entries: Entries, greatest: Real, tiles: Tiles, order: Order, mirrored: Integer,
+    tf32: Integer, spectrum: SpectrumOut,
 ) -> None:  # fmt: skip
     """spectrum = entries · light: real parts take sums of columns that mirror each other, imaginary ones differences.
 
-    Where light is not mirrored (0), both take the columns themselves. tf32: numbers may lose what is beyond eleven
-    bits of them, which is for matrix units alone.
+    Where light is not mirrored (0), both take the columns themselves. For matrix units alone are greatest, than which
+    no entry is; order; and tf32: numbers may lose what is beyond eleven bits of them.
     """
     half = folded.shape[1] // 2 if mirrored else 0
     for k, light in enumerate(_paired(folded)):
@@ -197,11 +210,12 @@ def light_rings(
     over="folded",
     cpu=Tiling(major=1, minor=ROWS),
     gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(32, 1, 4)),
-    nvidia=Tiling(major=1, minor=ROWS // 2, group=(64, 1, 4), registers=112),
-    constants={"gpu": {"GROUP": 32, "SLABS": 4}, "nvidia": {"GROUP": 64, "SLABS": 4}},
+    nvidia=Tiling(major=2, minor=ROWS, group=(64, 1, 2)),
+    constants={"gpu": {"GROUP": 32, "SLABS": 4}, "nvidia": {"GROUP": 64, "SLABS": 2}},
 )
 def gather_rings(
-    spectrum: Spectrum, entries: Entries, tiles: Tiles, mirrored: Integer, tf32: Integer, folded: FoldedOut,
+    spectrum: Spectrum, entries: Entries, greatest: Real, tiles: Tiles, order: Order, mirrored: Integer,
+    tf32: Integer, folded: FoldedOut,
 ) -> None:  # fmt: skip
     """The transpose of `light_rings`."""
     half = folded.shape[1] // 2 if mirrored else 0

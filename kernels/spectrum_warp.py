@@ -166,8 +166,9 @@ def pairs_of(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
 
 @wp.kernel
 def light_rings(
-    folded: Flat, entries: wp.array[float], tiles: wp.array2d[int], mirrored: int, tf32: int, spectrum: Flat,
-    n_k: int, n_pair: int, n_z: int, n_entry: int, n_tile: int, n_cell: int,
+    folded: Flat, entries: wp.array[float], greatest: float, tiles: wp.array2d[int], order: wp.array3d[int],
+    mirrored: int, tf32: int, spectrum: Flat,
+    n_k: int, n_pair: int, n_z: int, n_entry: int, n_tile: int, n_frequency: int, n_cell: int,
 ) -> None:  # fmt: skip
     two, k, tile, lane = wp.tid()
     slab = 2 * two
@@ -215,8 +216,9 @@ def write_pair(
 
 @wp.kernel
 def gather_rings(
-    spectrum: Flat, entries: wp.array[float], tiles: wp.array2d[int], mirrored: int, tf32: int, folded: Flat,
-    n_k: int, n_cell: int, n_z: int, n_entry: int, n_tile: int, n_pair: int,
+    spectrum: Flat, entries: wp.array[float], greatest: float, tiles: wp.array2d[int], order: wp.array3d[int],
+    mirrored: int, tf32: int, folded: Flat,
+    n_k: int, n_cell: int, n_z: int, n_entry: int, n_tile: int, n_frequency: int, n_pair: int,
 ) -> None:  # fmt: skip
     two, k, here, lane = wp.tid()
     slab = 2 * two

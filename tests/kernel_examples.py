@@ -13,7 +13,7 @@ from vamgpu.backend.device import Device
 from vamgpu.kernels.catalog import kernels
 from vamgpu.kernels.histogram import tally
 from vamgpu.kernels.signature import Field, Kernel, Moved, Scalar, Table
-from vamgpu.kernels.spectrum import in_groups
+from vamgpu.kernels.spectrum import in_groups, most_lit_first
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,9 @@ def _array_sizes(n: int) -> dict[str, int]:
 
 def _partial(n: int, **given: Any) -> Example:
     kinds: dict[str, Callable[[np.ndarray], Any]] = {"lows": np.min, "highs": np.max}
-    kinds |= dict.fromkeys(("parts", "moved", "crossed", "inside", "outside", "below", "shorts", "above", "over"), np.sum)
+    kinds |= dict.fromkeys(
+        ("parts", "moved", "crossed", "inside", "outside", "below", "shorts", "above", "over"), np.sum
+    )
     return Example({**_array_sizes(n), "part": 0, "sample": 2}, given, combine=kinds)
 
 
@@ -555,7 +557,9 @@ def _on_rings(size: int, pairs: int = 16, mirrored: int = 1) -> Example:
     """Three tiles of cells, two of which stand in for each other, lit by all pairs of columns or half of them."""
     k, tiles = 6 + size % 3, [(0, 16, 1, 0, 0), (256, 16, 0, 2, 3), (512, 8, 2, 1, 9)]
     sizes = {"k": k, "pair": pairs * (1 + mirrored), "cell": 24, "z": size + size % 2, "tile": 3}
-    return Example(sizes | {"entry": (k // 2 + 1) * 640}, {"tiles": tiles, "mirrored": mirrored, "tf32": 0})
+    order = most_lit_first(np.array(tiles), k)
+    sizes |= {"entry": (k // 2 + 1) * 640, "frequency": len(order)}
+    return Example(sizes, {"tiles": tiles, "order": order, "mirrored": mirrored, "tf32": 0, "greatest": 1.0})
 
 
 def _mirrored(size: int, mirrored: int = 1) -> Example:

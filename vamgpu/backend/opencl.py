@@ -212,6 +212,8 @@ class OpenclDevice(Device):
         threads = lanes // 4 if self.is_gpu else 1
         minor = -(-shape[1] // tiling.minor) if tiling.minor else 1
         major = -(-shape[0] // tiling.major) if tiling.major else 1
+        if self._kind(kernel, lanes) == "nvidia":
+            major = shape[0] // tiling.major + 1  # frequencies share entries by twos, the first and middle ones do not
         return (minor * threads, major, -(-shape[2] // (lanes * tiling.slabs)))
 
     def _group(self, kernel: Kernel, counts: tuple[int, ...], lanes: int) -> tuple[int, int, int]:

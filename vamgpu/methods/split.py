@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, inf
+from math import ceil, inf, sqrt
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,8 @@ from vamgpu.operators.scenarios import Scenarios
 BACKGROUND = 0.6
 """Dose around the part that the first light aims at, over that of the part."""
 LACK = 0.04
-"""Dose that all voxels of the part may lack together where limits are looked for, over their number."""
+"""Dose that all voxels of the part may lack together where limits are looked for, over their number; of scenarios, whose
+voxels stand for each other, over its root."""
 RELAX = 1.6
 """How far a step goes, over where limits are met; below 2."""
 CLOSE, PASSES = 1e-3, 12
@@ -102,7 +103,7 @@ class SplitSteps:
         self.pull, self.step, self.dose = state.volume(), state.sinogram(), state.volume()
         scenarios = state.operator
         count = len(scenarios) if isinstance(scenarios, Scenarios) else 1
-        self.lack = LACK * float(np.count_nonzero(state.target.numpy() >= 0.5)) / count
+        self.lack = LACK * float(np.count_nonzero(state.target.numpy() >= 0.5)) / sqrt(count)
 
     def steps(self) -> Steps:
         """The first light, then a step each, as many as evaluations allow."""
@@ -144,6 +145,8 @@ class SplitSteps:
             greatest = max(extent(held)[1], 1e-30)
             for field in (free, held):
                 state.scale(1.0 / greatest, field, field)
+        if state.brightness < inf:
+            state.best.forget()  # the light to begin with may be too bright
         memory |= {"free": free, "held": held, "light": state.sinogram(), "made": 0.0, "judged next": 1.0}
         memory |= {"dose owed": combine(-1.0, held, 0.0, held, state.volume())}
         memory |= {"light owed": combine(-1.0, free, 0.0, free, state.sinogram())}

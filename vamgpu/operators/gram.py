@@ -15,7 +15,7 @@ from vamgpu.backend.device import Device
 from vamgpu.geometry import Grid
 from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.reduce import disc
-from vamgpu.kernels.spectrum import ROWS, fold_columns, gather_rings, light_rings, unfold_columns
+from vamgpu.kernels.spectrum import ROWS, fold_columns, gather_rings, light_rings, most_lit_first, unfold_columns
 from vamgpu.kernels.update import multiply
 from vamgpu.operators.compose import combine
 from vamgpu.operators.polar import PolarGrid
@@ -66,7 +66,7 @@ class GramInverse:
         thin, greatest = _Thin(members, reach), float(np.linalg.norm(blur[0], 2))
         for share in SHARES:
             self.base = share * greatest
-            self._entries = _table(self.device, _inverses(blur, self.base) / np.float32(angles), wide)
+            self._entries = _table(self.device, _inverses(blur, self.base) / np.float32(angles), wide, angles)
             self._take_room((angles, columns, 2), wide)
             if thin.most(self) <= MOST:
                 break
@@ -129,7 +129,9 @@ def _members(operator: Any) -> list[tuple[float, Any]]:
     shares = np.abs(operator.mix)  # |Σ m d|² ≤ Σ|m| · Σ|m| d²
     return [
         (float(weight), each)
-        for weight, each in zip((shares.sum(axis=1, keepdims=True) * shares).sum(axis=0), operator.operators, strict=True)
+        for weight, each in zip(
+            (shares.sum(axis=1, keepdims=True) * shares).sum(axis=0), operator.operators, strict=True
+        )
         if weight
     ]
 
@@ -227,7 +229,7 @@ def _inverses(blur: np.ndarray, base: float) -> np.ndarray:
     return found
 
 
-def _table(device: Device, matrices: np.ndarray, wide: int) -> dict[str, Any]:
+def _table(device: Device, matrices: np.ndarray, wide: int, angles: int) -> dict[str, Any]:
     """Matrices (frequency, column, column) as `light_rings` takes them, columns in place of cells."""
     count, columns, _ = matrices.shape
     filled = np.zeros((count, wide, wide), np.complex64)
@@ -240,7 +242,9 @@ def _table(device: Device, matrices: np.ndarray, wide: int) -> dict[str, Any]:
     table = np.stack([2 * ROWS * wide * number, none + wide, number, none, none], axis=1)
     return {
         "entries": device.table(entries.ravel()),
+        "greatest": float(np.abs(entries).max()),
         "tiles": device.table(table, "int32"),
+        "order": device.table(most_lit_first(table, angles), "int32"),
         "mirrored": 0,
         "tf32": 0,
     }

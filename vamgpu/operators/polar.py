@@ -270,9 +270,13 @@ def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: f
 
 @dataclass(frozen=True)
 class RingTable:
-    """Entries and tiles of `vamgpu.kernels.spectrum`; pairs: of columns, mirrored: whether they mirror each other."""
+    """Entries and tiles of `vamgpu.kernels.spectrum`, and what no entry is greater than.
+
+    pairs: of columns.  mirrored: whether they mirror each other.
+    """
 
     entries: np.ndarray
+    greatest: float
     tiles: np.ndarray
     pairs: int
     mirrored: bool
@@ -328,7 +332,7 @@ def ring_table(
     if most == 0.0:
         raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
     dark = [_dark(greatest[number] <= faint * most) for number in range(len(tiles))]
-    return RingTable(entries.ravel(), np.column_stack([tiles, dark]), _in_rows(columns - half), mirrored)
+    return RingTable(entries.ravel(), most, np.column_stack([tiles, dark]), _in_rows(columns - half), mirrored)
 
 
 def _in_rows(count: int) -> int:

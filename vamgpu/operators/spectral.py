@@ -24,6 +24,7 @@ from vamgpu.kernels.spectrum import (
     greater_factor,
     in_groups,
     light_rings,
+    most_lit_first,
     unfold_columns,
 )
 from vamgpu.operators.linear import LinearOperator
@@ -90,7 +91,9 @@ class SpectralProjection(LinearOperator):
         upload = self.device.table
         self._entries = {
             "entries": self.device.settle(table.entries),
+            "greatest": table.greatest,
             "tiles": upload(table.tiles, "int32"),
+            "order": upload(most_lit_first(table.tiles, grid.angles), "int32"),
             "mirrored": int(table.mirrored),
             "tf32": int(tf32),
         }
