@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from math import ceil, hypot, sqrt
 from typing import Any, final
@@ -10,7 +9,6 @@ from typing import Any, final
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.cores import threads
 from vamgpu.backend.device import Device
 from vamgpu.geometry import Grid
 from vamgpu.kernels.lanes import copy_slices
@@ -31,7 +29,7 @@ AT_ONCE = 32
 """Columns whose blur is computed at once."""
 SHARES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
 """``base`` over the greatest that A Aᵀ makes of light, from the least on that is safe."""
-MOST, STEPS = 1.15, 12
+MOST, STEPS = 1.15, 8
 """Times that light may become brighter, and steps that the brightest is looked for."""
 DARK = 1e-6
 """Share of what the brightest column blurs into itself, up to which a column lights nothing that counts."""
@@ -219,13 +217,9 @@ def _inverses(blur: np.ndarray, base: float) -> np.ndarray:
     own = np.real(np.diagonal(blur[0]))
     lit = np.flatnonzero(own > DARK * own.max())
     found = np.zeros_like(blur)
-
-    def invert(k: int) -> None:
-        some = blur[k][np.ix_(lit, lit)] + np.float32(base) * np.eye(len(lit), dtype=np.float32)
-        found[k][np.ix_(lit, lit)] = np.linalg.inv(some)
-
-    with ThreadPoolExecutor(threads()) as pool:
-        list(pool.map(invert, range(len(blur))))
+    some = blur[:, lit[:, None], lit]
+    some[:, range(len(lit)), range(len(lit))] += np.float32(base)
+    found[:, lit[:, None], lit] = np.linalg.inv(some)
     return found
 
 
