@@ -4,8 +4,8 @@ Source: J. Eckstein, D. P. Bertsekas, Math. Program. 55 (1992) 293. A dose is he
 that makes it, and light to being 0 or more apart from both; what each still owes the other is carried on. Inside is a
 target of at least one half; voxels farther than ``reach`` samples from the axis count neither way.
 
-``owed`` is what a point has still to make up for, less twice what it held: with what is held now, 2·held + owed is where
-the limits are looked for.
+``owed`` is what a point has still to make up for, less twice what it held: with what is held now, 2·held + owed is
+where the limits are looked for.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def split_levels(
     held: Array, owed: Array, target: Array, least: Real, leak: Real, reach: Real, rim: Real, below: Parts,
     shorts: Parts, above: Parts, over: Parts,
 ) -> None:  # fmt: skip
-    """How many voxels of the part are below a least dose and how much they lack together; likewise above a leak outside.
+    """How many voxels of the part are below a least dose, and how much they lack together; so above a leak outside.
 
     Doses of the part count as 1 at most.
     """
@@ -77,7 +77,7 @@ def split_prices(
     held: Array, owed: Array, target: Array, least: Real, leak: Real, reach: Real, rim: Real, wall: ArrayOut,
     cap: ArrayOut,
 ) -> None:  # fmt: skip
-    """Prices that the limits put on a dose: ``wall`` of too little inside and too much outside, ``cap`` above 1 inside."""
+    """Prices of the limits of a dose: ``wall`` of too little inside and too much outside, ``cap`` above 1 inside."""
     counted, part, dose = _counted(target, reach, rim), target >= 0.5, 2.0 * held + owed
     wall[...] = counted * np.maximum(0.0, np.where(part, least - dose, dose - leak))
     cap[...] = counted * np.where(part, np.maximum(0.0, dose - 1.0), 0.0)

@@ -21,7 +21,8 @@ def counted(i: int, j: int, n_i: int, n_j: int, reach: float, rim: float):
 @wp.kernel
 def split_levels(
     held: Vectors, owed: Vectors, target: Vectors, least: float, leak: float, reach: float, rim: float,
-    below: wp.array[float], shorts: wp.array[float], above: wp.array[float], over: wp.array[float], n_i: int, n_j: int, n_z: int, n_part: int,
+    below: wp.array[float], shorts: wp.array[float], above: wp.array[float], over: wp.array[float],
+    n_i: int, n_j: int, n_z: int, n_part: int,
 ) -> None:  # fmt: skip
     slab, tile, j, lane = wp.tid()
     count = real_lanes(slab, lane, held.shape[3], n_z)

@@ -24,8 +24,8 @@ from vamgpu.operators.scenarios import Scenarios
 BACKGROUND = 0.6
 """Dose around the part that the first light aims at, over that of the part."""
 LACK = 0.04
-"""Dose that all voxels of the part may lack together where limits are looked for, over their number; of scenarios, whose
-voxels stand for each other, over its root."""
+"""Dose that all voxels of the part may lack together where limits are looked for, over their number; of scenarios,
+whose voxels stand for each other, over its root."""
 RELAX = 1.6
 """How far a step goes, over where limits are met; below 2."""
 CLOSE, PASSES = 1e-3, 12
@@ -73,20 +73,21 @@ def split_bound(state: OptimizerState) -> Bound | None:
     operator, device = state.operator, state.device
     rows, columns, wall, cap = state.volume(), state.sinogram(), state.volume(), state.volume()
     operator.T(device.upload(np.ones(columns.shape, np.float32)), out=rows)
-    near = disc(*rows.shape[:2], state.reach)[:, :, None]
+    near = disc(rows.shape[0], rows.shape[1], state.reach)[:, :, None]
     operator(device.upload(np.broadcast_to(near, rows.shape).astype(np.float32)), out=columns)
-    device.launch(split_prices, **{**_point(state), "rim": 0.0}, wall=wall, cap=cap)  # where nobody judges, none
+    point = {**_point(state), "rim": 0.0}  # no price where nobody judges
+    device.launch(split_prices, **point, wall=wall, cap=cap)
     return certified(operator, state.target, state.reach, wall, cap, rows, columns, state.evaluations)
 
 
 class SplitSteps:
     """One run of alternating directions: a point in the memory, and where a step leads.
 
-    The dose of the light ``free`` is held to levels that lie as far apart as prices of one allow, apart from the light;
-    light is held to 0 or more apart from both. The light that makes up for what either lacks is found at once, by the
-    inverse of how projecting and exposing blur. What is dark in ``free`` may be below 0 until the end; the light that is
-    judged, ``light``, has it cut off, which takes half an evaluation more; that of the last light is not counted, as of
-    other methods.
+    The dose of the light ``free`` is held to levels as far apart as prices of one allow, and light to 0 or more, each
+    apart from the other. The light that makes up for what both lack is found at once, by the inverse of how projecting
+    and exposing blur. Pixels of ``free`` may be below 0 until the end; the light that is judged, ``light``, has that
+    cut off, for half an evaluation more. That of the last light is not counted, as of other methods. A greatest light
+    moves with the dose at the threshold, and what a higher dose is worth raises both levels.
 
     Args:
         state: Of the run.

@@ -54,12 +54,12 @@ TOLD = 60
 class WidestWindow(Method):
     """Maximize the strict process window itself; an iteration is one projector evaluation, or half of one more.
 
-    Where the light of one pose turns, `SplitSteps` find it: light that makes up for what doses lack is found at once, by
-    the inverse of how projecting and exposing blur light. Elsewhere, with gray bodies, and where light may not be too
-    bright, steps are primal-dual: every voxel prices its limit: a dose of the part at least, one of voids at most, and 1
-    at most. Light follows the prices, and prices follow the dose. Each pixel and voxel has a step of its own; steps grow
-    as far as they prove safe, go beyond where they lead, and are held back by where their round began. There is nothing
-    to choose. Takes twelve volumes and six sinograms of memory at most.
+    Where the light of one pose turns, `SplitSteps` find it: light that makes up for what doses lack comes at once, by
+    the inverse of how projecting and exposing blur. Elsewhere, and with gray bodies, steps are primal-dual: every voxel
+    prices its limit, a dose of the part at least, one of voids at most, and 1 at most. Light follows the prices, and
+    prices follow the dose. Each pixel and voxel has a step of its own; steps grow as far as they prove safe, go beyond
+    where they lead, and are held back by where their round began. There is nothing to choose. Takes twelve volumes and
+    six sinograms of memory, half as many volumes where light turns.
 
     A gray dose has two limits: it keeps half of the window from both ends of its tolerance about the dose midway
     between the part's least and its greatest. The window is then twice what all doses may be off by.
@@ -99,8 +99,8 @@ class WidestWindow(Method):
             state: Of the run; it stays as it is.
 
         Returns:
-            The bound, by `SWEEPS` and two evaluations that are not counted; None after fewer than 60 primal-dual steps, or
-            30 of the others.
+            The bound, by `SWEEPS` and two evaluations that are not counted; None after fewer than 60 primal-dual
+            steps, or 30 of the others.
         """
         if "free" in state.memory:
             return split_bound(state)

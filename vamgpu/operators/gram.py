@@ -39,12 +39,13 @@ DARK = 1e-6
 class GramInverse:
     """(A Aᵀ + base)⁻¹ for light [angle, r, z], of a projector A whose light is one pose, turned.
 
-    A Aᵀ exposes light and projects its dose, of which voxels beyond the judged cylinder count `RIM`. At even angles that is, on rings, a matrix
-    (columns × columns) for each angular frequency, of which this applies the inverses between two Fourier transforms; it
-    costs about as much as the products of one projection on rings. What rows of pixels share along z counts by its
-    greatest amount, and of several scenarios their sum does. Voxels are no rings: what sharp or fine pixels tell apart
-    is more than rings know of. So ``base`` grows until no light is made more than `MOST` times as bright as it was by
-    what A Aᵀ + base and this make of it, measured on two slices; steps by the inverse are then safe.
+    A Aᵀ exposes light and projects its dose, of which voxels beyond the judged cylinder count `RIM`. At even angles it
+    is, on rings, a matrix (columns × columns) for each angular frequency, of which this applies the inverses between
+    two Fourier transforms; it costs about as much as the products of one projection on rings. What rows of pixels share
+    along z counts by its greatest amount, and of several scenarios their sum does. Voxels are no rings: what sharp or
+    fine pixels tell apart is more than rings know of. So ``base`` grows until no light is made more than `MOST` times
+    as bright as it was by what A Aᵀ + base and this make of it, measured on two slices; steps by the inverse are then
+    safe.
 
     Args:
         operator: For which `against_gram` has no reason.
@@ -57,7 +58,7 @@ class GramInverse:
     def __init__(self, operator: Any, reach: float) -> None:
         self.device = operator.device
         members = _members(operator)
-        blur = sum(weight * _shared(each) * _blur(each, reach) for weight, each in members)
+        blur = np.sum([weight * _shared(each) * _blur(each, reach) for weight, each in members], axis=0)
         angles, columns, rows = operator.range.shape
         wide = -(-columns // ROWS) * ROWS
         self._passes = straight_passes(self.device, angles, wide)
@@ -115,6 +116,8 @@ def against_gram(operator: Any) -> str:
             continue
         if not isinstance(each, Projection) or motion is None or grid is None:
             return against_rings(each)
+        if each.footprint != "exact":
+            return f"its footprint is {each.footprint!r}"
         if not motion.is_even or motion.angles < 2:
             return f"its angles, {motion}, are not two or more, even over a full turn from 0, each lit as long"
     return ""
@@ -175,7 +178,7 @@ class _Thin:
             thin = Projection(replace(each.grid, shape=(wide, deep, 2)), beam, each.motion, each.vessel, each.device)
             self._members.append((weight * _shared(each) / _shared(thin), thin))
         shape = thin.domain.shape
-        counted = np.where(disc(*shape[:2], reach), 1.0, RIM)[:, :, None]
+        counted = np.where(disc(shape[0], shape[1], reach), 1.0, RIM)[:, :, None]
         self._counted = thin.device.upload(np.broadcast_to(counted, shape).astype(np.float32))
 
     def most(self, inverse: GramInverse) -> float:
