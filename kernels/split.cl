@@ -2,7 +2,8 @@
 
 // Where limits are looked for, and what a voxel counts.
 #define DOSE (2.0f * LOAD(held + at) + LOAD(owed + at))
-#define COUNTED ((Vector)(disc_distance(i, j, n_i, n_j) <= reach * reach ? 1.0f : rim))
+#define NEAR (disc_distance(i, j, n_i, n_j) <= reach * reach)
+#define COUNTED (NEAR ? (Vector)(1.0f) : select((Vector)(rim), ZERO, INSIDE))
 #define INSIDE (LOAD(target + at) >= 0.5f)
 
 #ifdef COMPILE_split_levels

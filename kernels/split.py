@@ -20,7 +20,8 @@ GPU = Tiling(major=1, minor=1)
 
 
 def _counted(target: np.ndarray, reach: float, rim: float) -> np.ndarray:
-    return np.where(disc(target.shape[0], target.shape[1], reach), 1.0, rim)[:, :, None]
+    near = disc(target.shape[0], target.shape[1], reach)[:, :, None]
+    return np.where(near, 1.0, np.where(target >= 0.5, 0.0, rim))
 
 
 @kernel(over="held", cpu=CPU, gpu=PARTIAL)

@@ -11,11 +11,15 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
 @wp.func
-def counted(i: int, j: int, n_i: int, n_j: int, reach: float, rim: float):
-    """What a voxel counts."""
-    if disc_distance(i, j, n_i, n_j) <= reach * reach:
-        return float(1.0)
-    return rim
+def counted(body: wp.vec4, i: int, j: int, n_i: int, n_j: int, reach: float, rim: float):
+    """What each of four voxels counts."""
+    share = wp.vec4(1.0, 1.0, 1.0, 1.0)
+    if disc_distance(i, j, n_i, n_j) > reach * reach:
+        for k in range(4):
+            share[k] = rim
+            if body[k] >= 0.5:
+                share[k] = 0.0
+    return share
 
 
 @wp.kernel
@@ -31,20 +35,20 @@ def split_levels(
     many = float(0.0)
     leaking = float(0.0)
     for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_i)):
-        share = counted(i, j, n_i, n_j, reach, rim)
         dose = 2.0 * held[slab, i, j, lane] + owed[slab, i, j, lane]
         body = target[slab, i, j, lane]
+        share = counted(body, i, j, n_i, n_j, reach, rim)
         for k in range(4):
             if k < count:
                 lacks = least - wp.min(1.0, dose[k])
                 leaks = dose[k] - leak
                 if body[k] >= 0.5:
                     if lacks > 0.0:
-                        few += share
-                        lacking += share * lacks
+                        few += share[k]
+                        lacking += share[k] * lacks
                 elif leaks > 0.0:
-                    many += share
-                    leaking += share * leaks
+                    many += share[k]
+                    leaking += share[k] * leaks
     part = part_index(slab, tile, j, lane, n_i, n_j, held.shape[3])
     below[part] = few
     shorts[part] = lacking
@@ -67,7 +71,7 @@ def split_dose(
         if body[k] >= 0.5:
             within[k] = wp.max(least, wp.min(1.0, dose[k]))
     beyond = relax * within + (1.0 - relax) * own
-    pull[slab, i, j, lane] = counted(i, j, n_i, n_j, reach, rim) * (beyond - dose)
+    pull[slab, i, j, lane] = wp.cw_mul(counted(body, i, j, n_i, n_j, reach, rim), beyond - dose)
     owed[slab, i, j, lane] = dose - own - beyond
 
 
@@ -109,6 +113,6 @@ def split_prices(
             top[k] = wp.max(0.0, dose[k] - 1.0)
         else:
             price[k] = wp.max(0.0, dose[k] - leak)
-    share = counted(i, j, n_i, n_j, reach, rim)
-    wall[slab, i, j, lane] = share * price
-    cap[slab, i, j, lane] = share * top
+    share = counted(body, i, j, n_i, n_j, reach, rim)
+    wall[slab, i, j, lane] = wp.cw_mul(share, price)
+    cap[slab, i, j, lane] = wp.cw_mul(share, top)

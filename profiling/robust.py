@@ -58,7 +58,9 @@ def by_rays(plan: vamgpu.Plan, A: vamgpu.Projection, target: Any, off: Tolerance
     return split_bound(OptimizerState(scenarios, scenarios.stacked([field] * len(scenarios)), dict(plan.state)))
 
 
-def judged(plan: vamgpu.Plan, A: vamgpu.Projection, target: Any, off: Tolerances) -> dict[str, Any]:
+def judged(
+    plan: vamgpu.Plan, A: vamgpu.Projection, target: Any, off: Tolerances, quantile: float
+) -> dict[str, Any]:  # fmt: skip
     """A light by its own operator and by traced rays from its frames."""
     return {
         "method": repr(plan.method),
@@ -66,7 +68,7 @@ def judged(plan: vamgpu.Plan, A: vamgpu.Projection, target: Any, off: Tolerances
         "evaluations": plan.evaluations,
         "seconds": round(plan.seconds, 1),
         "claimed": told(off.doses(A, plan, target)),
-        "proved": told(prove_corners(A, vamgpu.pack(plan), target, off)),
+        "proved": told(prove_corners(A, vamgpu.pack(plan, quantile=quantile), target, off)),
     }
 
 
@@ -126,6 +128,7 @@ def main() -> None:
     parser.add_argument("--method", default="window", help="of both lights")
     parser.add_argument("--iterations", type=int, nargs="+", default=[120], help="each goes on from the one before")
     parser.add_argument("--rings", action="store_true", help="seek light on rings; its bound is still that of rays")
+    parser.add_argument("--quantile", type=float, default=0.99999, help="of lit pixels that full-on ones show")
     parser.add_argument("--only", choices=("nominal", "robust", "neither"), default=None)
     parser.add_argument("--bound", type=int, default=0, help="evaluations of the robust bound")
     parser.add_argument("--slab", type=int, nargs="+", default=[0], help="slices of each bound; 0 for all")
@@ -157,7 +160,7 @@ def main() -> None:
             plan = vamgpu.optimize(
                 B, target, args.method, iterations, tolerances=tolerances, resume=plan, progress=False
             )
-            record[f"{name} {iterations}"] = judged(plan, A, target, off)
+            record[f"{name} {iterations}"] = judged(plan, A, target, off, args.quantile)
             found = plan.bound if B is A else by_rays(plan, A, target, tolerances)
             if found is not None:
                 record[f"{name} {iterations}"]["bound"] = round(found.value, 5)

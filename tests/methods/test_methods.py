@@ -220,7 +220,7 @@ def test_a_part_that_sticks_out_of_the_light_is_named() -> None:
 
 def test_the_default_opens_a_window_twice_as_wide_as_what_costs_as_little(fast_device: Device) -> None:
     here, budget = operator(fast_device), 30
-    plan = optimize(here, part(), iterations=budget)
+    plan = optimize(here, part(), evaluations=budget)
     assert plan.evaluations <= budget and isinstance(plan.method, BestWindow)
     assert plan.window >= 0.1
     for other in (Recipe(), GradientDescent(), FilteredBackProjection()):

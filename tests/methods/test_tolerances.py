@@ -172,7 +172,7 @@ def test_thresholds_are_asked_for_little_beyond_what_there_is_at_few_scenarios()
 def _by_prices(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the light of no pose turn, as that of a vial that stands off its axis does not."""
     for module in (default, widest):
-        monkeypatch.setattr(module, "splits", lambda state: False)
+        monkeypatch.setattr(module, "split_steps", lambda *given: None)
 
 
 def test_the_first_prices_are_what_voxels_that_are_off_weigh(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -124,7 +124,7 @@ def test_no_method_goes_beyond_a_bound_of_few_steps(fast_device: Device) -> None
 
 def test_a_bound_comes_with_the_plan_and_changes_nothing() -> None:
     A, target = operator("numpy"), part("bars")[:, :, None].astype(np.float32)
-    first = optimize(A, target, "widest", 31)
+    first = optimize(A, target, "widest", 29)
     assert first.bound is None
     with pytest.raises(BadInput, match="63"):
         bound(A, target, evaluations=62)

@@ -10,7 +10,7 @@ from vamgpu.errors import OutOfMemory
 from vamgpu.methods.certificate import Bound
 from vamgpu.methods.corners import owed
 from vamgpu.methods.method import Criterion, Method, Steps
-from vamgpu.methods.split import splits
+from vamgpu.methods.split import split_steps
 from vamgpu.methods.state import OptimizerState
 from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
@@ -50,10 +50,16 @@ class BestWindow(Method):
     def steps(self, state: OptimizerState) -> Steps:
         memory, scenarios = state.memory, state.operator
         corners = len(scenarios) if isinstance(scenarios, Scenarios) and len(scenarios) > 1 else 0
-        if not memory.get("priced") and not _by_thresholds(state) and splits(state):
-            memory |= {"priced": 1.0, "turned": 1.0}
-            _turn(state)
-        elif not memory.get("priced") and not _by_thresholds(state) and _many(state, corners) and _fits(state):
+        undecided = not memory.get("priced") and not _by_thresholds(state)
+        split = split_steps(state) if undecided or "free" in memory else None
+        if split is not None:
+            if undecided:
+                memory |= {"priced": 1.0, "turned": 1.0}
+                memory.pop("heavy", None)
+                _turn(state)
+            yield from split.steps()
+            return
+        if undecided and _many(state, corners) and _fits(state):
             memory["priced"] = 1.0
             memory["thresholds until"] = max(state.evaluations, FIRST * corners) if state.brightness == inf else 0.0
             if not corners:

@@ -167,7 +167,7 @@ def optimize(
     with _reporting(progress, limit) as report:
         run.go(limit, tolerance, report, cancel or (lambda: False))
     plan = run.plan()
-    if brightest is not None and not (plan.window > 0.0 and "rows" in plan.state):
+    if brightest is not None and not (plan.window > 0.0 and ("rows" in plan.state or "free" in plan.state)):
         _tell_limit(plan, brightest)
     return plan
 
@@ -271,6 +271,8 @@ class _Run:
         if isinstance(state.operator, Scenarios):
             state.operator.rest((False,) * len(state.operator), None)
         light, window, iteration = state.best.choose(state)
+        if "free" in state.memory:  # whose last light was not offered, and is none that a resumed run judges
+            state.best.offer(light, 1.0 - window, window, iteration)
         certify = getattr(self.method, "certify", None)
         bound = None if certify is None else certify(state)
         seconds = (before.seconds if before else 0.0) + time.perf_counter() - self.started

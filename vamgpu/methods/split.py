@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import OutOfMemory
+from vamgpu.errors import BadInput, OutOfMemory
 from vamgpu.kernels.reduce import disc
 from vamgpu.kernels.split import split_dose, split_levels, split_light, split_prices
 from vamgpu.losses.band import Band
@@ -37,26 +37,36 @@ TOLD = 30
 """Steps from which on prices tell how wide a window can be."""
 UNSEEN = Band.thresholds(0.78, 0.95)
 """Stands for the loss of the last light, which is chosen by its window."""
-VOLUMES, SINOGRAMS = 6, 7
+VOLUMES, SINOGRAMS = 8, 10
 """Memory that it takes."""
 
 
-def splits(state: OptimizerState) -> bool:
-    """Whether a run can step so, and the device has the memory for it.
+def split_steps(state: OptimizerState, rim: float = RIM) -> SplitSteps | None:
+    """The steps of a run, where the light of one pose turns and the device has the memory for them.
 
     Args:
         state: Of the run.
+        rim: What voxels beyond the judged cylinder count of the others.
+
+    Returns:
+        The steps; None where a run cannot take them.
+
+    Raises:
+        BadInput: A run that stepped so goes on with an operator or a target for which it cannot.
     """
-    if "free" in state.memory:
-        return True
-    if state.piece is not None or state.limits is not None or against_gram(state.operator):
-        return False
+    why = "light is decided in part" if state.piece is not None else against_gram(state.operator)
+    why = "voxels have limits of their own" if state.limits is not None else why
+    if "free" in state.memory and why:
+        raise BadInput(f"the plan to resume cannot go on here: {why}; give its light as start")
+    if why:
+        return None
     try:
-        fields = [state.volume() for _ in range(VOLUMES)] + [state.sinogram() for _ in range(SINOGRAMS)]
+        room = [state.volume() for _ in range(VOLUMES)] + [state.sinogram() for _ in range(SINOGRAMS)]
+        steps = SplitSteps(state, rim)
     except OutOfMemory:
-        return False
-    del fields
-    return True
+        return None
+    del room
+    return steps
 
 
 def split_bound(state: OptimizerState) -> Bound | None:
@@ -66,10 +76,16 @@ def split_bound(state: OptimizerState) -> Bound | None:
         state: Of the run; it stays as it is.
 
     Returns:
-        The bound, by `SWEEPS` and two evaluations that are not counted; None after fewer than 30 steps.
+        The bound, by `SWEEPS` and two evaluations that are not counted; None after fewer than 30 steps, and where the
+        device lacks the memory.
     """
-    if state.number("made") < TOLD:
+    try:
+        return _bound(state) if state.number("made") >= TOLD else None
+    except OutOfMemory:
         return None
+
+
+def _bound(state: OptimizerState) -> Bound:
     operator, device = state.operator, state.device
     rows, columns, wall, cap = state.volume(), state.sinogram(), state.volume(), state.volume()
     operator.T(device.upload(np.ones(columns.shape, np.float32)), out=rows)
@@ -77,7 +93,7 @@ def split_bound(state: OptimizerState) -> Bound | None:
     operator(device.upload(np.broadcast_to(near, rows.shape).astype(np.float32)), out=columns)
     point = {**_point(state), "rim": 0.0}  # no price where nobody judges
     device.launch(split_prices, **point, wall=wall, cap=cap)
-    return certified(operator, state.target, state.reach, wall, cap, rows, columns, state.evaluations)
+    return certified(operator, state.target, state.reach, wall, cap, rows, columns, state.evaluations + 1.0)
 
 
 class SplitSteps:
@@ -91,6 +107,7 @@ class SplitSteps:
 
     Args:
         state: Of the run.
+        rim: What voxels beyond the judged cylinder count of the others.
 
     Raises:
         OutOfMemory: Where the device is too small.
@@ -98,9 +115,10 @@ class SplitSteps:
 
     state: OptimizerState
 
-    def __init__(self, state: OptimizerState) -> None:
+    def __init__(self, state: OptimizerState, rim: float = RIM) -> None:
         self.state, self.memory = state, state.memory
-        self.inverse = GramInverse(state.operator, state.reach)
+        self.memory["rim"] = rim
+        self.inverse = GramInverse(state.operator, state.reach, rim)
         self.pull, self.step, self.dose = state.volume(), state.sinogram(), state.volume()
         scenarios = state.operator
         count = len(scenarios) if isinstance(scenarios, Scenarios) else 1
@@ -112,7 +130,7 @@ class SplitSteps:
         if "free" not in memory:
             self._begin()
         light = state.buffer("light")
-        while not memory["made"] or self._pays(1.0):
+        while not memory["made"] or state.affords(1.0):
             self._step()
             memory["made"] += 1.0
             combine(1.0, memory["free"], 0.0, memory["free"], light, floor=0.0)
@@ -120,21 +138,16 @@ class SplitSteps:
                 capped(light, self._most())
             else:
                 state.best.unseen = UNSEEN
-            if memory["made"] >= memory["judged next"] or (state.brightness < inf and not self._pays(1.5)):
+            if memory["made"] >= memory["judged next"] or (state.brightness < inf and not state.affords(1.5)):
                 self._judge(light)
             yield 1.0 - state.best.window, memory["seen"]
-
-    def _pays(self, evaluations: float) -> bool:
-        """Whether the run may spend so many more."""
-        state, cost = self.state, getattr(self.state.operator, "cost", 1.0)
-        return state.affords(evaluations) and state.evaluations + evaluations * cost <= state.budget
 
     # ---- a run -----------------------------------------------------------------------------------------------
     def _begin(self) -> None:
         """Light that undoes the blur of the target, or that of before, with nothing owed."""
         state, memory = self.state, self.memory
-        free = state.sinogram()
-        if "light" in memory:
+        free, started = state.sinogram(), "light" in memory
+        if started:
             state.scale(1.0, state.buffer("light"), free)
         else:
             state.fill_background(BACKGROUND, self.pull)
@@ -142,7 +155,7 @@ class SplitSteps:
             self.inverse(self.step, free)
         held = state.volume()
         state.expose(free, held)
-        if "light" in memory:
+        if started:
             greatest = max(extent(held)[1], 1e-30)
             for field in (free, held):
                 state.scale(1.0 / greatest, field, field)
@@ -152,6 +165,8 @@ class SplitSteps:
         memory |= {"dose owed": combine(-1.0, held, 0.0, held, state.volume())}
         memory |= {"light owed": combine(-1.0, free, 0.0, free, state.sinogram())}
         memory |= {"least": 1.0, "leak": BACKGROUND}
+        if state.brightness < inf and started:
+            self._offer(free, held, 0)
 
     def _step(self) -> None:
         state, memory, launch = self.state, self.memory, self.state.device.launch
@@ -197,23 +212,26 @@ class SplitSteps:
         """Find the window of the light without what is below 0, where the run can pay for it."""
         state, memory = self.state, self.memory
         memory["judged next"] = max(memory["made"] + ceil(memory["made"] / SPACED), float(FIRST))
-        if memory["made"] > 1.0 and not self._pays(0.5):
+        if memory["made"] > 1.0 and not state.affords(0.5):
             return
         state.expose(light, self.dose)
-        memory["seen"] = kept = state.window(self.dose)[0]
-        if state.brightness < inf:
-            over = self._over(light)
-            kept = kept if over <= 1.0 else -1.0 - min(over, 1e9)
-        state.best.offer(light, 1.0 - kept, kept, state.iteration + 1)
+        self._offer(light, self.dose, 1)
 
-    def _over(self, light: DeviceArray) -> float:
-        """Brightest pixel over what the dose at the threshold of this light allows."""
-        least, leak, _ = self.state.extremes(self.dose)
-        return extent(light)[1] / max(self.state.brightness * 0.5 * (least + max(leak, 0.0)), 1e-30)
+    def _offer(self, light: DeviceArray, dose: DeviceArray, made: int) -> None:
+        """Offer light by its dose, any that is too bright behind all that is not."""
+        state = self.state
+        window = kept = state.window(dose)[0]
+        if state.brightness < inf:
+            least, leak, _ = state.extremes(dose)
+            over = extent(light)[1] / max(state.brightness * 0.5 * (least + max(leak, 0.0)), 1e-30)
+            kept = window if over <= 1.0 else -1.0 - min(over, 1e9)
+            kept = kept if window > -1.0 else -2e9  # dark light is no light
+        self.memory["seen"] = window
+        state.best.offer(light, 1.0 - kept, kept, state.iteration + made)
 
     def _most(self) -> float:
         """Greatest light of a pixel, by the dose at the threshold that levels have."""
-        middle = 0.5 * (self.memory["least"] + max(self.memory["leak"], 0.0))
+        middle = max(0.5 * (self.memory["least"] + max(self.memory["leak"], 0.0)), 1e-6)
         return min(MARGIN * self.state.brightness * middle, UNLIMITED)
 
     def _looked_for(self) -> DeviceArray:
@@ -225,5 +243,5 @@ def _point(state: OptimizerState) -> dict[str, Any]:
     memory = state.memory
     return {
         "held": memory["held"], "owed": memory["dose owed"], "target": state.target, "least": memory["least"],
-        "leak": memory["leak"], "reach": state.reach, "rim": RIM,
+        "leak": memory["leak"], "reach": state.reach, "rim": memory["rim"],
     }  # fmt: skip

@@ -22,9 +22,10 @@ from vamgpu.methods.limit import MARGIN
 from vamgpu.methods.method import Criterion, Method, Steps
 from vamgpu.methods.papers import ANCHORED, DIAGONAL, PRIMAL_DUAL, SAFE_STEPS, SPLITTING
 from vamgpu.methods.recipe import Recipe
-from vamgpu.methods.split import SplitSteps, split_bound, splits
+from vamgpu.methods.split import split_bound, split_steps
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import capped, combine
+from vamgpu.operators.gram import RIM
 from vamgpu.operators.reductions import dot, extent, folded, parts_for, total
 
 MEAN_ROW = 2.0
@@ -54,24 +55,29 @@ TOLD = 60
 class WidestWindow(Method):
     """Maximize the strict process window itself; an iteration is one projector evaluation, or half of one more.
 
-    Where the light of one pose turns, `SplitSteps` find it: light that makes up for what doses lack comes at once, by
-    the inverse of how projecting and exposing blur. Elsewhere, and with gray bodies, steps are primal-dual: every voxel
-    prices its limit, a dose of the part at least, one of voids at most, and 1 at most. Light follows the prices, and
-    prices follow the dose. Each pixel and voxel has a step of its own; steps grow as far as they prove safe, go beyond
-    where they lead, and are held back by where their round began. There is nothing to choose. Takes twelve volumes and
-    six sinograms of memory, half as many volumes where light turns.
+    Where the light of one pose turns (even angles over a full turn, in air or a vessel at rest, a part without bodies),
+    `SplitSteps` find it: light that makes up for what doses lack comes at once, by the inverse of how projecting and
+    exposing blur. Making the inverse projects two slices some ten times, which is not counted; windows between the
+    lights that are judged are those of the last. Elsewhere steps are primal-dual: every voxel prices its limit, a dose
+    of the part at least, one of voids at most, and 1 at most. Light follows the prices, and prices follow the dose.
+    Each pixel and voxel has a step of its own; steps grow as far as they prove safe, go beyond where they lead, and are
+    held back by where their round began. There is nothing to choose. Takes twelve volumes and ten sinograms of memory
+    at most.
 
     A gray dose has two limits: it keeps half of the window from both ends of its tolerance about the dose midway
     between the part's least and its greatest. The window is then twice what all doses may be off by.
 
     Args:
         passes: Passes of the recipe that come before primal-dual steps.
+        rim: What voxels beyond the judged cylinder count of the others where light turns: they are to stay as dark as
+            voids. 0 leaves them free, as `bound` does, which tells what is judged.
 
     Raises:
         BadInput: A value is out of its range.
     """
 
     passes: int = 2
+    rim: float = RIM
     papers: ClassVar[tuple[str, ...]] = (SPLITTING, PRIMAL_DUAL, DIAGONAL, ANCHORED, SAFE_STEPS)
     iterations: ClassVar[int] = 400
     cost: ClassVar[float] = 1.0
@@ -83,10 +89,13 @@ class WidestWindow(Method):
     def __post_init__(self) -> None:
         if isinstance(self.passes, bool) or not isinstance(self.passes, int) or self.passes < 1:
             raise BadInput(f"passes is {self.passes!r}; expected a whole number ≥ 1")
+        if isinstance(self.rim, bool) or not isinstance(self.rim, (int, float)) or not 0.0 <= self.rim <= 1.0:
+            raise BadInput(f"rim is {self.rim!r}; expected a share from 0 to 1")
 
     def steps(self, state: OptimizerState) -> Steps:
-        if "rows" not in state.memory and splits(state):
-            yield from SplitSteps(state).steps()
+        split = None if "rows" in state.memory else split_steps(state, self.rim)
+        if split is not None:
+            yield from split.steps()
             return
         if state.piece is None:
             yield from Recipe().first(state, self.passes)

@@ -23,14 +23,17 @@ from vamgpu.operators.ring_projection import RingProjection, against_rings
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.spectral import SpectralProjection, straight_passes
 
+AT_LEAST = 8
+"""Steps that are taken."""
 RIM = 0.1
 """What voxels count that nobody judges."""
 AT_ONCE = 32
 """Columns whose blur is computed at once."""
 SHARES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
 """``base`` over the greatest that A Aᵀ makes of light, from the least on that is safe."""
-MOST, STEPS = 1.15, 8
-"""Times that light may become brighter, and steps that the brightest is looked for."""
+MOST, STEPS, SETTLED = 1.15, 40, 1e-3
+"""Times that light may become brighter, steps that the brightest is looked for at most, and growth of a step, a share,
+below which it counts as found."""
 DARK = 1e-6
 """Share of what the brightest column blurs into itself, up to which a column lights nothing that counts."""
 
@@ -39,30 +42,30 @@ DARK = 1e-6
 class GramInverse:
     """(A Aᵀ + base)⁻¹ for light [angle, r, z], of a projector A whose light is one pose, turned.
 
-    A Aᵀ exposes light and projects its dose, of which voxels beyond the judged cylinder count `RIM`. At even angles it
-    is, on rings, a matrix (columns × columns) for each angular frequency, of which this applies the inverses between
+    A Aᵀ exposes light and projects its dose, of which voxels beyond the judged cylinder count ``rim``. At even angles
+    it is, on rings, a matrix (columns × columns) for each angular frequency, of which this applies the inverses between
     two Fourier transforms; it costs about as much as the products of one projection on rings. What rows of pixels share
     along z counts by its greatest amount, and of several scenarios their sum does. Voxels are no rings: what sharp or
     fine pixels tell apart is more than rings know of. So ``base`` grows until no light is made more than `MOST` times
-    as bright as it was by what A Aᵀ + base and this make of it, measured on two slices; steps by the inverse are then
-    safe.
+    as bright as it was by what A Aᵀ + base and this make of it, as far as power steps on two slices tell.
 
     Args:
         operator: For which `against_gram` has no reason.
         reach: Radius of the judged cylinder, in voxels.
+        rim: What voxels beyond it count, a share.
     """
 
     base: float
     device: Device
 
-    def __init__(self, operator: Any, reach: float) -> None:
+    def __init__(self, operator: Any, reach: float, rim: float = RIM) -> None:
         self.device = operator.device
         members = _members(operator)
-        blur = np.sum([weight * _shared(each) * _blur(each, reach) for weight, each in members], axis=0)
+        blur = np.sum([weight * _shared(each) * _blur(each, reach, rim) for weight, each in members], axis=0)
         angles, columns, rows = operator.range.shape
         wide = -(-columns // ROWS) * ROWS
         self._passes = straight_passes(self.device, angles, wide)
-        thin, greatest = _Thin(members, reach), float(np.linalg.norm(blur[0], 2))
+        thin, greatest = _Thin(members, reach, rim), float(np.linalg.norm(blur[0], 2))
         for share in SHARES:
             self.base = share * greatest
             self._entries = _table(self.device, _inverses(blur, self.base) / np.float32(angles), wide, angles)
@@ -137,7 +140,7 @@ def _members(operator: Any) -> list[tuple[float, Any]]:
     ]
 
 
-def _blur(operator: Projection | RingProjection, reach: float) -> np.ndarray:
+def _blur(operator: Projection | RingProjection, reach: float, rim: float) -> np.ndarray:
     """A Aᵀ for each angular frequency up to half of the angles, complex64 (frequency, column, column)."""
     grid, beam, angles = operator.grid, operator.beam, operator.motion.angles
     columns = beam.pixels[0]
@@ -145,7 +148,7 @@ def _blur(operator: Projection | RingProjection, reach: float) -> np.ndarray:
     shape = replace(beam, pixels=(columns, 2 * AT_ONCE))
     pose = SpectralProjection(rings, shape, operator.vessel, operator.device, square=grid.pitch)
     device, entries = pose.device, pose._entries
-    counted = device.upload(np.broadcast_to(_counted(rings, reach)[:, None], rings.shape).astype(np.float32))
+    counted = device.upload(np.broadcast_to(_counted(rings, reach, rim)[:, None], rings.shape).astype(np.float32))
     spectrum, folded = device.empty(rings.shape), device.empty(pose._folded)
     found = np.empty((angles // 2 + 1, columns, columns), np.complex64)
     for begin in range(0, columns, AT_ONCE):
@@ -171,14 +174,14 @@ def _shared(operator: Projection | RingProjection) -> float:
 class _Thin:
     """A Aᵀ on two slices; what rows share along z is as of the whole."""
 
-    def __init__(self, members: list[tuple[float, Any]], reach: float) -> None:
+    def __init__(self, members: list[tuple[float, Any]], reach: float, rim: float) -> None:
         self._members = []
         for weight, each in members:
             (wide, deep, _), beam = each.grid.shape, replace(each.beam, pixels=(each.beam.pixels[0], 2))
             thin = Projection(replace(each.grid, shape=(wide, deep, 2)), beam, each.motion, each.vessel, each.device)
             self._members.append((weight * _shared(each) / _shared(thin), thin))
         shape = thin.domain.shape
-        counted = np.where(disc(shape[0], shape[1], reach), 1.0, RIM)[:, :, None]
+        counted = np.where(disc(shape[0], shape[1], reach), 1.0, rim)[:, :, None]
         self._counted = thin.device.upload(np.broadcast_to(counted, shape).astype(np.float32))
 
     def most(self, inverse: GramInverse) -> float:
@@ -190,7 +193,7 @@ class _Thin:
         )
         found = device.upload(np.random.default_rng(0).standard_normal(light.shape).astype(np.float32))
         grown = 1.0
-        for _ in range(STEPS):
+        for step in range(STEPS):
             combine(1.0 / sqrt(dot(found, found)), found, 0.0, found, light)
             combine(inverse.base, light, 0.0, light, blurred)
             for weight, each in self._members:
@@ -199,7 +202,9 @@ class _Thin:
                 each(dose, out=part)
                 combine(1.0, blurred, weight, part, blurred)
             inverse(blurred, found)
-            grown = sqrt(dot(found, found))
+            before, grown = grown, sqrt(dot(found, found))
+            if grown > MOST or (step >= AT_LEAST and grown - before < SETTLED * grown):
+                break
         return grown
 
 
@@ -209,10 +214,10 @@ def _rings(grid: Grid, angles: int) -> PolarGrid:
     return PolarGrid(-(-count // ROWS) * ROWS, 2 * AT_ONCE, grid.pitch, angles)
 
 
-def _counted(rings: PolarGrid, reach: float) -> np.ndarray:
+def _counted(rings: PolarGrid, reach: float, rim: float) -> np.ndarray:
     """What a cell counts: its area in voxels, times the samples of its ring, which its transforms leave out."""
     samples = np.concatenate([np.full(b.rings * b.samples, b.samples * rings.angles) for b in rings.belts])
-    return rings.areas * samples * np.where(rings.places[0] <= reach * rings.pitch, 1.0, RIM)
+    return rings.areas * samples * np.where(rings.places[0] <= reach * rings.pitch, 1.0, rim)
 
 
 def _inverses(blur: np.ndarray, base: float) -> np.ndarray:
