@@ -54,7 +54,14 @@ OFF = Truth(inhibitor=0.5, lamp=0.95)
 
 @pytest.fixture(scope="module")
 def nut(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    job, left = _begun(Job, JOB, tmp_path_factory.mktemp("nut"), "nut", (), "report.html")
+    job, left = _begun(
+        Job,
+        JOB.replace("iterations = 20", 'iterations = 20\nmethod = "window"'),
+        tmp_path_factory.mktemp("nut"),
+        "nut",
+        (),
+        "report.html",
+    )
     solve(job, left.folder, overwrite=True)
     return left.folder
 

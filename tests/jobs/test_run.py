@@ -19,7 +19,7 @@ from vamgpu.jobs.run import is_interrupted, prove, solve
 from vamgpu.methods.saved import describe, projection_from
 from vamgpu.storage.folder import Folder
 
-SMALL = ["target.pitch=500 um", "beam.pitch=700 um", "turntable.angles=24", "solve.iterations=3"]
+SMALL = ["target.pitch=500 um", "beam.pitch=700 um", "turntable.angles=24", "solve.iterations=9"]
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_a_job_is_solved_written_and_proven(name: str, tmp_path: Path) -> None:
     assert abs(proven.proof.claimed.window - proven.plan.window) <= 1 / 255  # what eight bits may cost
     assert proven.proof.seconds is not None and proven.proof.seconds > 0
     losses = [step["loss"] for step in proven.plan.history]
-    assert len(losses) == 3 and losses[-1] < losses[0]
+    assert len(losses) == 9 and losses[-1] < losses[0]
     assert proven.plan.papers
 
 

@@ -271,8 +271,6 @@ class _Run:
         if isinstance(state.operator, Scenarios):
             state.operator.rest((False,) * len(state.operator), None)
         light, window, iteration = state.best.choose(state)
-        if "free" in state.memory:  # whose last light was not offered, and is none that a resumed run judges
-            state.best.offer(light, 1.0 - window, window, iteration)
         certify = getattr(self.method, "certify", None)
         bound = None if certify is None else certify(state)
         seconds = (before.seconds if before else 0.0) + time.perf_counter() - self.started

@@ -13,7 +13,6 @@ from vamgpu.kernels.reduce import disc
 from vamgpu.kernels.split import split_dose, split_levels, split_light, split_prices
 from vamgpu.losses.band import Band
 from vamgpu.methods.certificate import Bound, certified
-from vamgpu.methods.limit import MARGIN
 from vamgpu.methods.method import Steps
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import capped, combine
@@ -33,6 +32,8 @@ CLOSE, PASSES = 1e-3, 12
 FIRST, SPACED = 8, 5
 """Steps to the second light that is judged; then a light is judged after another fifth of all steps so far."""
 UNLIMITED = 3e38
+MARGINS, AGREED = (0.01, 0.002), 0.4
+"""Share of the brightness allowed that is left out, at first and at last; steps times it in between."""
 TOLD = 30
 """Steps from which on prices tell how wide a window can be."""
 UNSEEN = Band.thresholds(0.78, 0.95)
@@ -179,7 +180,7 @@ class SplitSteps:
             pull=self.step, over=over,
         )  # fmt: skip
         if state.brightness < inf:
-            memory["raised"] = 0.5 * MARGIN * state.brightness * self.inverse.base * folded(over)
+            memory["raised"] = 0.5 * self._kept_to() * state.brightness * self.inverse.base * folded(over)
         self.inverse(self.step, self.step)
         state.combine(1.0, free, 1.0, self.step, free)
         state.expose(free, state.buffer("held"))
@@ -232,7 +233,11 @@ class SplitSteps:
     def _most(self) -> float:
         """Greatest light of a pixel, by the dose at the threshold that levels have."""
         middle = max(0.5 * (self.memory["least"] + max(self.memory["leak"], 0.0)), 1e-6)
-        return min(MARGIN * self.state.brightness * middle, UNLIMITED)
+        return min(self._kept_to() * self.state.brightness * middle, UNLIMITED)
+
+    def _kept_to(self) -> float:
+        """Share of the brightness allowed that light keeps to: more of it as levels and doses agree."""
+        return 1.0 - min(MARGINS[0], max(MARGINS[1], AGREED / max(self.memory["made"], 1.0)))
 
     def _looked_for(self) -> DeviceArray:
         return combine(2.0, self.memory["held"], 1.0, self.memory["dose owed"], self.pull)
