@@ -66,11 +66,11 @@ def test_every_method_runs_on_every_scan_or_says_why_not(fast_device: vam.Projec
 @pytest.mark.slow
 @pytest.mark.parametrize("scan", ["jittered", "half turn", "unequal times"])
 def test_windows_are_those_of_an_even_turn(scan: str) -> None:
-    """The step is as long as on an even turn, so the default does as well in as many iterations."""
+    """The step is as long as on an even turn, so thresholds do as well in as many iterations."""
     windows = {}
     for name, motion in (("even", vam.Turntable(SCANS[scan].angles)), (scan, SCANS[scan])):
         A = vam.Projection(GRID, BEAM, motion, device="numpy")
-        windows[name] = optimize(A, part(), iterations=15).window
+        windows[name] = optimize(A, part(), "window", iterations=15).window
     assert windows["even"] > 0.1 and windows[scan] > windows["even"] - 0.05
 
 
