@@ -115,6 +115,12 @@ class SplitSteps:
     """
 
     state: OptimizerState
+    memory: dict[str, Any]
+    inverse: GramInverse
+    pull: DeviceArray
+    step: DeviceArray
+    dose: DeviceArray
+    lack: float
 
     def __init__(self, state: OptimizerState, rim: float = RIM) -> None:
         self.state, self.memory = state, state.memory

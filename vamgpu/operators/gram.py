@@ -175,14 +175,15 @@ class _Thin:
     """A Aᵀ on two slices; what rows share along z is as of the whole."""
 
     def __init__(self, members: list[tuple[float, Any]], reach: float, rim: float) -> None:
-        self._members = []
+        self._members: list[tuple[float, Any]] = []
         for weight, each in members:
             (wide, deep, _), beam = each.grid.shape, replace(each.beam, pixels=(each.beam.pixels[0], 2))
             thin = Projection(replace(each.grid, shape=(wide, deep, 2)), beam, each.motion, each.vessel, each.device)
             self._members.append((weight * _shared(each) / _shared(thin), thin))
-        shape = thin.domain.shape
+        first: Projection = self._members[0][1]
+        shape = first.domain.shape
         counted = np.where(disc(shape[0], shape[1], reach), 1.0, rim)[:, :, None]
-        self._counted = thin.device.upload(np.broadcast_to(counted, shape).astype(np.float32))
+        self._counted = first.device.upload(np.broadcast_to(counted, shape).astype(np.float32))
 
     def most(self, inverse: GramInverse) -> float:
         """Times that what A Aᵀ + base and its inverse make of a light is as bright as that, at most."""
