@@ -2,7 +2,8 @@
 
 Source: J. Eckstein, D. P. Bertsekas, Math. Program. 55 (1992) 293. A dose is held to its limits apart from the light
 that makes it, and light to being 0 or more apart from both; what each still owes the other is carried on. Inside is a
-target of at least one half; voxels farther than ``reach`` samples from the axis count neither way.
+target of at least one half. Farther than ``reach`` samples from the axis voids count ``rim`` of the others: nobody
+judges them, but they are to stay dark. What is of the part there counts nothing.
 
 ``owed`` is what a point has still to make up for, less twice what it held: with what is held now, 2·held + owed is
 where the limits are looked for.
