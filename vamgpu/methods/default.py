@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import inf, prod
 from typing import ClassVar
 
-from vamgpu.errors import OutOfMemory
 from vamgpu.methods.certificate import Bound
 from vamgpu.methods.corners import owed
 from vamgpu.methods.method import Criterion, Method, Steps
@@ -59,7 +58,7 @@ class BestWindow(Method):
                 _turn(state)
             yield from split.steps()
             return
-        if undecided and _many(state, corners) and _fits(state):
+        if undecided and _many(state, corners) and state.has_room(VOLUMES, SINOGRAMS):
             memory["priced"] = 1.0
             memory["thresholds until"] = max(state.evaluations, FIRST * corners) if state.brightness == inf else 0.0
             if not corners:
@@ -106,13 +105,3 @@ def _many(state: OptimizerState, corners: int) -> bool:
 def _by_thresholds(state: OptimizerState) -> bool:
     """Whether bodies ask for what thresholds do better."""
     return state.limits is not None and (state.limits.weighted or bool(state.limits.gray.any()))
-
-
-def _fits(state: OptimizerState) -> bool:
-    """Whether the device has the memory for prices."""
-    try:
-        fields = [state.volume() for _ in range(VOLUMES)] + [state.sinogram() for _ in range(SINOGRAMS)]
-    except OutOfMemory:
-        return False
-    del fields
-    return True

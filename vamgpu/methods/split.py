@@ -9,7 +9,6 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, OutOfMemory
-from vamgpu.kernels.reduce import disc
 from vamgpu.kernels.split import split_dose, split_levels, split_light, split_prices
 from vamgpu.losses.band import Band
 from vamgpu.methods.certificate import Bound, certified
@@ -59,15 +58,12 @@ def split_steps(state: OptimizerState, rim: float = RIM) -> SplitSteps | None:
     why = "voxels have limits of their own" if state.limits is not None else why
     if "free" in state.memory and why:
         raise BadInput(f"the plan to resume cannot go on here: {why}; give its light as start")
-    if why:
+    if why or not state.has_room(VOLUMES, SINOGRAMS):
         return None
     try:
-        room = [state.volume() for _ in range(VOLUMES)] + [state.sinogram() for _ in range(SINOGRAMS)]
-        steps = SplitSteps(state, rim)
+        return SplitSteps(state, rim)
     except OutOfMemory:
         return None
-    del room
-    return steps
 
 
 def split_bound(state: OptimizerState) -> Bound | None:
@@ -90,8 +86,7 @@ def _bound(state: OptimizerState) -> Bound:
     operator, device = state.operator, state.device
     rows, columns, wall, cap = state.volume(), state.sinogram(), state.volume(), state.volume()
     operator.T(device.upload(np.ones(columns.shape, np.float32)), out=rows)
-    near = disc(rows.shape[0], rows.shape[1], state.reach)[:, :, None]
-    operator(device.upload(np.broadcast_to(near, rows.shape).astype(np.float32)), out=columns)
+    operator(device.upload(state.near()), out=columns)
     point = {**_point(state), "rim": 0.0}  # no price where nobody judges
     device.launch(split_prices, **point, wall=wall, cap=cap)
     return certified(operator, state.target, state.reach, wall, cap, rows, columns, state.evaluations + 1.0)

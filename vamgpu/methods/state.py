@@ -12,9 +12,10 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, OutOfMemory
 from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.kernels.filter import filter_rows, filtered_step
+from vamgpu.kernels.reduce import disc
 from vamgpu.kernels.update import apply_penalty, fill_background, multiply
 from vamgpu.losses.band import MOST
 from vamgpu.losses.loss import Loss
@@ -86,6 +87,23 @@ class OptimizerState:
     def sinogram(self) -> DeviceArray:
         """An uninitialized sinogram."""
         return self.device.empty(self.operator.range.shape)
+
+    def has_room(self, volumes: int, sinograms: int) -> bool:
+        """Whether the device has the memory for so many more."""
+        try:
+            fields = [self.volume() for _ in range(volumes)] + [self.sinogram() for _ in range(sinograms)]
+        except OutOfMemory:
+            return False
+        del fields
+        return True
+
+    def near(self) -> np.ndarray:
+        """1 for voxels that count, else 0, float32."""
+        if self.piece is not None:
+            return (self.piece.target.numpy() >= 0.0).astype(np.float32)
+        shape = self.target.shape
+        near = disc(shape[0], shape[1], self.reach)[:, :, None]
+        return np.broadcast_to(near, shape).astype(np.float32)
 
     def field(self, values: Any) -> DeviceArray | None:
         """Weights of voxels as a volume on the device; None stays None. Raises `ShapeMismatch`."""

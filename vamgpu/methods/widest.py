@@ -12,7 +12,6 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.kernels.dwell import weigh_poses
-from vamgpu.kernels.reduce import disc
 from vamgpu.kernels.saddle import light_step, limit_step, price_dose, reflect
 from vamgpu.kernels.update import multiply
 from vamgpu.methods.active import ActiveScenarios
@@ -226,7 +225,7 @@ class _Saddle:
         even = self._free(upload(np.ones(light.shape, np.float32)))
         state.operator.T(even, out=rows)  # what every method spends
         if state.piece is not None:
-            state.device.launch(multiply, x=rows, y=upload(_near(state)), out=rows)
+            state.device.launch(multiply, x=rows, y=upload(state.near()), out=rows)
         state.expose(light, held)
         found, greatest = state.window(held)
         if self.gray is not None:
@@ -234,7 +233,7 @@ class _Saddle:
         owed = memory.pop("owed", None)
         if owed is None:
             self.active.begin(held)
-        near = _near(state)
+        near = state.near()
         unit = MEAN_ROW * float(np.count_nonzero(near)) / max(dot(rows, upload(near)), 1e-30)
         state.scale(unit, rows, rows)
         memory["unit"] = unit
@@ -383,13 +382,4 @@ class _Saddle:
 
 def _counted(state: OptimizerState) -> np.ndarray:
     """How many limits a voxel's dose has: 2 in the part, 1 outside, 0 beyond the cylinder that counts."""
-    return _near(state) * (1.0 + (state.target.numpy() >= 0.5)).astype(np.float32)
-
-
-def _near(state: OptimizerState) -> np.ndarray:
-    """1 for voxels that count, else 0, float32."""
-    if state.piece is not None:
-        return (state.piece.target.numpy() >= 0.0).astype(np.float32)
-    shape = state.target.shape
-    near = disc(shape[0], shape[1], state.reach)[:, :, None]
-    return np.broadcast_to(near, shape).astype(np.float32)
+    return state.near() * (1.0 + (state.target.numpy() >= 0.5)).astype(np.float32)

@@ -19,7 +19,7 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import dot
-from vamgpu.operators.ring_projection import RingProjection, against_rings
+from vamgpu.operators.ring_projection import RingProjection, against_rings, against_turns
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.spectral import SpectralProjection, straight_passes
 
@@ -114,15 +114,12 @@ def against_gram(operator: Any) -> str:
     """
     members = operator.operators if isinstance(operator, Scenarios) else (operator,)
     for each in members:
-        motion, grid = getattr(each, "motion", None), getattr(each, "grid", None)
         if isinstance(each, RingProjection):
             continue
-        if not isinstance(each, Projection) or motion is None or grid is None:
+        if not isinstance(each, Projection) or each.footprint != "exact":
             return against_rings(each)
-        if each.footprint != "exact":
-            return f"its footprint is {each.footprint!r}"
-        if not motion.is_even or motion.angles < 2:
-            return f"its angles, {motion}, are not two or more, even over a full turn from 0, each lit as long"
+        if why := against_turns(each.motion):
+            return why
     return ""
 
 

@@ -256,9 +256,22 @@ def pays_on_rings(A: Projection) -> bool:
     return A.device.name.startswith("opencl") and enough and short
 
 
+def against_turns(motion: Turntable) -> str:
+    """Why the light of one pose, turned, is not that of all angles; empty where it is.
+
+    Args:
+        motion: The angles.
+
+    Returns:
+        The reason.
+    """
+    even = motion.is_even and motion.angles >= 2
+    return "" if even else f"its angles, {motion}, are not two or more, even over a full turn from 0, each lit as long"
+
+
 def _against(grid: Grid, motion: Turntable) -> str:
-    if not motion.is_even or motion.angles < 2:
-        return f"its angles, {motion}, are not two or more, even over a full turn from 0, each lit as long"
+    if why := against_turns(motion):
+        return why
     if grid.shape[2] % 2:
         return f"its {grid.shape[2]} slices are not even in number"
     return f"a slice has more than {WHOLE} voxels" if grid.shape[0] * grid.shape[1] > WHOLE else ""
