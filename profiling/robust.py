@@ -59,7 +59,7 @@ def by_rays(plan: vamgpu.Plan, A: vamgpu.Projection, target: Any, off: Tolerance
 
 
 def judged(
-    plan: vamgpu.Plan, A: vamgpu.Projection, target: Any, off: Tolerances, quantile: float
+    plan: vamgpu.Plan, A: vamgpu.Projection, target: Any, off: Tolerances, quantile: float | None
 ) -> dict[str, Any]:  # fmt: skip
     """A light by its own operator and by traced rays from its frames."""
     return {
@@ -128,7 +128,7 @@ def main() -> None:
     parser.add_argument("--method", default="window", help="of both lights")
     parser.add_argument("--iterations", type=int, nargs="+", default=[120], help="each goes on from the one before")
     parser.add_argument("--rings", action="store_true", help="seek light on rings; its bound is still that of rays")
-    parser.add_argument("--quantile", type=float, default=0.99999, help="of lit pixels that full-on ones show")
+    parser.add_argument("--quantile", type=float, default=None, help="of lit pixels that full-on ones show")
     parser.add_argument("--only", choices=("nominal", "robust", "neither"), default=None)
     parser.add_argument("--bound", type=int, default=0, help="evaluations of the robust bound")
     parser.add_argument("--slab", type=int, nargs="+", default=[0], help="slices of each bound; 0 for all")

@@ -30,7 +30,6 @@ def frames(
     angles: int = 360,
     gamma: float = 2.2,
     black: float = 0.002,
-    quantile: float = 0.9999,
 ) -> Picture:
     """Light for the boat packed four ways, for a projector of a gamma and a black level."""
     target = scene.boat(device, 0.6 if quick else pitch)
@@ -38,9 +37,9 @@ def frames(
     plan = optimize(A, target, iterations=4 if quick else 40)
     curve = GrayCurve.gamma(gamma, black)
     packed = {
-        "8 bits": pack(plan, 8, curve, quantile=quantile),
-        "1 bit, error diffusion": pack(plan, 1, GrayCurve.linear(black), quantile=quantile, dither="error-diffusion"),
-        "1 bit, nearest": pack(plan, 1, GrayCurve.linear(black), quantile=quantile),
+        "8 bits": pack(plan, 8, curve),
+        "1 bit, error diffusion": pack(plan, 1, GrayCurve.linear(black), dither="error-diffusion"),
+        "1 bit, nearest": pack(plan, 1, GrayCurve.linear(black)),
         "1 bit, chosen by dose": pack(plan, 1, GrayCurve.linear(black), dither="fit"),
     }
     light = plan.sinogram.numpy()
@@ -70,8 +69,8 @@ def frames(
         Fact("light of a mirror that is off, over full-on", 100 * curve.black, "%", 2),
     )
     caption = (
-        "The light of a plan becomes bytes: a full-on pixel stands for a high quantile of the lit pixels, so that one "
-        "hot pixel does not dim the print; each level is the one whose measured light is nearest, black level too. "
+        "The light of a plan becomes bytes: a full-on pixel stands for the brightest that is not hot; each "
+        "level is the one whose measured light is nearest, black level too. "
         "With one bit a pixel carries its error on to the next angle, so that the dose, which sums over angles, keeps "
         "most of the part, where the nearest bit loses it; chosen by the dose of all pixels together, bits keep nearly "
         "the window of the plan. What that costs is in the table, which judges the dose of the bytes alone, decoded as "

@@ -100,6 +100,29 @@ def greatest(A: vam.Projection) -> float:
     return float(np.linalg.norm(blurred(A, even)) / np.linalg.norm(even))
 
 
+def test_rows_that_light_little_are_weighed(device: Device) -> None:
+    beam = vam.Beam((COLUMNS, 7), 0.1, spread=0.08)
+    A = vam.Projection(vam.Grid((N, N, 3), 0.1), beam, vam.Turntable(ANGLES), None, device)
+    shared = np.zeros((7, 7))  # light of one row that comes back to another
+    for row in range(7):
+        light = np.zeros(A.range.shape, np.float32)
+        light[0, COLUMNS // 2, row] = 1.0
+        shared[:, row] = np.asarray(A(A.T(light))).sum(axis=(0, 1))
+    own = shared.sum(axis=0)
+    assert own[0] < 0.1 * own[3]
+    light = device.upload(np.ones(A.range.shape, np.float32))
+    GramInverse(A, reach_of(A.grid)).weigh_rows(light)
+    wanted = np.where(own > 1e-6 * own.max(), np.linalg.norm(shared, 2) / np.maximum(own, 1e-30), 0.0)
+    np.testing.assert_allclose(light.numpy(), np.broadcast_to(wanted, light.shape), rtol=1e-3)
+
+
+def test_rows_alike_are_not_weighed() -> None:
+    A = projection("numpy", 1)
+    light = A.device.upload(np.full(A.range.shape, 0.5, np.float32))
+    GramInverse(A, reach_of(A.grid)).weigh_rows(light)
+    assert (light.numpy() == 0.5).all()
+
+
 def test_scenarios_add_up() -> None:
     A = projection("numpy")
     scenarios = Tolerances(axis=0.02).scenarios(A)

@@ -263,7 +263,7 @@ def test_two_colors_are_found_written_and_proven_together(tmp_path: Path) -> Non
     light = proven.proof.frames.irradiance(uv.operator.device), uv.frames.irradiance(uv.operator.device)
     dose = proven.proof.operator.T(light[0]).numpy() - uv.operator.T(light[1]).numpy()
     assert np.allclose(proven.proof.dose.numpy(), dose, atol=1e-5 * dose.max())
-    solve(parse_job(HEAD + vial, SMALL), tmp_path / "one.vam")
+    solve(parse_job(f'{HEAD}{vial}[solve]\nmethod = "window"\n', SMALL), tmp_path / "one.vam")
     assert proven.proof.scores.iou > prove(tmp_path / "one.vam", "numpy").proof.scores.iou
     with pytest.raises(BadInput, match=r"\[colors\] got no vessel"):
         solve(parse_job(HEAD + '[colors]\nabsorption = "0.1 1/mm"\n', SMALL), tmp_path / "none.vam")

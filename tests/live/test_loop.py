@@ -35,7 +35,7 @@ def setup() -> tuple[LiveSetup, np.ndarray, np.ndarray]:
     x, y, z = np.meshgrid(*plan.grid.axes(), indexing="ij")
     r = np.hypot(x, y)
     part = ((r < 1.8) & (r > 0.7) & (np.abs(z) < 0.85)).astype(np.float32)
-    light = (np.asarray(optimize(plan, part, iterations=20).sinogram) / PLANNED).astype(np.float32)
+    light = (np.asarray(optimize(plan, part, "window", iterations=20).sinogram) / PLANNED).astype(np.float32)
     return made, part, light
 
 

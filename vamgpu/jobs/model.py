@@ -263,8 +263,9 @@ class FramesSection(Section):
     """How light becomes frames.
 
     bits: of a pixel.  gray: file of the projector's gray curve.  flip_r: mirror columns.  flip_z: mirror rows.
-    shift: columns and rows by which frames are moved.  quantile: of the lit pixels that a full-on pixel shows.
-    dither: round to the nearest level, carry the error on to the next angle, or choose pixels of 1 bit by their dose.
+    shift: columns and rows by which frames are moved.  quantile: of the lit pixels that a full-on pixel shows;
+    by default all but hot ones.  dither: round to the nearest level, carry the error on to the next angle, or choose
+    pixels of 1 bit by their dose.
     """
 
     bits: Literal[1, 8] = 8
@@ -272,7 +273,7 @@ class FramesSection(Section):
     flip_r: bool = False
     flip_z: bool = False
     shift: Annotated[tuple[float, float], Listed] = (0.0, 0.0)
-    quantile: Annotated[float, Field(gt=0, le=1)] = 0.99999
+    quantile: Annotated[float | None, Field(gt=0, le=1)] = None
     dither: Literal["round", "error-diffusion", "fit"] = "round"
 
 

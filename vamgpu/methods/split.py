@@ -37,7 +37,7 @@ TOLD = 30
 """Steps from which on prices tell how wide a window can be."""
 UNSEEN = Band.thresholds(0.78, 0.95)
 """Stands for the loss of the last light, which is chosen by its window."""
-VOLUMES, SINOGRAMS = 8, 10
+VOLUMES, SINOGRAMS = 8, 11
 """Memory that it takes."""
 
 
@@ -153,7 +153,7 @@ class SplitSteps:
             state.scale(1.0, state.buffer("light"), free)
         else:
             state.fill_background(BACKGROUND, self.pull)
-            state.project(self.pull, self.step)
+            self._project()
             self.inverse(self.step, free)
         held = state.volume()
         state.expose(free, held)
@@ -174,7 +174,7 @@ class SplitSteps:
         state, memory, launch = self.state, self.memory, self.state.device.launch
         self._find_levels()
         launch(split_dose, **_point(state), relax=RELAX, pull=self.pull)
-        state.project(self.pull, self.step)
+        self._project()
         free, over = state.buffer("free"), parts_for(split_light, self.step)
         launch(
             split_light, light=free, base=self.inverse.base, relax=RELAX, most=self._most(), owed=memory["light owed"],
@@ -185,6 +185,12 @@ class SplitSteps:
         self.inverse(self.step, self.step)
         state.combine(1.0, free, 1.0, self.step, free)
         state.expose(free, state.buffer("held"))
+
+    def _project(self) -> None:
+        """What is pulled, as light is to move; where light has a greatest, rows count alike, for prices of it do."""
+        self.state.project(self.pull, self.step)
+        if self.state.brightness == inf:
+            self.inverse.weigh_rows(self.step)
 
     def _find_levels(self) -> None:
         """Levels at which the part lacks, and voids leak, as much as they may together: Newton's steps from the last.

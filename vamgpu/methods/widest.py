@@ -60,8 +60,8 @@ class WidestWindow(Method):
     lights that are judged are those of the last. Elsewhere steps are primal-dual: every voxel prices its limit, a dose
     of the part at least, one of voids at most, and 1 at most. Light follows the prices, and prices follow the dose.
     Each pixel and voxel has a step of its own; steps grow as far as they prove safe, go beyond where they lead, and are
-    held back by where their round began. There is nothing to choose. Takes twelve volumes and ten sinograms of memory
-    at most.
+    held back by where their round began. There is nothing to choose. Takes twelve volumes and eleven sinograms of
+    memory at most.
 
     A gray dose has two limits: it keeps half of the window from both ends of its tolerance about the dose midway
     between the part's least and its greatest. The window is then twice what all doses may be off by.

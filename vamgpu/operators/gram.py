@@ -34,6 +34,10 @@ SHARES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
 MOST, STEPS, SETTLED = 1.15, 40, 1e-3
 """Times that light may become brighter, steps that the brightest is looked for at most, and growth of a step, a share,
 below which it counts as found."""
+EVEN = 1e-3
+"""Difference between rows up to which they count alike."""
+FAINT = 1e-8
+"""Share of what the most seen row shares, up to which a row lights nothing."""
 DARK = 1e-6
 """Share of what the brightest column blurs into itself, up to which a column lights nothing that counts."""
 
@@ -45,9 +49,10 @@ class GramInverse:
     A Aᵀ exposes light and projects its dose, of which voxels beyond the judged cylinder count ``rim``. At even angles
     it is, on rings, a matrix (columns × columns) for each angular frequency, of which this applies the inverses between
     two Fourier transforms; it costs about as much as the products of one projection on rings. What rows of pixels share
-    along z counts by its greatest amount, and of several scenarios their sum does. Voxels are no rings: what sharp or
-    fine pixels tell apart is more than rings know of. So ``base`` grows until no light is made more than `MOST` times
-    as bright as it was by what A Aᵀ + base and this make of it, as far as power steps on two slices tell.
+    along z counts by its greatest amount, and of several scenarios their sum does; where rows share less, `weigh_rows`
+    makes up for it. Voxels are no rings: what sharp or fine pixels tell apart is more than rings know of. So ``base``
+    grows until no light is made more than `MOST` times as bright as it was by what A Aᵀ + base and this make of it, as
+    far as power steps on two slices tell.
 
     Args:
         operator: For which `against_gram` has no reason.
@@ -65,6 +70,7 @@ class GramInverse:
         angles, columns, rows = operator.range.shape
         wide = -(-columns // ROWS) * ROWS
         self._passes = straight_passes(self.device, angles, wide)
+        self._weights = _row_weights(members)
         thin, greatest = _Thin(members, reach, rim), float(np.linalg.norm(blur[0], 2))
         for share in SHARES:
             self.base = share * greatest
@@ -73,6 +79,22 @@ class GramInverse:
             if thin.most(self) <= MOST:
                 break
         self._take_room((angles, columns, rows), wide)
+        self._rows: DeviceArray | None = None
+        if np.ptp(self._weights) > EVEN:
+            weights = np.broadcast_to(self._weights, (angles, columns, rows))
+            self._rows = self.device.upload(weights.astype(np.float32))
+
+    def weigh_rows(self, light: DeviceArray) -> None:
+        """Multiply rows of projected dose by the greatest that rows share over what each does, in place.
+
+        Applied to that, the inverse is the one for a ``base`` divided by as much: rows that light the last slices, or
+        those by no more than a tail of the point spread, then move as far as others.
+
+        Args:
+            light: [angle, r, z].
+        """
+        if self._rows is not None:
+            self.device.launch(multiply, x=light, y=self._rows, out=light)
 
     def _take_room(self, light: tuple[int, int, int], wide: int) -> None:
         """Fields to work in for light of a shape."""
@@ -166,6 +188,13 @@ def _blur(operator: Projection | RingProjection, reach: float, rim: float) -> np
 def _shared(operator: Projection | RingProjection) -> float:
     """The greatest that rows make of light along z, there and back."""
     return float(np.linalg.norm(operator.row_weights, 2)) ** 2
+
+
+def _row_weights(members: list[tuple[float, Any]]) -> np.ndarray:
+    """The greatest that rows share over what each does, (rows,); 0 for rows that light nothing."""
+    shared = sum(weight * _shared(each) for weight, each in members)
+    own = np.sum([weight * (each.row_weights.T @ each.row_weights).sum(axis=1) for weight, each in members], axis=0)
+    return np.where(own > FAINT * own.max(), shared / np.maximum(own, FAINT * own.max()), 0.0)
 
 
 class _Thin:

@@ -37,7 +37,7 @@ THIRDS = 3
 NO_FLOOR = -1e30
 
 Packed = Callable[[DeviceArray, float | None, str], Frames]
-"""Frames of light, by the irradiance of a full-on pixel (None: the quantile's) and a name of `DITHERS`."""
+"""Frames of light, by the irradiance of a full-on pixel (None: that of `pack`) and a name of `DITHERS`."""
 
 
 def check_fit(bits: int, shift: tuple[float, float]) -> None:

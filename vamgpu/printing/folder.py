@@ -18,9 +18,6 @@ from vamgpu.printing.placement import FIT, Placement
 from vamgpu.storage.folder import Entry, Folder, write_folder
 from vamgpu.storage.turntable import described, turntable_from
 
-QUANTILE = 0.99999
-"""Of the lit pixels that a full-on one shows, where a folder holds light that nobody has packed yet."""
-
 
 def save_frames(
     path: str | Path,
@@ -91,7 +88,7 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
         details = folder.manifest.details["frames"]
         poses = details.get("turntable")  # folders of earlier versions do not say
         motion = None if poses is None else turntable_from(poses)
-        settings, gray, known = Placement(quantile=QUANTILE), GrayCurve.linear(), {"bits": 8}
+        settings, gray, known = Placement(), GrayCurve.linear(), {"bits": 8}
         if packed or "bits" in details:
             settings = Placement(**{**details["settings"], "shift": tuple(details["settings"]["shift"])})
             known: dict[str, Any] = {key: details[key] for key in ("bits", "scale")}
@@ -106,8 +103,7 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
             return Frames(images, gray=gray, settings=settings, flat_field=flat, motion=motion,
                           columns=details.get("columns"), **known)  # fmt: skip
         source = plan or Solved(sinogram_from(folder, place), None)
-        how = {key: getattr(settings, key) for key in ("flip_r", "flip_z", "shift", "dither")}
-        how |= {"quantile": settings.quantile or 1.0, **known}
+        how = {key: getattr(settings, key) for key in ("flip_r", "flip_z", "shift", "quantile", "dither")} | known
         if settings.dither == FIT:
             how["dither"] = "round"  # the light is what the chosen pixels show
         made = pack(Solved(source.sinogram, None), gray=gray, flat_field=flat, **how)

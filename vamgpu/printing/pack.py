@@ -26,6 +26,8 @@ from vamgpu.printing.frames import Frames, flat_table, flattened
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import FIT, Placement
 
+SPARED, HOT = 0.99999, 2.0
+"""Quantile of the lit pixels, and how many times as bright a pixel is shown at most unless asked for."""
 ROUNDS = (21, 11, 1)
 """Bits dropped in each round of the search for a quantile: ten a round, from the sign of a float32 down."""
 FEW = 120
@@ -62,7 +64,7 @@ def pack(
     flip_r: bool = False,
     flip_z: bool = False,
     shift: tuple[float, float] = (0.0, 0.0),
-    quantile: float = 0.99999,
+    quantile: float | None = None,
     dither: str = "round",
     scale: float | None = None,
 ) -> Frames:
@@ -78,7 +80,8 @@ def pack(
         flip_r, flip_z: Whether columns and rows are mirrored.
         shift: Columns and rows [pixels] by which frames are moved; what is shifted over an edge is lost.
         quantile: A full-on pixel shows this quantile of the lit pixels, and brighter ones are cut to it, at least one
-            of the plan's, so that a hot pixel does not dim the print; 1 cuts none.
+            of the plan's; 1 cuts none. None shows the brightest pixel, or `HOT` times the quantile 0.99999 where that
+            is less, so that a hot pixel does not dim the print.
         dither: "round" to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle
             in the order of the scan, for angles that are lit as long; frames of 1 bit at `FEW` angles or less are
             rounded all the same, with a `PackWarning`, where that gives a dose more like that of the light, up to a
@@ -134,7 +137,7 @@ def pack(
 
 def _fitted(
     plan: Patterns, bits: int, gray: GrayCurve, flat_field: Any, settings: Placement, scale: float | None,
-    quantile: float,
+    quantile: float | None,
 ) -> Frames:  # fmt: skip
     """Frames whose pixels are chosen by their dose."""
     check_fit(bits, settings.shift)
@@ -323,11 +326,15 @@ def ranked(shared: dict[str, Any], rank: Callable[[np.ndarray], int]) -> float:
 
 
 def _quantile(plan: Patterns, settings: Placement, shared: dict[str, Any]) -> float:
-    """The lit pixel that a share of them stays at or below."""
-    found = ranked(shared, lambda counts: _rank(counts, settings.quantile or 1.0, shared))
-    if not found:
+    """The lit pixel that a share of them stays at or below; the brightest where none is given and it is not hot."""
+
+    def found(quantile: float) -> float:
+        return ranked(shared, lambda counts: _rank(counts, quantile, shared))
+
+    chosen = found(settings.quantile or 1.0)
+    if not chosen:
         raise no_light(plan, settings)
-    return found
+    return chosen if settings.quantile else min(chosen, HOT * found(SPARED))
 
 
 def _rank(counts: np.ndarray, quantile: float, shared: dict[str, Any]) -> int:

@@ -18,8 +18,8 @@ class Placement:
 
     flip_r, flip_z: mirror the frames left-right, top-bottom, for optics that mirror them back.  shift: (dr, dz) in
     pixels, whole or not, by which light is moved towards larger r and z before flips, for a projector whose image
-    lies that much short of the axis.  quantile: of the lit pixels, the share a full-on pixel reaches; None where the
-    scale was given.  dither: of `DITHERS`.  Raises `BadInput`.
+    lies that much short of the axis.  quantile: of the lit pixels, the share a full-on pixel reaches; None where
+    none was given.  dither: of `DITHERS`.  Raises `BadInput`.
     """
 
     flip_r: bool = False
