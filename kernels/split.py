@@ -60,14 +60,17 @@ def split_dose(
 
 @kernel(over="light", cpu=CPU, gpu=PARTIAL)
 def split_light(
-    light: Array, base: Real, relax: Real, most: Real, owed: ArrayInOut, pull: ArrayInOut, over: Parts
-) -> None:
-    """pull += base·(the light from 0 to most, gone beyond by ``relax``, less where it was looked for).
+    light: Array, base: Real, relax: Real, dark: Real, most: Real, push: Real, owed: ArrayInOut, pull: ArrayInOut,
+    over: Parts,
+) -> None:  # fmt: skip
+    """pull += base·(the light from dark to most, gone beyond by ``relax``, less where it was looked for).
 
-    owed is renewed, as of `split_dose`.  Σ over: by how much light was looked for above most.
+    Light is first driven to these two ends by ``push`` of how far it is from their middle.  owed is renewed, as of
+    `split_dose`.  Σ over: by how much light was looked for above most.
     """
     bright = 2.0 * light + owed
-    beyond = relax * np.clip(bright, 0.0, most) + (1.0 - relax) * light
+    driven = bright + push * (bright - (0.5 * dark + 0.5 * most))
+    beyond = relax * np.clip(driven, dark, most) + (1.0 - relax) * light
     pull[...] += base * (beyond - bright)
     owed[...] = bright - light - beyond
     over[...] = 0.0

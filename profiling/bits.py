@@ -49,7 +49,7 @@ def parts(device: str) -> Iterator[tuple[str, vam.Grid, Any, tuple[str, ...]]]:
     for name, part in (("cross", near & ((abs(x) < 6) | (abs(y) < 6))), ("holes", holes)):
         yield name, grid, part[:, :, None].astype(np.float32), tuple(METHODS)
     boat = vam.Target.from_mesh(shapes.build("boat"), height=4.4, pitch=PITCH, device=device)
-    yield "boat", boat.grid, boat, ("window",)
+    yield "boat", boat.grid, boat, tuple(METHODS)
 
 
 def rows(device: str, angles: list[int]) -> Iterator[dict[str, Any]]:

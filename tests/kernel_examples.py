@@ -610,7 +610,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "limit_step": lambda n: _partial(n, step=0.7, least=0.6, leak=0.3, loose=0.3, reach=0.4 * n, target=_with_gray),
     "split_levels": lambda n: _partial(n, least=0.8, leak=1.7, reach=0.4 * n, rim=0.3),
     "split_dose": lambda n: _elementwise(n, least=0.8, leak=1.7, relax=1.6, reach=0.4 * n, rim=0.3),
-    "split_light": lambda n: _partial(n, base=0.3, relax=1.6, most=1.2),
+    "split_light": lambda n: _partial(n, base=0.3, relax=1.6, dark=0.1, most=1.2, push=0.3),
     "split_prices": lambda n: _elementwise(n, least=0.8, leak=1.7, reach=0.4 * n, rim=0.3),
     "price_dose": _elementwise,
     "reflect": lambda n: _elementwise(n, share=0.8),

@@ -113,7 +113,7 @@ class SplitSteps:
     memory: dict[str, Any]
     inverse: GramInverse
     pull: DeviceArray
-    step: DeviceArray
+    way: DeviceArray
     dose: DeviceArray
     lack: float
 
@@ -121,7 +121,7 @@ class SplitSteps:
         self.state, self.memory = state, state.memory
         self.memory["rim"] = rim
         self.inverse = GramInverse(state.operator, state.reach, rim)
-        self.pull, self.step, self.dose = state.volume(), state.sinogram(), state.volume()
+        self.pull, self.way, self.dose = state.volume(), state.sinogram(), state.volume()
         scenarios = state.operator
         count = len(scenarios) if isinstance(scenarios, Scenarios) else 1
         self.lack = LACK * float(np.count_nonzero(state.target.numpy() >= 0.5)) / sqrt(count)
@@ -130,10 +130,10 @@ class SplitSteps:
         """The first light, then a step each, as many as evaluations allow."""
         memory, state = self.memory, self.state
         if "free" not in memory:
-            self._begin()
+            self.begin()
         light = state.buffer("light")
         while not memory["made"] or state.affords(1.0):
-            self._step()
+            self.step(most=self._most())
             memory["made"] += 1.0
             combine(1.0, memory["free"], 0.0, memory["free"], light, floor=0.0)
             if state.brightness < inf:
@@ -145,7 +145,7 @@ class SplitSteps:
             yield 1.0 - state.best.window, memory["seen"]
 
     # ---- a run -----------------------------------------------------------------------------------------------
-    def _begin(self) -> None:
+    def begin(self) -> None:
         """Light that undoes the blur of the target, or that of before, with nothing owed."""
         state, memory = self.state, self.memory
         free, started = state.sinogram(), "light" in memory
@@ -154,7 +154,7 @@ class SplitSteps:
         else:
             state.fill_background(BACKGROUND, self.pull)
             self._project()
-            self.inverse(self.step, free)
+            self.inverse(self.way, free)
         held = state.volume()
         state.expose(free, held)
         if started:
@@ -170,27 +170,33 @@ class SplitSteps:
         if state.brightness < inf and started:
             self._offer(free, held, 0)
 
-    def _step(self) -> None:
+    def step(self, dark: float = 0.0, most: float = UNLIMITED, push: float = 0.0) -> None:
+        """Step once.
+
+        Args:
+            dark, most: Between which light of a pixel is to be.
+            push: How far beyond where it is looked for, in parts of its way from their middle.
+        """
         state, memory, launch = self.state, self.memory, self.state.device.launch
         self._find_levels()
         launch(split_dose, **_point(state), relax=RELAX, pull=self.pull)
         self._project()
-        free, over = state.buffer("free"), parts_for(split_light, self.step)
+        free, over = state.buffer("free"), parts_for(split_light, self.way)
         launch(
-            split_light, light=free, base=self.inverse.base, relax=RELAX, most=self._most(), owed=memory["light owed"],
-            pull=self.step, over=over,
+            split_light, light=free, base=self.inverse.base, relax=RELAX, dark=dark, most=most, push=push,
+            owed=memory["light owed"], pull=self.way, over=over,
         )  # fmt: skip
         if state.brightness < inf:
             memory["raised"] = 0.5 * self._kept_to() * state.brightness * self.inverse.base * folded(over)
-        self.inverse(self.step, self.step)
-        state.combine(1.0, free, 1.0, self.step, free)
+        self.inverse(self.way, self.way)
+        state.combine(1.0, free, 1.0, self.way, free)
         state.expose(free, state.buffer("held"))
 
     def _project(self) -> None:
         """What is pulled, as light is to move; where light has a greatest, rows count alike, for prices of it do."""
-        self.state.project(self.pull, self.step)
+        self.state.project(self.pull, self.way)
         if self.state.brightness == inf:
-            self.inverse.weigh_rows(self.step)
+            self.inverse.weigh_rows(self.way)
 
     def _find_levels(self) -> None:
         """Levels at which the part lacks, and voids leak, as much as they may together: Newton's steps from the last.

@@ -1,8 +1,9 @@
 """Frames of 1 bit, chosen pixel by pixel by the dose that all of them make together.
 
-Rounding, and carrying errors on, keep each pixel's own light; a voxel sums that of all angles. Here pixels of a few
-angles at a time are flipped where that brings the dose nearer to what the plan's light gives: direct binary search (M.
-Analoui, J. P. Allebach, Proc. SPIE 1666 (1992) 96), by the voxels that miss the plan's window, with a dose for the eye.
+Rounding, and carrying errors on, keep each pixel's own light; a voxel sums that of all angles. Here light is driven to
+its two ends first, where it can be split (`TwoLevels`). Then pixels of a few angles at a time are flipped where that
+brings the dose nearer to a window: direct binary search (M. Analoui, J. P. Allebach, Proc. SPIE 1666 (1992) 96), by the
+voxels that miss it, with a dose for the eye.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -20,14 +22,20 @@ from vamgpu.errors import BadInput, PackWarning
 from vamgpu.kernels.flip import flip_pixels, price_flips
 from vamgpu.kernels.update import linear
 from vamgpu.methods.part import fractions_of, reach_of
+from vamgpu.methods.two_levels import TwoLevels
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import dot, total, window
 from vamgpu.operators.ring_projection import direct
 from vamgpu.printing.frames import Frames
 
 FULL_ON = (8.0, 4.0, 2.0, 1.0)
-"""Irradiance of full-on pixels to try, over the mean of the light, weighted by itself. Less of it than the brightest
-pixel has lights more pixels, each by less, but light above it is lost: a boat keeps most at 6, a cross at 2."""
+"""Irradiance of full-on pixels to try where light is flipped alone, over its mean, weighted by itself. Less of it than
+the brightest pixel has lights more pixels, each by less, but light above it is lost: a boat keeps most at 6, a cross at
+2."""
+LIT = 0.1
+"""Share of pixels that would be on with the first irradiance that is tried where light settles."""
+AHEAD = 0.01
+"""Dose that either side of a window is to gain in the next sweep, over the peak."""
 SWEEPS = 8
 """How often every pixel is asked, once at each of `FULL_ON`."""
 TOGETHER = 3
@@ -63,13 +71,14 @@ def check_dose(operator: Any, target: Any) -> None:
                        f"without bodies: {other}")  # fmt: skip
 
 
-def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, float]:
-    """Frames of 1 bit whose dose has nearly the window of the plan's light.
+def fitted(plan: Any, packed: Packed, scale: float | None, black: float = 0.0) -> tuple[Frames, float]:
+    """Frames of 1 bit whose dose has nearly the window of the plan's light, or a wider one.
 
     Args:
         plan: With its light, its operator and its target, that `check_dose` takes.
         packed: What makes frames of light.
-        scale: Irradiance of a full-on pixel; None tries those of `FULL_ON`.
+        scale: Irradiance of a full-on pixel; None looks for it.
+        black: Light of a pixel that is off, over that of one that is on.
 
     Returns:
         The frames of the widest strict window, made of the light that they show, and that window; rounded ones, with a
@@ -77,11 +86,17 @@ def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, floa
     """
     A, light = direct(plan.operator), plan.sinogram
     fit = _Fit(A, fractions_of(A, plan.target), light)
-    bright = dot(light, light) / total(light)
-    scales = [share * bright for share in FULL_ON] if scale is None else [scale]
-    frames, lit, window = fit.flipped([packed(light, full, "error-diffusion") for full in scales])
+    found = _Settled(fit, TwoLevels(plan.operator, fit.target, light), packed, black)
+    if found.levels.possible:
+        begun = [found.best(scale)]
+        fit = replace(fit, ahead=AHEAD)
+    else:
+        bright = dot(light, light) / total(light)
+        scales = [share * bright for share in FULL_ON] if scale is None else [scale]
+        begun = [packed(light, full, "error-diffusion") for full in scales]
+    frames, lit, window = fit.flipped(begun)
     rounded = packed(light, scale, "round")
-    plain = fit.window(A.T(rounded.irradiance(A.device)))
+    plain = fit.window_of(rounded)
     if plain >= window:
         warnings.warn(f"at {frames.shape[0]} angles rounding keeps a window of {plain:+.3f}, choosing pixels by their "
                       f"dose {window:+.3f}; the frames are rounded: take more angles, or 8 bits",
@@ -91,12 +106,47 @@ def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, floa
 
 
 @dataclass(frozen=True)
+class _Settled:
+    """Frames whose light was driven to its ends."""
+
+    fit: _Fit
+    levels: TwoLevels
+    packed: Packed
+    black: float
+
+    def best(self, full: float | None) -> Frames:
+        """Those of the widest window; None doubles or halves what a full-on pixel shows for as long as that gains."""
+        if full is not None:
+            return self.at(full)[1]
+        first = total(self.fit.light) / (LIT * prod(self.fit.light.shape))
+        best = self.at(first)
+        for way in (2.0, 0.5):
+            found, factor = best, way
+            while (next_ := self.at(factor * first))[0] > found[0]:
+                found, factor = next_, way * factor
+            if found is not best:
+                return found[1]
+        return best[1]
+
+    def at(self, full: float) -> tuple[float, Frames]:
+        """The widest window with full-on pixels of an irradiance, and its frames."""
+        rounded = self.packed(self.fit.light, full, "round")
+        best = self.fit.window_of(rounded), rounded
+        for light in self.levels.seek(full, self.black * full):
+            frames = self.packed(light, full, "round")
+            window = self.fit.window_of(frames)
+            best = (window, frames) if window > best[0] else best
+        return best
+
+
+@dataclass(frozen=True)
 class _Fit:
-    """What frames are fitted to: the part, and the window of the plan's light."""
+    """What frames are fitted to: the part, and the window of the plan's light or one ``ahead`` of what they have."""
 
     A: Projection
     target: DeviceArray
     light: DeviceArray
+    ahead: float | None = None
 
     @cached_property
     def goal(self) -> dict[str, float]:
@@ -123,6 +173,17 @@ class _Fit:
         lit = self.A.device.upload(np.abs(self.side.numpy()))
         shadow = A(self.A.device.upload((signs * lit.numpy()).astype(np.float32)))
         return dot(shadow, shadow) / total(A(lit))
+
+    def aimed_at(self, dose: DeviceArray) -> dict[str, float]:
+        """What is to become of a dose: the plan's, or a window a little wider than it has."""
+        if self.ahead is None:
+            return self.goal
+        least, leak, most = self._extremes(dose)
+        return {"least": least + self.ahead * most, "leak": leak - self.ahead * most, "most": most}
+
+    def window_of(self, frames: Frames) -> float:
+        """Strict window of the dose of frames."""
+        return self.window(self.A.T(frames.irradiance(self.A.device)))
 
     def window(self, dose: DeviceArray) -> float:
         """Strict window of a dose; −1 where it is dark."""
@@ -179,11 +240,12 @@ class _Flips:
         fit, launch = self.fit, self.device.launch
         prices = {name: self.device.empty(fit.A.domain.shape) for name in ("brighter", "darker")}
         usual = float(self.step[self.step > 0.0].mean()) * fit.share
+        goal = fit.aimed_at(self.dose)
         for group in order:
             A, light = fit.poses[group], self.light[group]
             change = self.device.empty(light.shape)
             for step in self.steps[A.motion.angles]:
-                launch(price_flips, dose=self.dose, side=fit.side, **fit.goal, step=usual, **prices)
+                launch(price_flips, dose=self.dose, side=fit.side, **goal, step=usual, **prices)
                 gains = {name: A(price) for name, price in prices.items()}
                 launch(flip_pixels, **gains, step=step, light=light, change=change)
                 more = A.T(change, out=prices["darker"])

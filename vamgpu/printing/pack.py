@@ -85,9 +85,9 @@ def pack(
         dither: "round" to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle
             in the order of the scan, for angles that are lit as long; frames of 1 bit at `FEW` angles or less are
             rounded all the same, with a `PackWarning`, where that gives a dose more like that of the light, up to a
-            factor. "fit" chooses pixels of 1 bit by the dose of all of them, so that nearly the window of the plan's
-            light is left, and with it how bright a full-on pixel is: for plans of a vial, moved by whole pixels. The
-            frames' ``plan`` is then of the light that they show.
+            factor. "fit" chooses pixels of 1 bit by the dose of all of them, so that the widest window is left that it
+            finds, and with it how bright a full-on pixel is: for plans of a vial, moved by whole pixels. The frames'
+            ``plan`` is then of the light that they show.
         scale: Irradiance of a full-on pixel, in place of the quantile.
 
     Returns:
@@ -148,7 +148,7 @@ def _fitted(
             dither, full,
         )  # fmt: skip
 
-    frames, window = fitted(plan, packed, scale)
+    frames, window = fitted(plan, packed, scale, gray.black)
     light, motion = frames.irradiance(plan.sinogram.device), getattr(plan.operator, "motion", None)
     return replace(frames, settings=settings, motion=motion, packed=(frames.images, _showing(plan, light, window)))
 

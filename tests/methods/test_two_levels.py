@@ -1,0 +1,61 @@
+"""Light of two levels: what driving it to its ends keeps, beside rounding, judged by the float64 reference."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pytest
+
+import vamgpu as vam
+from vamgpu.backend.device import Device
+from vamgpu.methods.part import fractions_of
+from vamgpu.methods.two_levels import TwoLevels
+from vamgpu.metrics import score
+
+N, PITCH, ANGLES = 24, 0.1, 90
+
+
+def ring() -> np.ndarray:
+    x, y = np.meshgrid(*2 * [np.arange(N) - 0.5 * (N - 1)], indexing="ij")
+    r = np.hypot(x, y)
+    return ((r < 8.5) & (r > 4.5))[:, :, None].astype(np.float32)
+
+
+def projection(device: Device | str, footprint: Literal["exact", "joseph"] = "exact") -> vam.Projection:
+    grid, beam = vam.Grid((N, N, 1), PITCH), vam.Beam((34, 1), PITCH)
+    return vam.Projection(grid, beam, vam.Turntable(ANGLES), None, device, footprint=footprint)
+
+
+def judged(light: np.ndarray) -> float:
+    exact = projection("numpy")
+    return float(score(exact.T(exact.device.upload(light.astype(np.float32))), exact.device.upload(ring())).window)
+
+
+@pytest.mark.parametrize("black", [0.0, 0.02])
+def test_light_comes_to_have_two_levels_that_print(fast_device: Device, black: float) -> None:
+    A = projection(fast_device)
+    plan = vam.optimize(A, ring(), evaluations=40, progress=False)
+    light = plan.sinogram.numpy()
+    full = 5.0 * float(light.mean())
+    levels = TwoLevels(A, fractions_of(A, plan.target), plan.sinogram)
+    apart, windows = [], []
+
+    def rounded(found: np.ndarray) -> np.ndarray:
+        return np.where(found > 0.5 * (1.0 + black) * full, full, black * full)
+
+    for found in levels.seek(full, black * full):
+        values = np.clip(found.numpy(), black * full, full)
+        apart.append(float(np.abs(values - rounded(values)).mean() / full))
+        windows.append(judged(rounded(values)))
+    assert levels.possible and apart[-1] < 0.03 < 2 * 0.03 < apart[0], "it is driven to its ends"
+    assert max(windows) > max(0.6 * plan.window, judged(rounded(light)) + 0.05)
+    again = [judged(rounded(found.numpy())) for found in levels.seek(full, black * full)]
+    assert again == pytest.approx(windows, abs=1e-3), "a search leaves nothing behind"
+    assert np.array_equal(plan.sinogram.numpy(), light)
+
+
+def test_light_that_cannot_be_split_is_told() -> None:
+    A = projection("numpy", footprint="joseph")
+    levels = TwoLevels(A, A.device.upload(ring()), A.device.upload(np.ones(A.range.shape, np.float32)))
+    assert not levels.possible and not list(levels.seek(1.0))
