@@ -44,23 +44,34 @@ FIELD_KERNEL split_dose(ARRAY held, ARRAY target, float least, float leak, float
 #endif
 
 #ifdef COMPILE_split_light
-FIELD_KERNEL split_light(ARRAY light, float base, float relax, float dark, float most, float push,
-                         __global float *restrict owed, __global float *restrict pull, __global float *restrict over,
-                         SIZES, int n_part) {
+FIELD_KERNEL split_light(ARRAY light, float base, float relax, float most, __global float *restrict owed,
+                         __global float *restrict pull, __global float *restrict over, SIZES, int n_part) {
     const int part = part_index(n_i, n_j, n_z);
     if (part < 0 || part >= n_part) return;
-    const float middle = 0.5f * dark + 0.5f * most;
     Vector sum[VECTORS];
     EACH_VECTOR sum[v] = ZERO;
     EACH_VECTOR_AT {
         const Vector own = LOAD(light + at), bright = 2.0f * own + LOAD(owed + at);
-        const Vector lit = fmin((Vector)(most), fmax((Vector)(dark), bright + push * (bright - middle)));
-        const Vector beyond = relax * MASKED(REAL_LANES, lit) + (1.0f - relax) * own;
+        const Vector beyond = relax * fmin((Vector)(most), fmax(ZERO, bright)) + (1.0f - relax) * own;
         STORE(pull + at, LOAD(pull + at) + base * (beyond - bright));
         STORE(owed + at, bright - own - beyond);
         sum[v] += MASKED(REAL_LANES, fmax(ZERO, bright - most));
     }
     over[part] = sum_of(sum);
+}
+#endif
+
+#ifdef COMPILE_split_two_levels
+FIELD_KERNEL split_two_levels(ARRAY light, ARRAY white, float push, float base, float relax,
+                              __global float *owed, __global float *pull, SIZES) {
+    if (!MINE) return;
+    EACH_VECTOR_AT {
+        const Vector own = LOAD(light + at), bright = 2.0f * own + LOAD(owed + at), most = LOAD(white + at);
+        const Vector driven = bright + push * (bright - 0.5f * most);
+        const Vector beyond = relax * fmin(most, fmax(ZERO, driven)) + (1.0f - relax) * own;
+        STORE(pull + at, LOAD(pull + at) + base * (beyond - bright));
+        STORE(owed + at, bright - own - beyond);
+    }
 }
 #endif
 

@@ -60,21 +60,30 @@ def split_dose(
 
 @kernel(over="light", cpu=CPU, gpu=PARTIAL)
 def split_light(
-    light: Array, base: Real, relax: Real, dark: Real, most: Real, push: Real, owed: ArrayInOut, pull: ArrayInOut,
-    over: Parts,
-) -> None:  # fmt: skip
-    """pull += base·(the light from dark to most, gone beyond by ``relax``, less where it was looked for).
+    light: Array, base: Real, relax: Real, most: Real, owed: ArrayInOut, pull: ArrayInOut, over: Parts
+) -> None:
+    """pull += base·(the light from 0 to most, gone beyond by ``relax``, less where it was looked for).
 
-    Light is first driven to these two ends by ``push`` of how far it is from their middle.  owed is renewed, as of
-    `split_dose`.  Σ over: by how much light was looked for above most.
+    owed is renewed, as of `split_dose`.  Σ over: by how much light was looked for above most.
     """
     bright = 2.0 * light + owed
-    driven = bright + push * (bright - (0.5 * dark + 0.5 * most))
-    beyond = relax * np.clip(driven, dark, most) + (1.0 - relax) * light
+    beyond = relax * np.clip(bright, 0.0, most) + (1.0 - relax) * light
     pull[...] += base * (beyond - bright)
     owed[...] = bright - light - beyond
     over[...] = 0.0
     over[0] = np.maximum(bright - most, 0.0).sum()
+
+
+@kernel(over="light", cpu=CPU, gpu=GPU)
+def split_two_levels(
+    light: Array, white: Array, push: Real, base: Real, relax: Real, owed: ArrayInOut, pull: ArrayInOut
+) -> None:
+    """`split_light` from 0 to white, driven to these ends by push times the way from their middle."""
+    bright = 2.0 * light + owed
+    driven = bright + push * (bright - 0.5 * white)
+    beyond = relax * np.clip(driven, 0.0, white) + (1.0 - relax) * light
+    pull[...] += base * (beyond - bright)
+    owed[...] = bright - light - beyond
 
 
 @kernel(over="wall", cpu=CPU, gpu=GPU)

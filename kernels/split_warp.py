@@ -77,25 +77,42 @@ def split_dose(
 
 @wp.kernel
 def split_light(
-    light: Vectors, base: float, relax: float, dark: float, most: float, push: float, owed: Vectors, pull: Vectors,
-    over: wp.array[float], n_i: int, n_j: int, n_z: int, n_part: int,
+    light: Vectors, base: float, relax: float, most: float, owed: Vectors, pull: Vectors, over: wp.array[float],
+    n_i: int, n_j: int, n_z: int, n_part: int,
 ) -> None:  # fmt: skip
     slab, tile, j, lane = wp.tid()
     count = real_lanes(slab, lane, light.shape[3], n_z)
-    middle = 0.5 * dark + 0.5 * most
     total = float(0.0)
     for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_i)):
         own = light[slab, i, j, lane]
         bright = 2.0 * own + owed[slab, i, j, lane]
-        lit = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        lit = bright
         for k in range(4):
+            lit[k] = wp.min(most, wp.max(0.0, bright[k]))
             if k < count:
-                lit[k] = wp.min(most, wp.max(dark, bright[k] + push * (bright[k] - middle)))
                 total += wp.max(0.0, bright[k] - most)
         beyond = relax * lit + (1.0 - relax) * own
         pull[slab, i, j, lane] = pull[slab, i, j, lane] + base * (beyond - bright)
         owed[slab, i, j, lane] = bright - own - beyond
     over[part_index(slab, tile, j, lane, n_i, n_j, light.shape[3])] = total
+
+
+@wp.kernel
+def split_two_levels(
+    light: Vectors, white: Vectors, push: float, base: float, relax: float, owed: Vectors, pull: Vectors,
+    n_i: int, n_j: int, n_z: int,
+) -> None:  # fmt: skip
+    slab, i, j, lane = wp.tid()
+    own = light[slab, i, j, lane]
+    most = white[slab, i, j, lane]
+    bright = 2.0 * own + owed[slab, i, j, lane]
+    driven = bright + push * (bright - 0.5 * most)
+    lit = driven
+    for k in range(4):
+        lit[k] = wp.min(most[k], wp.max(0.0, driven[k]))
+    beyond = relax * lit + (1.0 - relax) * own
+    pull[slab, i, j, lane] = pull[slab, i, j, lane] + base * (beyond - bright)
+    owed[slab, i, j, lane] = bright - own - beyond
 
 
 @wp.kernel

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from common import HERE, benchy, machine, write_record
+from slices import ANGLES, PITCH, SIDE, WIDE, slices
 
 import vamgpu
 from vamgpu.errors import Diverged, DivergenceWarning
@@ -31,32 +32,17 @@ from vamgpu.units import mJ_cm3, mW_cm2
 
 LAMP: dict[str, Any] = {"irradiance": 65 * mW_cm2, "critical_dose": 50 * mJ_cm3, "absorption": 0.1}
 BUDGETS = (10, 40, 120, 400)
-PITCH, ANGLES, SIZE = 0.1, 60, 32
+SIZE = 32
 REFERENCED = 100_000
 """Voxels up to which the float64 reference exposes light; of more the proved window alone counts."""
 SHAPES = ("boat", "gyroid_sphere", "cubic_lattice", "crossing_channels", "gear_base")
-
-
-def slices() -> dict[str, np.ndarray]:
-    """Fractions [x, y, 1] of five parts."""
-    x, y = np.meshgrid(*2 * [np.arange(40) - 19.5], indexing="ij")
-    r, t = np.hypot(x, y), np.arctan2(y, x)
-    hole = [(np.mod(side + 12, 8) > 3) & (np.mod(side + 12, 8) < 6) for side in (x, y)]
-    parts = {
-        "ring": (r < 14) & (r > 9),
-        "gear": (r < 12 + 2.5 * np.sign(np.cos(8 * t))) & (r > 4),
-        "cross": ((abs(x) < 3) | (abs(y) < 3)) & (r < 15),
-        "plate with holes": (abs(x) < 12) & (abs(y) < 12) & ~(hole[0] & hole[1]),
-        "bars": (abs(x) < 13) & (abs(y) < 13) & (np.mod(x + 13, 5) < 2.6),
-    }
-    return {name: part[:, :, None].astype(np.float32) for name, part in parts.items()}
 
 
 def parts(device: Any, size: int) -> dict[str, tuple[vamgpu.Projection, np.ndarray]]:
     """Operators and fractions of all ten."""
     found = {}
     for name, fractions in slices().items():
-        grid, beam = vamgpu.Grid((40, 40, 1), PITCH), vamgpu.Beam((58, 1), PITCH)
+        grid, beam = vamgpu.Grid((SIDE, SIDE, 1), PITCH), vamgpu.Beam((WIDE, 1), PITCH)
         found[name] = (vamgpu.Projection(grid, beam, vamgpu.Turntable(ANGLES), None, device), fractions)
     for name in SHAPES:
         solid = shapes.build(name)

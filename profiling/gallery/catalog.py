@@ -29,6 +29,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "voxels": "Voxels that are partly filled",
         "lattices": "Periodic solids, and one wound from film",
         "optimizers": "Every optimizer on one part",
+        "optimum": "Optimum and certificate",
         "robust": "Light that prints although the machine is off",
         "sooner": "Window against time",
         "recipe": "The recipe of automatic exposure, step by step",

@@ -38,7 +38,7 @@ def robust(
     for row, (name, tolerances) in zip(("abc", "def"), (("nominal", None), ("robust", off)), strict=True):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ToleranceWarning)
-            plan = optimize(A, target, "window", steps, tolerances=tolerances, progress=False)
+            plan = optimize(A, target, iterations=steps, tolerances=tolerances, progress=False)
         shone = pack(plan)
         found = prove_corners(A, shone, target, off)
         threshold = 0.5 * (found.darkest.least + found.leakiest.leak)

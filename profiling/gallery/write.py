@@ -43,7 +43,10 @@ def markdown(picture: Picture, name: str, device: str = "", values: dict[str, An
         parts.append(_table(picture.table))
     if picture.papers:
         parts.append("Relies on:\n\n" + "\n".join(f"- {paper}" for paper in picture.papers))
-    chosen = ", ".join(f"{key} = {value:g}" for key, value in (parameters(name) | (values or {})).items())
+    chosen = ", ".join(
+        f"{key} = {value}" if isinstance(value, str) else f"{key} = {value:g}"
+        for key, value in (parameters(name) | (values or {})).items()
+    )
     where = f" on `{device}`" if device else ""
     command = f"python -m profiling.gallery {name}"
     parts.append(_filled(f"Made by `{command}`{where}, with {chosen}. Lengths in mm, absorption in 1/mm."))

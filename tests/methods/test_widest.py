@@ -12,9 +12,9 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, OutOfMemory
 from vamgpu.geometry import Beam, Grid, Turntable
-from vamgpu.methods import METHODS, WidestWindow, bound, optimize
+from vamgpu.methods import METHODS, WidestWindow, bound, optimize, split
 from vamgpu.operators.projection import Projection
 
 SIZE, PITCH = 20, 0.2
@@ -172,6 +172,36 @@ def test_elsewhere_the_default_takes_thresholds_for_few_evaluations_and_goes_on_
     assert many.window > 1.2 * kept.window and many.bound is not None
     assert optimize(A, target, evaluations=241, resume=many).evaluations == 241
     assert bound(A, target, few, evaluations=80).value < 1.0
+
+
+def test_resin_above_and_below_the_part_stays_dark(fast_device: Device) -> None:
+    """Rows beside the volume light it by a tail of the point spread, and what lies above and below by more."""
+    deep, rows = 6, 14
+    solid = np.repeat(part("cross")[:, :, None], deep, axis=2).astype(np.float32)
+    low, high = (
+        Projection(Grid((SIZE, SIZE, z), 0.1), Beam((30, rows), 0.1, spread=0.08), Turntable(40), None, fast_device)
+        for z in (deep, 14)
+    )
+    plan = optimize(low, solid, evaluations=60)
+    dose = np.asarray(high.T(plan.sinogram))
+    inner = dose[:, :, 4 : 4 + deep]
+    np.testing.assert_allclose(inner, np.asarray(plan.dose()), atol=1e-4)
+    threshold = 0.5 * (inner[solid > 0].min() + inner[(solid == 0) & low.grid.cylinder()[:, :, None]].max())
+    assert plan.window > 0.1
+    assert dose[:, :, 5 + deep :].max() < threshold and dose[:, :, :3].max() < threshold
+
+
+def test_a_run_that_goes_on_needs_the_memory_it_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    A, ring = operator("numpy"), part("ring")[:, :, None].astype(np.float32)
+    plan = optimize(A, ring, "widest", iterations=3)
+
+    def full(*_: Any) -> None:
+        raise OutOfMemory("no room")
+
+    monkeypatch.setattr(split, "SplitSteps", full)
+    with pytest.raises(OutOfMemory, match="no room"):
+        optimize(A, ring, "widest", iterations=5, resume=plan)
+    assert "free" not in optimize(A, ring, "widest", iterations=3).state, "a run that begins goes another way"
 
 
 def test_the_example_of_the_documents_runs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 import vamgpu as vam
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, PackWarning
+from vamgpu.errors import BadInput, NoLight, OutOfMemory, PackWarning
 from vamgpu.printing import fit
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.gray import GrayCurve
@@ -67,6 +67,33 @@ def test_any_projector_will_do(plan: vam.Plan, case: dict[str, Any]) -> None:
     assert proved(plan, fitted) > max(proved(plan, diffused), 0.0) + 0.05
     again = vam.pack(Solved(fitted.plan.sinogram, None), 1, scale=fitted.scale, **case)
     assert np.array_equal(again.levels(), fitted.levels())
+
+
+def test_light_is_driven_to_its_ends_before_pixels_are_flipped(plan: vam.Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> None:
+        raise OutOfMemory("no room")
+
+    driven = vam.pack(plan, 1, dither="fit")
+    monkeypatch.setattr(fit, "LIT", 0.8)  # dim pixels to begin with
+    dim = vam.pack(plan, 1, dither="fit")
+    assert proved(plan, dim) > proved(plan, driven) - 0.03 and dim.scale > 0.6 * driven.scale
+    monkeypatch.setattr(fit, "TwoLevels", full)
+    assert proved(plan, driven) > proved(plan, vam.pack(plan, 1, dither="fit")) + 0.05
+
+
+def test_light_that_frames_lose_is_not_counted_on(plan: vam.Plan) -> None:
+    """Columns that are shifted off show nothing; the others make up for them."""
+    whole, moved = (vam.pack(plan, 1, dither="fit", shift=(by, 0.0)) for by in (0.0, 9.0))
+    assert proved(plan, moved) > proved(plan, whole) - 0.04
+
+
+@pytest.mark.parametrize("scale", [None, 1.0])
+def test_dark_light_is_told(plan: vam.Plan, scale: float | None) -> None:
+    dark = replace(plan, sinogram=plan.operator.device.upload(np.zeros(plan.operator.range.shape, np.float32)))
+    with pytest.raises(NoLight, match="dark everywhere"):
+        vam.pack(dark, 1, dither="fit", scale=scale)
+    with pytest.raises(NoLight, match="shift"):
+        vam.pack(plan, 1, dither="fit", scale=scale, shift=(100.0, 0.0))
 
 
 def test_devices_agree(fast_device: Device) -> None:

@@ -12,7 +12,7 @@ import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, NoLight, ShapeMismatch
 from vamgpu.printing.gray import GrayCurve
-from vamgpu.printing.pack import pack
+from vamgpu.printing.pack import Solved, pack
 
 SHAPE = (24, 21, 35)
 
@@ -115,6 +115,15 @@ def test_a_hot_pixel_does_not_dim_the_print(device: Device, shift: tuple[float, 
     assert hot.levels()[7, 35 - 1 - 9, 8] == 255
     shown, wanted = (np.delete(frames.levels() * frames.scale / 255, 7, axis=0) for frames in (hot, calm))
     assert np.abs(np.minimum(shown, calm.scale) - wanted).max() <= 1.01 * hot.scale / 255
+
+
+@pytest.mark.parametrize(("hot", "scale"), [(2, 2.0), (10, 1000.0)])
+def test_few_pixels_are_hot(fast_device: Device, hot: int, scale: float) -> None:
+    """Of 262,144, one in a hundred thousand is three."""
+    light = np.ones((64, 64, 64), np.float32)
+    light[0, 0, :hot] = 1000.0
+    A = vam.Projection(vam.Grid((64, 64, 64), 0.1), vam.Beam((64, 64), 0.1), vam.Turntable(64), None, fast_device)
+    assert pack(Solved(fast_device.upload(light), A)).scale == pytest.approx(scale)
 
 
 def test_the_scale_is_the_quantile_of_the_lit_pixels(device: Device) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import ceil, inf, sqrt
 from typing import Any
 
@@ -53,16 +54,20 @@ def split_steps(state: OptimizerState, rim: float = RIM) -> SplitSteps | None:
 
     Raises:
         BadInput: A run that stepped so goes on with an operator or a target for which it cannot.
+        OutOfMemory: It goes on where the device is too small.
     """
     why = "light is decided in part" if state.piece is not None else against_gram(state.operator)
     why = "voxels have limits of their own" if state.limits is not None else why
     if "free" in state.memory and why:
         raise BadInput(f"the plan to resume cannot go on here: {why}; give its light as start")
-    if why or not state.has_room(VOLUMES, SINOGRAMS):
+    begun = "free" in state.memory
+    if why or not (begun or state.has_room(VOLUMES, SINOGRAMS)):
         return None
     try:
         return SplitSteps(state, rim)
     except OutOfMemory:
+        if begun:
+            raise
         return None
 
 
@@ -124,7 +129,7 @@ class SplitSteps:
         self.pull, self.way, self.dose = state.volume(), state.sinogram(), state.volume()
         scenarios = state.operator
         count = len(scenarios) if isinstance(scenarios, Scenarios) else 1
-        self.lack = LACK * float(np.count_nonzero(state.target.numpy() >= 0.5)) / sqrt(count)
+        self.lack = LACK * float(np.count_nonzero(state.near() * state.target.numpy() >= 0.5)) / sqrt(count)
 
     def steps(self) -> Steps:
         """The first light, then a step each, as many as evaluations allow."""
@@ -133,7 +138,7 @@ class SplitSteps:
             self.begin()
         light = state.buffer("light")
         while not memory["made"] or state.affords(1.0):
-            self.step(most=self._most())
+            self.step()
             memory["made"] += 1.0
             combine(1.0, memory["free"], 0.0, memory["free"], light, floor=0.0)
             if state.brightness < inf:
@@ -170,32 +175,38 @@ class SplitSteps:
         if state.brightness < inf and started:
             self._offer(free, held, 0)
 
-    def step(self, dark: float = 0.0, most: float = UNLIMITED, push: float = 0.0) -> None:
+    def step(self, hold: Callable[..., None] | None = None) -> None:
         """Step once.
 
         Args:
-            dark, most: Between which light of a pixel is to be.
-            push: How far beyond where it is looked for, in parts of its way from their middle.
+            hold: Holds light to limits in place of 0 or more: launches a kernel like `split_light`, given light, base,
+                relax, owed and pull.
         """
         state, memory, launch = self.state, self.memory, self.state.device.launch
         self._find_levels()
         launch(split_dose, **_point(state), relax=RELAX, pull=self.pull)
         self._project()
-        free, over = state.buffer("free"), parts_for(split_light, self.way)
-        launch(
-            split_light, light=free, base=self.inverse.base, relax=RELAX, dark=dark, most=most, push=push,
-            owed=memory["light owed"], pull=self.way, over=over,
-        )  # fmt: skip
-        if state.brightness < inf:
-            memory["raised"] = 0.5 * self._kept_to() * state.brightness * self.inverse.base * folded(over)
+        free = state.buffer("free")
+        (hold or self._hold)(light=free, base=self.inverse.base, relax=RELAX, owed=memory["light owed"], pull=self.way)
         self.inverse(self.way, self.way)
         state.combine(1.0, free, 1.0, self.way, free)
         state.expose(free, state.buffer("held"))
 
+    def _hold(self, **step: Any) -> None:
+        """Hold light to 0 or more, and to its greatest, of which the worth is told."""
+        state, over = self.state, parts_for(split_light, self.way)
+        state.device.launch(split_light, **step, most=self._most(), over=over)
+        if state.brightness < inf:
+            self.memory["raised"] = 0.5 * self._kept_to() * state.brightness * self.inverse.base * folded(over)
+
     def _project(self) -> None:
-        """What is pulled, as light is to move; where light has a greatest, rows count alike, for prices of it do."""
+        """What is pulled, as light is to move.
+
+        Rows beside the volume move as far as others for a bound alone: they would get bright, and nobody holds the
+        resin dark that they light above and below. Where light has a greatest, rows count alike, for prices of it do.
+        """
         self.state.project(self.pull, self.way)
-        if self.state.brightness == inf:
+        if self.memory["rim"] == 0.0 and self.state.brightness == inf:
             self.inverse.weigh_rows(self.way)
 
     def _find_levels(self) -> None:

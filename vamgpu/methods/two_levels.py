@@ -1,28 +1,27 @@
 """Light of two levels with a wide window: splitting steps whose light is driven to its ends.
 
-Light is held between its levels at a price that is concave, which pushes it away from their middle. (R. Takapoui, N.
-Moehle, S. Boyd, A. Bemporad, Int. J. Control 93 (2020) 2, round in its place, from the first step on.) What a pixel
+Light is held between its levels at a price that is concave, which pushes it away from their middle; R. Takapoui, N.
+Moehle, S. Boyd, A. Bemporad, Int. J. Control 93 (2020) 2, take the nearer level itself in every step. What a pixel
 loses by the push all others make up for in the same step, and the push grows as long as they can.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.kernels.split import split_two_levels
 from vamgpu.methods.projector import Projector
 from vamgpu.methods.split import split_steps
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import extent
 
-PUSH = (0.01, 0.3)
-"""Of the first rising step and of the last, over the distance from the middle."""
-OFTEN = 5
-"""Steps between lights that are worth a look."""
-
-CALM, RISING = 40, 100
-"""Steps without a push, in which light gets used to its greatest, and steps in which it grows."""
+PUSH = (0.005, 0.3)
+"""Of the first step and of the last, over the distance from the middle."""
+STEPS, OFTEN = 120, 5
+"""Steps in all, and from one light that is worth a look to the next."""
 
 
 class TwoLevels:
@@ -41,26 +40,29 @@ class TwoLevels:
         self._run = split_steps(self._state)
         self.possible = self._run is not None
 
-    def seek(self, full: float, black: float = 0.0) -> Iterator[DeviceArray]:
+    def seek(self, white: DeviceArray) -> Iterator[DeviceArray]:
         """Drive light to its ends.
 
         Args:
-            full, black: Its two levels.
+            white: Light of every pixel that is on [angle, r, z]; one that is off counts as dark.
 
         Yields:
             Light to be rounded to the nearer level, for the window of that; it is the next one's room. Nothing where
             light cannot be split (`possible`).
+
+        Raises:
+            OutOfMemory: The device is too small.
         """
         state, run = self._state, self._run
         if run is None:
             return
         state.memory["light"] = self._light
         run.begin()
-        free, owed, shown = state.buffer("free"), state.buffer("light owed"), state.sinogram()
+        free, owed, shown, levels = state.buffer("free"), state.buffer("light owed"), state.sinogram(), state.sinogram()
         unit = extent(self._light)[1] / extent(free)[1]
-        for step in range(1, CALM + RISING + 1):
-            risen = (step - CALM) / RISING
-            push = PUSH[0] * (PUSH[1] / PUSH[0]) ** risen if risen > 0.0 else 0.0
-            run.step(black / unit, full / unit, push)
-            if risen > 0.0 and step % OFTEN == 0:
+        state.scale(1.0 / unit, white, levels)
+        for step in range(1, STEPS + 1):
+            push = PUSH[0] * (PUSH[1] / PUSH[0]) ** (step / STEPS)
+            run.step(partial(state.device.launch, split_two_levels, white=levels, push=push))
+            if step % OFTEN == 0:
                 yield combine(2.0 * unit, free, unit, owed, shown, floor=0.0)

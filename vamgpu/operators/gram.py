@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from math import ceil, hypot, sqrt
 from typing import Any, final
 
@@ -72,17 +73,14 @@ class GramInverse:
         self._passes = straight_passes(self.device, angles, wide)
         self._weights = _row_weights(members)
         thin, greatest = _Thin(members, reach, rim), float(np.linalg.norm(blur[0], 2))
+        self._take_room((angles, columns, 2), wide)
         for share in SHARES:
             self.base = share * greatest
             self._entries = _table(self.device, _inverses(blur, self.base) / np.float32(angles), wide, angles)
-            self._take_room((angles, columns, 2), wide)
             if thin.most(self) <= MOST:
                 break
         self._take_room((angles, columns, rows), wide)
-        self._rows: DeviceArray | None = None
-        if np.ptp(self._weights) > EVEN:
-            weights = np.broadcast_to(self._weights, (angles, columns, rows))
-            self._rows = self.device.upload(weights.astype(np.float32))
+        self._shape = (angles, columns, rows)
 
     def weigh_rows(self, light: DeviceArray) -> None:
         """Multiply rows of projected dose by the greatest that rows share over what each does, in place.
@@ -93,8 +91,12 @@ class GramInverse:
         Args:
             light: [angle, r, z].
         """
-        if self._rows is not None:
+        if np.ptp(self._weights) > EVEN:
             self.device.launch(multiply, x=light, y=self._rows, out=light)
+
+    @cached_property
+    def _rows(self) -> DeviceArray:
+        return self.device.upload(np.broadcast_to(self._weights, self._shape).astype(np.float32))
 
     def _take_room(self, light: tuple[int, int, int], wide: int) -> None:
         """Fields to work in for light of a shape."""
@@ -222,7 +224,7 @@ class _Thin:
         grown = 1.0
         for step in range(STEPS):
             combine(1.0 / sqrt(dot(found, found)), found, 0.0, found, light)
-            combine(inverse.base, light, 0.0, light, blurred)
+            combine(inverse.base if step else 0.0, light, 0.0, light, blurred)  # what makes no dose is left behind
             for weight, each in self._members:
                 each.T(light, out=dose)
                 device.launch(multiply, x=dose, y=self._counted, out=dose)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import BadInput, PackWarning
+from vamgpu.errors import BadInput, OutOfMemory, PackWarning
 from vamgpu.kernels.flip import flip_pixels, price_flips
 from vamgpu.kernels.update import linear
 from vamgpu.methods.part import fractions_of, reach_of
@@ -37,7 +37,7 @@ LIT = 0.1
 AHEAD = 0.01
 """Dose that either side of a window is to gain in the next sweep, over the peak."""
 SWEEPS = 8
-"""How often every pixel is asked, once at each of `FULL_ON`."""
+"""How often every pixel is asked; once of frames that go no further."""
 TOGETHER = 3
 """Angles, a third of a turn apart, whose pixels are flipped together: their rays meet in few voxels."""
 THIRDS = 3
@@ -71,14 +71,13 @@ def check_dose(operator: Any, target: Any) -> None:
                        f"without bodies: {other}")  # fmt: skip
 
 
-def fitted(plan: Any, packed: Packed, scale: float | None, black: float = 0.0) -> tuple[Frames, float]:
+def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, float]:
     """Frames of 1 bit whose dose has nearly the window of the plan's light, or a wider one.
 
     Args:
         plan: With its light, its operator and its target, that `check_dose` takes.
         packed: What makes frames of light.
         scale: Irradiance of a full-on pixel; None looks for it.
-        black: Light of a pixel that is off, over that of one that is on.
 
     Returns:
         The frames of the widest strict window, made of the light that they show, and that window; rounded ones, with a
@@ -86,15 +85,12 @@ def fitted(plan: Any, packed: Packed, scale: float | None, black: float = 0.0) -
     """
     A, light = direct(plan.operator), plan.sinogram
     fit = _Fit(A, fractions_of(A, plan.target), light)
-    found = _Settled(fit, TwoLevels(plan.operator, fit.target, light), packed, black)
-    if found.levels.possible:
-        begun = [found.best(scale)]
-        fit = replace(fit, ahead=AHEAD)
+    if (settled := _settled(fit, plan.operator, packed, scale)) is not None:
+        frames, lit, window = replace(fit, ahead=AHEAD).flipped([settled])
     else:
         bright = dot(light, light) / total(light)
         scales = [share * bright for share in FULL_ON] if scale is None else [scale]
-        begun = [packed(light, full, "error-diffusion") for full in scales]
-    frames, lit, window = fit.flipped(begun)
+        frames, lit, window = fit.flipped([packed(light, full, "error-diffusion") for full in scales])
     rounded = packed(light, scale, "round")
     plain = fit.window_of(rounded)
     if plain >= window:
@@ -105,6 +101,22 @@ def fitted(plan: Any, packed: Packed, scale: float | None, black: float = 0.0) -
     return packed(lit, frames.scale, "round"), window
 
 
+def _settled(fit: _Fit, operator: Any, packed: Packed, scale: float | None) -> Frames | None:
+    """Frames whose light was driven to its ends; None where it cannot be, or the device lacks the memory."""
+    try:
+        found = _Settled(fit, TwoLevels(operator, fit.target, fit.light), packed)
+        return found.best(scale) if found.levels.possible else None
+    except OutOfMemory:
+        return None
+
+
+def _alike(frames: Frames, value: int) -> np.ndarray:
+    """Light of frames whose bytes are all alike, [1, r, z]."""
+    _, rows, width = frames.images.shape
+    images = frames.device.upload(np.full((1, rows, width), value, np.uint8), table=True)
+    return replace(frames, images=images, motion=None, packed=None).irradiance(frames.device).numpy()
+
+
 @dataclass(frozen=True)
 class _Settled:
     """Frames whose light was driven to its ends."""
@@ -112,7 +124,6 @@ class _Settled:
     fit: _Fit
     levels: TwoLevels
     packed: Packed
-    black: float
 
     def best(self, full: float | None) -> Frames:
         """Those of the widest window; None doubles or halves what a full-on pixel shows for as long as that gains."""
@@ -132,7 +143,8 @@ class _Settled:
         """The widest window with full-on pixels of an irradiance, and its frames."""
         rounded = self.packed(self.fit.light, full, "round")
         best = self.fit.window_of(rounded), rounded
-        for light in self.levels.seek(full, self.black * full):
+        white = self.fit.A.device.upload(np.repeat(_alike(rounded, 0xFF), self.fit.light.shape[0], axis=0))
+        for light in self.levels.seek(white):
             frames = self.packed(light, full, "round")
             window = self.fit.window_of(frames)
             best = (window, frames) if window > best[0] else best
@@ -211,7 +223,7 @@ class _Flips:
     def __init__(self, fit: _Fit, frames: Frames) -> None:
         self.fit, self.frames, self.device = fit, frames, fit.A.device
         _, rows, columns = frames.shape
-        self.black, white = (self._all(value) for value in (0x00, 0xFF))
+        self.black, white = (_alike(frames, value) for value in (0x00, 0xFF))
         self.step = white - self.black
         lit = frames.irradiance(self.device).numpy() > self.black + 0.5 * self.step
         third = np.add.outer(np.arange(columns), np.arange(rows)) % THIRDS
@@ -224,12 +236,6 @@ class _Flips:
         self.light = [self.device.upload(self._raised(lit[group::groups])) for group in range(groups)]
         self.best = -2.0
         self._judge()
-
-    def _all(self, value: int) -> np.ndarray:
-        """Light of frames whose bytes are all alike, [1, r, z]."""
-        _, rows, width = self.frames.images.shape
-        images = self.device.upload(np.full((1, rows, width), value, np.uint8), table=True)
-        return replace(self.frames, images=images, motion=None, packed=None).irradiance(self.device).numpy()
 
     def _raised(self, lit: np.ndarray) -> np.ndarray:
         """Light that lit pixels have more than dark ones."""

@@ -141,6 +141,7 @@ def _fitted(
 ) -> Frames:  # fmt: skip
     """Frames whose pixels are chosen by their dose."""
     check_fit(bits, settings.shift)
+    pack(plan, 1, gray, flat_field, settings.flip_r, settings.flip_z, settings.shift)  # tells of light there is none of
 
     def packed(light: DeviceArray, full: float | None, dither: str) -> Frames:
         return pack(
@@ -148,7 +149,7 @@ def _fitted(
             dither, full,
         )  # fmt: skip
 
-    frames, window = fitted(plan, packed, scale, gray.black)
+    frames, window = fitted(plan, packed, scale)
     light, motion = frames.irradiance(plan.sinogram.device), getattr(plan.operator, "motion", None)
     return replace(frames, settings=settings, motion=motion, packed=(frames.images, _showing(plan, light, window)))
 

@@ -1,0 +1,63 @@
+"""The widest window that any light can have: the optimum, what finds it, and what bounds it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from profiling import slices
+from profiling.gallery.picture import Fact, Picture, Table
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.methods import bound
+from vamgpu.methods.compare import compared
+from vamgpu.operators.projection import Projection
+from vamgpu.reports import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LABELS = {"widest": '"widest", the default', "window": '"window"', "osmo": '"osmo"'}
+BOUNDED = (70, 120, 250, 500, 1000)
+"""Evaluations after which prices are asked for a bound."""
+
+
+def optimum(device: Device, quick: bool = False, part: str = "cross", evaluations: int = 400) -> Picture:
+    """A slice of 40 × 40 voxels in straight light; one of those that `profiling.slices` names."""
+    parts = slices.slices() | slices.more()
+    if part not in parts:
+        raise BadInput(f"part is {part!r}; expected one of {', '.join(parts)}")
+    grid, beam = Grid((slices.SIDE, slices.SIDE, 1), slices.PITCH), Beam((slices.WIDE, 1), slices.PITCH)
+    A, fractions = Projection(grid, beam, Turntable(slices.ANGLES), None, device), parts[part]
+    most, bounded = (20, BOUNDED[:1]) if quick else (int(evaluations), BOUNDED)
+    matrix = slices.entries()
+    top = slices.optimum(matrix / matrix.max(), fractions[:, :, 0] >= 0.5, grid.cylinder())
+    plans = {name: compared(A, fractions, name, most) for name in LABELS}
+    limits = {n: bound(A, fractions, evaluations=n).value for n in bounded}
+    figure, axes = style.sheet("abb", 4.4)
+    dose = plans["widest"].dose().numpy()[:, :, 0]
+    style.shown(axes["a"], dose, f'Dose of "widest", {part}', cmap="inferno", vmin=0.0)
+    axis: Axes = axes["b"]
+    axis.axhline(top, color=style.INK, lw=1.2, ls=(0, (4, 3)), label="optimum, by linear programming")
+    axis.plot(list(limits), list(limits.values()), "v", color=style.RED, ms=6, label="no light has more, by prices")
+    for (name, label), color in zip(LABELS.items(), style.HUES, strict=False):
+        steps = [step for step in plans[name].history if step.window > 0.0]
+        axis.plot([s.evaluations for s in steps], [s.window for s in steps], color=color, label=label)
+    axis.set(xscale="log", xlabel="projector evaluations", ylabel="strict process window", ylim=(0.0, 1.25 * top))
+    axis.legend(loc="lower right", fontsize=8)
+    facts = (
+        Fact("widest window of any light, by linear programming", top, "", 4),
+        Fact(f'window of "widest" after {most} evaluations, over that', plans["widest"].window / top, "", 4),
+        *(Fact(f"bound after {n} evaluations, over that", value / top, "", 4, 1.0, "weak duality", "≥")
+          for n, value in limits.items()),
+    )  # fmt: skip
+    table = Table(("method", "window", "share of the optimum"), ("+.4f", ".3f"),
+                  tuple((LABELS[name], (plan.window, plan.window / top)) for name, plan in plans.items()))  # fmt: skip
+    caption = (
+        "A method tells what it found, not what there was to find. For one slice linear programming tells the widest "
+        "strict window of any light, from the matrix of the projector in float64. Prices of the limits that doses "
+        "press against bound it for parts of any size: what light earns at these prices is at most what it costs, so "
+        "no light whatever has a wider window. Windows are those of lights looked at; methods ask for equal thresholds."
+    )
+    papers = tuple(dict.fromkeys(paper for plan in plans.values() for paper in plan.papers))
+    return Picture(figure, caption, facts, table, papers)
