@@ -58,11 +58,11 @@ class TwoLevels:
             return
         state.memory["light"] = self._light
         run.begin()
-        free, owed, shown, levels = state.buffer("free"), state.buffer("light owed"), state.sinogram(), state.sinogram()
+        free, shown, levels = state.buffer("free"), state.sinogram(), state.sinogram()
         unit = extent(self._light)[1] / extent(free)[1]
         state.scale(1.0 / unit, white, levels)
         for step in range(1, STEPS + 1):
             push = PUSH[0] * (PUSH[1] / PUSH[0]) ** (step / STEPS)
             run.step(partial(state.device.launch, split_two_levels, white=levels, push=push))
             if step % OFTEN == 0:
-                yield combine(2.0 * unit, free, unit, owed, shown, floor=0.0)
+                yield combine(unit, free, 0.0, free, shown, floor=0.0)
