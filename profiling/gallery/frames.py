@@ -72,10 +72,10 @@ def frames(
         "The light of a plan becomes bytes: a full-on pixel stands for the brightest that is not hot; each "
         "level is the one whose measured light is nearest, black level too. "
         "With one bit a pixel carries its error on to the next angle, so that the dose, which sums over angles, keeps "
-        "most of the part, where the nearest bit loses it; chosen by the dose of all pixels together, bits keep nearly "
-        "the window of the plan. What that costs is in the table, which judges the dose of the bytes alone, decoded as "
-        "the mirrors show them; the error is the norm of what is wrong with the light over "
-        "the norm of the light."
+        "most of the part, where the nearest bit loses it; chosen by the dose of all pixels together, bits leave a "
+        "window like that of the plan, or a wider one where its run was short. The table judges the dose of the bytes "
+        "alone, decoded as the mirrors show them: their black level is light that no plan asked for. The error is the "
+        "norm of what is wrong with the light over the norm of the light."
     )
     return Picture(figure, caption, facts, table, plan.papers)
 

@@ -191,6 +191,44 @@ def test_resin_above_and_below_the_part_stays_dark(fast_device: Device) -> None:
     assert dose[:, :, 5 + deep :].max() < threshold and dose[:, :, :3].max() < threshold
 
 
+def test_a_bound_of_slices_counts_the_point_spread_of_its_beam() -> None:
+    """That of half a pixel, unless told otherwise, takes light of the next rows to a slice."""
+    upper, lower = part("cross"), part("ring")
+    solid = np.stack([lower] * 3 + [upper] * 3, axis=2).astype(np.float32)
+    A = Projection(Grid((SIZE, SIZE, 6), PITCH), Beam((30, 10), PITCH), Turntable(30))
+    plan = optimize(A, solid, WidestWindow(rim=0.0), evaluations=150)
+    assert plan.window <= bound(A, solid, evaluations=150, slices=(2, 4)).value
+    same = Projection(A.grid, Beam((30, 10), PITCH, spread=0.5 * PITCH), A.motion)
+    assert bound(A, solid, evaluations=70, slices=(2, 4)).value == pytest.approx(
+        bound(same, solid, evaluations=70, slices=(2, 4)).value, abs=1e-3
+    )
+
+
+def test_what_a_plan_knows_is_of_its_own_task() -> None:
+    A, ring = operator("numpy"), part("ring")[:, :, None].astype(np.float32)
+    blurred = Projection(A.grid, Beam((30, 1), PITCH, spread=0.4), A.motion, device="numpy")
+    plan = optimize(A, ring, "widest", iterations=40)
+    assert plan.bound is not None
+    for other, target, said in ((blurred, ring, "spread=0.4"), (A, 1.0 - ring, "another target")):
+        with pytest.raises(BadInput, match=f"bound of the plan is of .*{said}"):
+            bound(other, target, plan)
+        with pytest.raises(BadInput, match=f"plan to resume is of .*{said}"):
+            optimize(other, target, "widest", iterations=50, resume=plan)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"evaluations": "many"}, "evaluations is 'many'"), ({"slices": 5}, "two whole numbers"),
+        ({"slices": (0.0, 1.0)}, "two whole numbers"), ({"slices": (0, 9)}, "expected 0 ≤ first < behind ≤ 1"),
+        ({"plan": 0.2}, "plan is 0.2"), ({"tolerances": 0.1}, "tolerances are 0.1"),
+    ],
+)  # fmt: skip
+def test_what_a_bound_cannot_take_is_named(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        bound(operator("numpy"), part("ring")[:, :, None].astype(np.float32), **given)
+
+
 def test_a_run_that_goes_on_needs_the_memory_it_had(monkeypatch: pytest.MonkeyPatch) -> None:
     A, ring = operator("numpy"), part("ring")[:, :, None].astype(np.float32)
     plan = optimize(A, ring, "widest", iterations=3)

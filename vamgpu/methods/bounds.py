@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from math import ceil
+from operator import index
 from typing import Any
 
 import numpy as np
 
 from vamgpu.errors import BadInput, Cancelled
-from vamgpu.geometry import Grid
+from vamgpu.geometry import Grid, positive
 from vamgpu.methods.certificate import Bound
 from vamgpu.methods.default import CORNERS, BestWindow
 from vamgpu.methods.plan import Plan
 from vamgpu.methods.projector import Projector
-from vamgpu.methods.run import Progress, optimize
+from vamgpu.methods.run import Progress, of_another, optimize
 from vamgpu.methods.tolerances import Tolerances
 from vamgpu.methods.widest import TOLD, WidestWindow
 from vamgpu.operators.gram import RIM, against_gram
@@ -64,14 +65,22 @@ def bound(
         BadInput: As `optimize` does, for too few evaluations, and for slices that are not there.
         Cancelled: Before there are prices that tell.
     """
+    if plan is not None and not isinstance(plan, Plan):
+        raise BadInput(f"plan is {plan!r}; expected a Plan whose run is to go on, or None; bound(…).share tells how "
+                       "near a light comes")  # fmt: skip
+    if tolerances is not None and not isinstance(tolerances, Tolerances):
+        raise BadInput(f"tolerances are {tolerances!r}; expected Tolerances(axis=…, spread=…, …), or None")
+    evaluations = positive("evaluations", evaluations)
     prices = plan if plan is not None and plan.bound is not None else None
+    if prices is not None and (other := of_another(prices, operator, target, tolerances)):
+        raise BadInput(f"the bound of the plan is of {other}; leave the plan out")
     known_before = None if prices is None else prices.bound
     if prices is not None and "free" in prices.state and getattr(prices.method, "rim", RIM):
         prices = None  # what holds voxels dark that nobody judges has prices there, which tell nothing
     if slices is not None:
         if prices is not None:
             raise BadInput("got a plan with a bound, and slices; expected one of them: its prices are of all slices")
-        operator, target = _of_slices(operator, target, *slices, tolerances)
+        operator, target = _of_slices(operator, target, slices, tolerances)
     how = prices.method if prices is not None else WidestWindow(rim=0.0)
     least = WidestWindow.passes + TOLD + 1
     first = tolerances is not None and prices is None and evaluations >= CORNERS * len(tolerances.corners())
@@ -95,9 +104,14 @@ def bound(
 
 
 def _of_slices(
-    operator: Any, target: Any, first: int, behind: int, tolerances: Tolerances | None
+    operator: Any, target: Any, slices: tuple[int, int], tolerances: Tolerances | None
 ) -> tuple[Projection, np.ndarray]:
     """A projector of some slices, with all the rows of light that reach them, and their fractions [x, y, z]."""
+    try:
+        first, behind = (index(each) for each in slices)
+    except (TypeError, ValueError):
+        raise BadInput(f"slices are {slices!r}; expected two whole numbers: the first, and the one behind the last, "
+                       "such as (40, 44)") from None  # fmt: skip
     operator = operator.direct if isinstance(operator, RingProjection) else operator
     if type(operator) is not Projection or not np.isclose(operator.beam.pitch, operator.grid.pitch):
         raise BadInput(f"slices of {operator!r} cannot be asked for alone; expected a Projection whose pixels are as "
@@ -105,13 +119,18 @@ def _of_slices(
     if getattr(target, "limits", None) is not None:
         raise BadInput("slices of a target with bodies cannot be asked for alone; expected a part: leave slices out")
     shape, (columns, rows), pitch = operator.grid.shape, operator.beam.pixels, operator.grid.pitch
-    if not 0 <= first < behind <= shape[2] or (shape[2] - rows) % 2:
-        raise BadInput(f"slices are {(first, behind)!r} of {shape[2]}, in light of {rows} rows; expected 0 ≤ first < "
-                       "behind, and rows on slices")  # fmt: skip
-    spreads = [operator.beam.spread, *(tolerances.spread or () if tolerances is not None else ())]
-    beyond = 2 * ceil(REACHED * max((each for each in spreads if isinstance(each, float)), default=0.0) / pitch)
+    if not 0 <= first < behind <= shape[2]:
+        raise BadInput(f"slices are {slices!r}; expected 0 ≤ first < behind ≤ {shape[2]}")
+    if (shape[2] - rows) % 2:
+        raise BadInput(f"{rows} rows light {shape[2]} slices, so that every row lies between two of them; expected "
+                       "an even difference, or no slices")  # fmt: skip
+    spreads = [operator.beam.sigma * pitch, *(tolerances.spread or () if tolerances is not None else ())]
+    beyond = 2 * ceil(REACHED * max(spreads) / pitch)
     grid = Grid((*shape[:2], behind - first), pitch)
     beam = replace(operator.beam, pixels=(columns, behind - first + beyond))
     values = target.numpy() if hasattr(target, "numpy") else np.asarray(target)
     small = Projection(grid, beam, operator.motion, operator.vessel, operator.device, footprint=operator.footprint)
-    return small, np.ascontiguousarray(values[:, :, first:behind], np.float32)
+    chosen = np.ascontiguousarray(values[:, :, first:behind], np.float32)
+    if not (chosen >= 0.5).any():
+        raise BadInput(f"no voxel of the part lies on slices {first} to {behind - 1}; expected slices that have some")
+    return small, chosen

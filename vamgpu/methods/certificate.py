@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import isfinite
+from numbers import Real
 from typing import TYPE_CHECKING
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
 from vamgpu.kernels.covering import NEVER, cover_scale, divide_prices, level_cover, light_short_pixels
 from vamgpu.kernels.reduce import HIGH
 from vamgpu.methods.graylimits import GrayPrices
@@ -74,7 +77,10 @@ class Bound:
 
 
 def _window(plan: Plan | float) -> float:
-    return float(getattr(plan, "window", plan))  # type: ignore[arg-type]
+    window = getattr(plan, "window", plan)
+    if isinstance(window, bool) or not isinstance(window, Real) or not isfinite(window):
+        raise BadInput(f"got {plan!r}; expected a plan, or a strict window, a share of the greatest dose")
+    return float(window)
 
 
 def certified(

@@ -133,6 +133,8 @@ def optimize(
     if resume is not None and not isinstance(resume, Plan):
         raise BadInput(f"got a {type(resume).__name__} as resume; expected a Plan: that of an earlier run, or "
                        "vam.load(path) of one that was saved")  # fmt: skip
+    if tolerances is not None and not isinstance(tolerances, Tolerances):
+        raise BadInput(f"tolerances are {tolerances!r}; expected Tolerances(axis=…, spread=…, …), or None")
     if cancel is not None and not callable(cancel):
         raise BadInput(f"cancel is {cancel!r}; expected a function that says whether to stop, or None")
     how = chosen(resume.method if resume is not None and method == "default" else method)
@@ -146,7 +148,7 @@ def optimize(
         _check_bodies(how, limits)
         criterion = "loss"  # a window knows neither weights nor the upper end of a gray dose
     asked = posed if limits is None else limited(posed, limits)
-    memory = _memory(posed, how, resume, tolerances)
+    memory = _memory(posed, target, how, resume, tolerances)
     scenarios = None
     if tolerances is not None:
         scenarios = asked = tolerances.scenarios(asked)
@@ -167,7 +169,8 @@ def optimize(
     with _reporting(progress, limit) as report:
         run.go(limit, tolerance, report, cancel or (lambda: False))
     plan = run.plan()
-    if brightest is not None and not (plan.window > 0.0 and ("rows" in plan.state or "free" in plan.state)):
+    kept = state.best.window >= -1.0 and ("rows" in plan.state or "free" in plan.state)
+    if brightest is not None and not (plan.window > 0.0 and kept):
         _tell_limit(plan, brightest)
     return plan
 
@@ -271,6 +274,8 @@ class _Run:
         if isinstance(state.operator, Scenarios):
             state.operator.rest((False,) * len(state.operator), None)
         light, window, iteration = state.best.choose(state)
+        if window < -1.0:  # of light that is brighter than it may be, which all other went before
+            window = state.window(state.operator.T(light))[0]
         certify = getattr(self.method, "certify", None)
         bound = None if certify is None else certify(state)
         seconds = (before.seconds if before else 0.0) + time.perf_counter() - self.started
@@ -369,8 +374,31 @@ def _name(target: Any) -> str:
     return str(getattr(target, "name", "target"))
 
 
+def of_another(plan: Plan, operator: Projector, target: Any, tolerances: Tolerances | None) -> str:
+    """What of a task a plan was made for is not that of another; empty where all is.
+
+    Args:
+        plan: Of the one task.
+        operator, target, tolerances: Of the other.
+
+    Returns:
+        Both, in words.
+    """
+    for name in ("grid", "beam", "motion", "vessel"):
+        before, now = (getattr(each, name, None) for each in (plan.operator, operator))
+        if before is not now and repr(before) != repr(now):
+            return f"{before!r}, not of {now!r}"
+    if plan.tolerances != tolerances:
+        return f"{plan.tolerances!r}, not of {tolerances!r}"
+    if plan.target is not None and plan.target is not target:
+        before, now = (np.asarray(getattr(each, "numpy", lambda each=each: each)()) for each in (plan.target, target))
+        if before.shape != now.shape or not np.array_equal(before, now):
+            return "another target"
+    return ""
+
+
 def _memory(
-    operator: Projector, method: Method, resume: Plan | None, tolerances: Tolerances | None
+    operator: Projector, target: Any, method: Method, resume: Plan | None, tolerances: Tolerances | None
 ) -> dict[str, Any]:  # fmt: skip
     """A copy of what a plan remembers, so that the plan stays what it is."""
     if resume is None:
@@ -383,14 +411,10 @@ def _memory(
     if resume.operator.domain.shape != operator.domain.shape:
         raise BadInput(f"the plan to resume has a dose of {resume.operator.domain.shape}, the operator one of "
                        f"{operator.domain.shape}; resume with the operator that made it")  # fmt: skip
-    motion, poses = (getattr(one, "motion", None) for one in (resume.operator, operator))
-    if motion != poses:
-        raise BadInput(f"the plan to resume is for {motion!r}, the operator has {poses!r}; resume at the same angles")
     if resume.method != method:
         raise BadInput(f"the plan to resume is by {resume.method!r}, not by {method!r}; resume with the same method")
-    if resume.tolerances != tolerances:
-        raise BadInput(f"the plan to resume has {resume.tolerances!r}, not {tolerances!r}; resume with the same ones, "
-                       "or give its light as start")  # fmt: skip
+    if other := of_another(resume, operator, target, tolerances):
+        raise BadInput(f"the plan to resume is of {other}; resume what it was made for, or give its light as start")
     return copied(resume.state)
 
 

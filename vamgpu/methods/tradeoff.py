@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, OpticsWarning
+from vamgpu.geometry import positive
 from vamgpu.methods.limit import ExposureLimit
 from vamgpu.methods.plan import Plan
 from vamgpu.methods.run import optimize
@@ -58,9 +59,17 @@ def pareto(
     lamp = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
     limit = ExposureLimit.of(1.0, **lamp)
     assert limit is not None
-    if plan.tolerances is not None or plan.target is None or getattr(plan.target, "limits", None) is not None:
-        raise BadInput("the plan has tolerances, bodies with limits of their own, or no target; expected one part and "
-                       "one machine")  # fmt: skip
+    if not isinstance(plan, Plan):
+        raise BadInput(f"plan is {plan!r}; expected a Plan, of optimize() or of vam.load()")
+    if evaluations is not None:
+        evaluations = positive("evaluations", evaluations)
+    several = {
+        "tolerances": plan.tolerances is not None,
+        "bodies with limits of their own": getattr(plan.target, "limits", None) is not None,
+        "no target": plan.target is None,
+    }
+    if why := [name for name, holds in several.items() if holds]:
+        raise BadInput(f"times against windows got a plan with {' and '.join(why)}; expected one part and one machine")
     points, light = [_point(plan, limit)], plan
     for done, share in enumerate(SHARES):
         progress(done / len(SHARES))

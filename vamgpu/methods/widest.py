@@ -56,7 +56,7 @@ class WidestWindow(Method):
 
     Where the light of one pose turns (even angles over a full turn, in air or a vessel at rest, a part without bodies),
     `SplitSteps` find it: light that makes up for what doses lack comes at once, by the inverse of how projecting and
-    exposing blur. Making the inverse projects two slices some ten times, which is not counted; windows between the
+    exposing blur. Making the inverse projects two slices ten times or more, which is not counted; windows between the
     lights that are judged are those of the last. Elsewhere steps are primal-dual: every voxel prices its limit, a dose
     of the part at least, one of voids at most, and 1 at most. Light follows the prices, and prices follow the dose.
     Each pixel and voxel has a step of its own; steps grow as far as they prove safe, go beyond where they lead, and are

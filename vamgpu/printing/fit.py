@@ -24,7 +24,7 @@ from vamgpu.kernels.update import linear
 from vamgpu.methods.part import fractions_of, reach_of
 from vamgpu.methods.two_levels import TwoLevels
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.reductions import dot, total, window
+from vamgpu.operators.reductions import dot, extent, total, window
 from vamgpu.operators.ring_projection import direct
 from vamgpu.printing.frames import Frames
 
@@ -126,15 +126,20 @@ class _Settled:
     packed: Packed
 
     def best(self, full: float | None) -> Frames:
-        """Those of the widest window; None doubles or halves what a full-on pixel shows for as long as that gains."""
+        """Those of the widest window.
+
+        Without ``full``, what a full-on pixel shows is doubled or halved for as long as that gains. It is not brighter
+        than the brightest of the light, so that the print takes about as long at most.
+        """
         if full is not None:
             return self.at(full)[1]
-        first = total(self.fit.light) / (LIT * prod(self.fit.light.shape))
+        most = extent(self.fit.light)[1]
+        first = min(total(self.fit.light) / (LIT * prod(self.fit.light.shape)), most)
         best = self.at(first)
         for way in (2.0, 0.5):
             found, factor = best, way
-            while (next_ := self.at(factor * first))[0] > found[0]:
-                found, factor = next_, way * factor
+            while factor * first <= most and (after := self.at(factor * first))[0] > found[0]:
+                found, factor = after, way * factor
             if found is not best:
                 return found[1]
         return best[1]

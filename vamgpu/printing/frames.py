@@ -219,7 +219,10 @@ class Frames:
 
 def flattened(flat_field: Any, shape: tuple[int, ...]) -> np.ndarray:
     """A flat field [row, column] as float64, its brightest mirror 1. Raises `ShapeMismatch`, `BadInput`."""
-    flat = np.asarray(flat_field, dtype=np.float64)
+    try:
+        flat = np.asarray(flat_field, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"the flat field is no array of numbers: {error}; expected brightness [row, column]") from error
     if flat.shape != shape:
         raise ShapeMismatch(f"the flat field has shape {flat.shape}; expected {shape} = [row, column] of the frames")
     if not np.isfinite(flat).all() or flat.min() <= 0:

@@ -12,7 +12,7 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, PackWarning
+from vamgpu.errors import BadInput, PackWarning, ToleranceWarning
 from vamgpu.geometry import Turntable, positive
 from vamgpu.kernels.pack import BINS, NEVER, count_light, fold_bits, quantize
 from vamgpu.methods.plan import Plan
@@ -80,8 +80,8 @@ def pack(
         flip_r, flip_z: Whether columns and rows are mirrored.
         shift: Columns and rows [pixels] by which frames are moved; what is shifted over an edge is lost.
         quantile: A full-on pixel shows this quantile of the lit pixels, and brighter ones are cut to it, at least one
-            of the plan's; 1 cuts none. None shows the brightest pixel, or `HOT` times the quantile 0.99999 where that
-            is less, so that a hot pixel does not dim the print.
+            of the plan's; 1 cuts none. None shows the brightest pixel, or twice the quantile 0.99999 where that is
+            less, so that a hot pixel does not dim the print. Not used with ``scale``, nor by "fit".
         dither: "round" to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle
             in the order of the scan, for angles that are lit as long; frames of 1 bit at `FEW` angles or less are
             rounded all the same, with a `PackWarning`, where that gives a dose more like that of the light, up to a
@@ -98,10 +98,12 @@ def pack(
         ShapeMismatch: The flat field does not fit the beam.
         NoLight: The light is dark everywhere.
     """
-    if bits not in (1, 8):
+    if isinstance(bits, bool) or bits not in (1, 8):
         raise BadInput(f"bits is {bits!r}; expected 1 or 8")
     light = _light(plan)
-    settings = Placement(flip_r, flip_z, shift, None if scale is not None else quantile, dither)
+    settings = Placement(flip_r, flip_z, shift, quantile, dither)
+    if scale is not None or dither == FIT:
+        settings = replace(settings, quantile=None)
     curve = GrayCurve.linear() if gray is None else gray
     if not isinstance(curve, GrayCurve):
         raise BadInput(f"gray is {gray!r}; expected a GrayCurve, such as GrayCurve.gamma(2.2)")
@@ -109,7 +111,7 @@ def pack(
     motion = motion if isinstance(motion, Turntable) else None
     check_dither(dither, getattr(plan, "operator", None), getattr(plan, "target", None))
     if dither == FIT:
-        return _fitted(plan, bits, curve, flat_field, settings, scale, quantile)
+        return _fitted(plan, bits, curve, flat_field, settings, scale)
     angles, columns, rows = light.shape
     flat = None if flat_field is None else flattened(flat_field, (rows, columns))
     device = light.device
@@ -136,18 +138,15 @@ def pack(
 
 
 def _fitted(
-    plan: Patterns, bits: int, gray: GrayCurve, flat_field: Any, settings: Placement, scale: float | None,
-    quantile: float | None,
-) -> Frames:  # fmt: skip
+    plan: Patterns, bits: int, gray: GrayCurve, flat_field: Any, settings: Placement, scale: float | None
+) -> Frames:
     """Frames whose pixels are chosen by their dose."""
     check_fit(bits, settings.shift)
     pack(plan, 1, gray, flat_field, settings.flip_r, settings.flip_z, settings.shift)  # tells of light there is none of
 
     def packed(light: DeviceArray, full: float | None, dither: str) -> Frames:
-        return pack(
-            Solved(light, None), 1, gray, flat_field, settings.flip_r, settings.flip_z, settings.shift, quantile,
-            dither, full,
-        )  # fmt: skip
+        place = settings.flip_r, settings.flip_z, settings.shift
+        return pack(Solved(light, None), 1, gray, flat_field, *place, dither=dither, scale=full)
 
     frames, window = fitted(plan, packed, scale)
     light, motion = frames.irradiance(plan.sinogram.device), getattr(plan.operator, "motion", None)
@@ -161,6 +160,9 @@ def _showing(plan: Any, light: DeviceArray, window: float) -> Patterns:
     if plan.tolerances is None:
         return replace(plan, sinogram=light, window=window, state={})
     corners = plan.tolerances.doses(plan.operator, light, plan.target)
+    if corners.window <= 0.0:
+        warnings.warn(f"the frames do not print at every corner of the plan's tolerances: {corners.statement()}; take "
+                      "8 bits, or more angles", ToleranceWarning, stacklevel=4)  # fmt: skip
     return replace(plan, sinogram=light, window=corners.window, corners=corners, state={})
 
 
