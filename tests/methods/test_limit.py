@@ -131,5 +131,5 @@ def test_shorter_exposures_cost_window_and_are_told_by_their_times() -> None:
     part = cross() > 0.5
     assert points[0].outside == pytest.approx(dose[~part & near].mean() / dose[part & near].mean(), rel=1e-6)
     off = optimize(operator("numpy"), cross(), "widest", 5, tolerances=Tolerances(dose=0.01))
-    with pytest.raises(BadInput, match="the plan has tolerances"):
+    with pytest.raises(BadInput, match="a plan with tolerances"):
         pareto(off, **GIVEN)

@@ -29,12 +29,16 @@ def proven(plan: Any, target: vam.Target) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["default", "osmo", "recipe"])
 def test_light_found_on_rings_proves_as_well(fast_device: Device, is_quick: bool, method: str) -> None:
-    """By rays that are traced apart from both."""
+    """By rays that are traced apart from both. Lights of few splitting steps scatter by 0.005: three are averaged."""
     pitch, less = (0.1, 0.003) if is_quick else (0.3, 0.03)
     target, A = boat(fast_device, pitch)
-    direct, rings = (vam.optimize(operator, target, method) for operator in (A, vam.RingProjection.of(A)))
-    assert direct.evaluations == rings.evaluations
-    assert proven(rings, target) >= proven(direct, target) - less
+    windows: dict[bool, list[float]] = {False: [], True: []}
+    for evaluations in (60, 90, 120) if method == "default" else (None,):
+        plans = [vam.optimize(one, target, method, evaluations=evaluations) for one in (A, vam.RingProjection.of(A))]
+        assert plans[0].evaluations == plans[1].evaluations
+        for rings, plan in zip(windows, plans, strict=True):
+            windows[rings].append(proven(plan, target))
+    assert np.mean(windows[True]) >= np.mean(windows[False]) - less
 
 
 @pytest.mark.parametrize("method", ["default", "osmo", "lbfgs", "bclp", "penalty", "widest"])

@@ -115,7 +115,7 @@ def test_a_bound_ends_with_what_its_prices_tell_so_far() -> None:
         bound(A, fractions, evaluations=9000, slices=(0, 1), cancel=lambda: True)
 
 
-@pytest.mark.parametrize(("slices", "said"), [((2, 2), "first"), ((-1, 2), "first"), ((3, 6), "of 5")])
+@pytest.mark.parametrize(("slices", "said"), [((2, 2), "first"), ((-1, 2), "first"), ((3, 6), "behind ≤ 5")])
 def test_slices_that_are_not_there_are_refused(slices: tuple[int, int], said: str) -> None:
     with pytest.raises(BadInput, match=said):
         bound(*stacked(), slices=slices)

@@ -180,7 +180,7 @@ def test_other_angles_are_no_continuation_and_no_other_color() -> None:
     even, jittered = (vam.Projection(GRID, BEAM, motion, device="numpy") for motion in (
         vam.Turntable(40), SCANS["jittered"]))  # fmt: skip
     plan = optimize(even, part(), iterations=2)
-    with pytest.raises(BadInput, match=r"for Turntable\(angles=40\), the operator has .*resume at the same angles"):
+    with pytest.raises(BadInput, match=r"is of Turntable\(angles=40\), not of Turntable.*; resume what it was made"):
         optimize(jittered, part(), iterations=4, resume=plan)
     with pytest.raises(BadInput, match="uv has .* expected the same angles for both colors"):
         Colors(even, jittered)

@@ -89,7 +89,7 @@ def test_light_that_frames_lose_is_not_counted_on(plan: vam.Plan) -> None:
 
 def test_bits_take_no_longer_than_the_light_may() -> None:
     A = vam.Projection(vam.Grid((N, N, 1), PITCH), vam.Beam((48, 1), PITCH), vam.Turntable(60), VIAL)
-    lamp = {"irradiance": "65 mW/cm2", "critical_dose": "50 mJ/cm3"}
+    lamp: dict[str, Any] = {"irradiance": "65 mW/cm2", "critical_dose": "50 mJ/cm3"}
     plan = vam.optimize(A, cross(1), evaluations=60, exposure_limit=4.0, progress=False, **lamp)
     free = vam.optimize(A, cross(1), evaluations=60, progress=False)
     seconds = [vam.simulate(A, vam.pack(each, 1, dither="fit"), cross(1), **lamp).seconds for each in (plan, free)]
