@@ -11,6 +11,7 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
+from vamgpu.methods import bound
 from vamgpu.targets import shapes
 
 VIAL = vam.Vial(radius=4.2, wall=0.4, resin_index=1.49962, wall_index=1.473, absorption=0.05)
@@ -57,6 +58,19 @@ def test_a_projection_on_rings_is_asked_for_the_dose_of_voxels() -> None:
     other = vam.PolarGrid(rings.rings, rings.slices + 2, rings.pitch, rings.angles, rings.height)
     with pytest.raises(BadInput, match="same angles and slices"):
         vam.optimize(vam.SpectralProjection(other, A.beam, VIAL, "numpy"), target)
+
+
+def test_a_bound_goes_on_from_the_plan_of_a_projection_on_rings() -> None:
+    """Whose plan is of the voxels that stand for its rings."""
+    rings = vam.PolarGrid(16, 2, 0.1, 20, 0.1)
+    disc = np.hypot(*np.meshgrid(*2 * [np.arange(n := rings.box.shape[0]) - 0.5 * (n - 1)])) < 5
+    target = np.repeat(disc[:, :, None], 2, axis=2).astype(np.float32)
+    A = vam.SpectralProjection(rings, vam.Beam((24, 2), 0.1), None, "numpy")
+    plan = vam.optimize(A, target, "widest", evaluations=70)
+    assert plan.bound is not None
+    assert bound(A, target, plan, evaluations=75).value <= plan.bound.value
+    with pytest.raises(BadInput, match="another target"):
+        bound(A, 1.0 - target, plan)
 
 
 def test_plans_are_kept_resumed_and_proven(tmp_path: Path) -> None:

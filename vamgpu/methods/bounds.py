@@ -17,7 +17,7 @@ from vamgpu.methods.default import CORNERS, BestWindow
 from vamgpu.methods.plan import Plan
 from vamgpu.methods.projector import Projector
 from vamgpu.methods.run import Progress, of_another, optimize
-from vamgpu.methods.tolerances import Tolerances
+from vamgpu.methods.tolerances import Tolerances, check_tolerances
 from vamgpu.methods.widest import TOLD, WidestWindow
 from vamgpu.operators.gram import RIM, against_gram
 from vamgpu.operators.projection import Projection
@@ -68,8 +68,7 @@ def bound(
     if plan is not None and not isinstance(plan, Plan):
         raise BadInput(f"plan is {plan!r}; expected a Plan whose run is to go on, or None; bound(…).share tells how "
                        "near a light comes")  # fmt: skip
-    if tolerances is not None and not isinstance(tolerances, Tolerances):
-        raise BadInput(f"tolerances are {tolerances!r}; expected Tolerances(axis=…, spread=…, …), or None")
+    check_tolerances(tolerances)
     evaluations = positive("evaluations", evaluations)
     prices = plan if plan is not None and plan.bound is not None else None
     if prices is not None and (other := of_another(prices, operator, target, tolerances)):

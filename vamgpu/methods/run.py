@@ -35,7 +35,7 @@ from vamgpu.methods.projector import Projector
 from vamgpu.methods.recipe import Recipe
 from vamgpu.methods.start import begin
 from vamgpu.methods.state import OptimizerState
-from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, doses_of
+from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, check_tolerances, doses_of
 from vamgpu.methods.trajectory import LossTrajectory
 from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
@@ -133,8 +133,7 @@ def optimize(
     if resume is not None and not isinstance(resume, Plan):
         raise BadInput(f"got a {type(resume).__name__} as resume; expected a Plan: that of an earlier run, or "
                        "vam.load(path) of one that was saved")  # fmt: skip
-    if tolerances is not None and not isinstance(tolerances, Tolerances):
-        raise BadInput(f"tolerances are {tolerances!r}; expected Tolerances(axis=…, spread=…, …), or None")
+    check_tolerances(tolerances)
     if cancel is not None and not callable(cancel):
         raise BadInput(f"cancel is {cancel!r}; expected a function that says whether to stop, or None")
     how = chosen(resume.method if resume is not None and method == "default" else method)
@@ -384,6 +383,7 @@ def of_another(plan: Plan, operator: Projector, target: Any, tolerances: Toleran
     Returns:
         Both, in words.
     """
+    operator = _posed_on_voxels(operator, target)  # as the plan's was
     for name in ("grid", "beam", "motion", "vessel"):
         before, now = (getattr(each, name, None) for each in (plan.operator, operator))
         alike = repr(before) == repr(now) if name == "vessel" else before == now  # fields of a medium know no ==

@@ -305,6 +305,12 @@ def doses_of(scenarios: Scenarios, tolerances: Tolerances, light: DeviceArray, t
     return CornerDoses(tuple(told))
 
 
+def check_tolerances(tolerances: Any) -> None:
+    """Raise `BadInput` for what are no tolerances; None are none."""
+    if tolerances is not None and not isinstance(tolerances, Tolerances):
+        raise BadInput(f"tolerances are {tolerances!r}; expected Tolerances(axis=…, spread=…, …), or None")
+
+
 def check_lit(scenarios: Scenarios, tolerances: Tolerances, target: DeviceArray) -> None:
     """Raise `ToleranceError` where even light leaves a voxel of the part dark at a corner."""
     light = target.device.upload(np.ones(scenarios.range.shape, np.float32))
