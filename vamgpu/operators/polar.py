@@ -16,6 +16,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Grid, Vessel, centers, counts
 from vamgpu.kernels.footprint import half_support, share, sides
 from vamgpu.kernels.spectrum import ROWS
+from vamgpu.operators.ring_splines import REACH, to_coefficients
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length
 
@@ -284,11 +285,12 @@ class RingTable:
 
 def ring_table(
     grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None = None, faint: float = 0.0,
-    room: Callable[[tuple[int, ...]], np.ndarray] = partial(np.empty, dtype=np.float32),
+    room: Callable[[tuple[int, ...]], np.ndarray] = partial(np.empty, dtype=np.float32), splines: bool = False,
 ) -> RingTable:  # fmt: skip
     """The products of each angular frequency, from the light of one pose; arguments as for `pose_on_rings`.
 
     faint: share of the greatest entry up to which those of a tile at neighboring frequencies count as none.
+    splines: whether they are to give coefficients of `vamgpu.operators.ring_splines` in place of doses.
     room: makes the array of the entries, which may be most of what memory holds.
     """
     with ThreadPoolExecutor(threads()) as pool:
@@ -302,7 +304,8 @@ def ring_table(
             ]
         columns, mirrored = beam.pixels[0], all(each.is_mirrored(beam.pixels[0]) for each in footprints)
         half = columns // 2 if mirrored else 0
-        wide = [_in_rows(each.last(beam) + 1 - half) for each in footprints]
+        all_pairs = _in_rows(columns - half)
+        wide = [min(_in_rows(each.last(beam) + 1 - half + REACH * splines), all_pairs) for each in footprints]
         tiles, own = [], [[] for _ in footprints]
         start = number = 0
         for belt in grid.belts:
@@ -315,24 +318,29 @@ def ring_table(
             number += len(belt.tiles)
         entries = room((grid.angles // 2 + 1, start))
 
-        def fill(footprint: _Footprints, width: int, numbers: list[int]) -> list[np.ndarray]:
-            found = _spectrum(footprint, beam, grid.angles, len(numbers), half, width)
-            for number, (values, _) in zip(numbers, found, strict=True):
-                begin = tiles[number][0]
-                entries[:, begin : begin + 2 * ROWS * width] = values.reshape(len(values), -1)
-            return [peak for _, peak in found]
+        def of_tile(number: int) -> np.ndarray:
+            begin, pairs, _ = tiles[number]
+            return entries[:, begin : begin + 2 * ROWS * pairs].reshape(len(entries), pairs, 2, ROWS)
 
-        peaks = list(pool.map(fill, footprints, wide, own))
-    greatest = {
-        number: peak
-        for numbers, some in zip(own, peaks, strict=True)
-        for number, peak in zip(numbers, some, strict=True)
-    }
-    most = max(float(peak.max()) for peak in greatest.values())
+        def fill(footprint: _Footprints, width: int, numbers: list[int]) -> None:
+            found = _spectrum(footprint, beam, grid.angles, len(numbers), half, width)
+            for number, values in zip(numbers, found, strict=True):
+                of_tile(number)[...] = values
+
+        list(pool.map(fill, footprints, wide, own))
+        if splines:
+            to_coefficients(entries, tiles, grid, pool)
+        peaks = list(pool.map(lambda number: _greatest(of_tile(number)), range(len(tiles))))
+    most = max(float(peak.max()) for peak in peaks)
     if most == 0.0:
         raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
-    dark = [_dark(greatest[number] <= faint * most) for number in range(len(tiles))]
-    return RingTable(entries.ravel(), most, np.column_stack([tiles, dark]), _in_rows(columns - half), mirrored)
+    dark = [_dark(peak <= faint * most) for peak in peaks]
+    return RingTable(entries.ravel(), most, np.column_stack([tiles, dark]), all_pairs, mirrored)
+
+
+def _greatest(entries: np.ndarray) -> np.ndarray:
+    """The greatest of each frequency, of entries (frequency, pair, 2, `ROWS`)."""
+    return np.hypot(entries[:, :, 0], entries[:, :, 1]).max(axis=(1, 2), initial=0.0)
 
 
 def _in_rows(count: int) -> int:
@@ -342,10 +350,10 @@ def _in_rows(count: int) -> int:
 
 def _spectrum(
     footprints: _Footprints, beam: Beam, turns: int, samples: int, first_column: int, width: int
-) -> list[tuple[np.ndarray, np.ndarray]]:
+) -> list[np.ndarray]:
     """Of `ROWS` rings and each j < samples, frequencies k + j·turns for k up to half of the turns.
 
-    Entries (k, ``width`` columns from the first on, 2, `ROWS`), real and imaginary, and the greatest (k,).
+    Entries (k, ``width`` columns from the first on, 2, `ROWS`), real and imaginary.
     """
     from scipy.fft import rfft
 
@@ -361,7 +369,7 @@ def _spectrum(
         own = spectrum[..., np.where(back, n - kappa, kappa)].transpose(2, 1, 0)
         entries[:, :columns, 0] = np.real(own)
         entries[:, :columns, 1] = np.where(back, np.float32(-1.0), np.float32(1.0))[:, None, None] * np.imag(own)
-        found.append((entries, np.abs(own).max(axis=(1, 2), initial=0.0)))
+        found.append(entries)
     return found
 
 

@@ -22,22 +22,22 @@ from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_means import BLOCK
+from vamgpu.operators.ring_splines import TAPS, shares
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
 from vamgpu.operators.spectral import SpectralProjection, passes
 from vamgpu.operators.traced import WHOLE, SparseEntries
 
-WIDTH = 0.55
-"""Width of a ring over that of a voxel. Strict windows of a print of 96 voxels across, after 40 evaluations, are lower
-by 0.006 at 0.65, by 0.002 at 0.55, by 0.001 at 0.5."""
+WIDTH = 0.75
+"""Width of a ring over that of a voxel."""
+BEYOND = 2
+"""Rings more than voxels take of, beyond which light would go on: what ends there reaches voxels as 0.1 of its slope."""
 FAINT = 1e-4
 """Share of the greatest entry of the table that counts as none: a fifth to a third of the products."""
 AT_ONCE = {False: 1 << 30, True: 1 << 33}
 """Bytes of the fields it works in, on processors and on GPUs."""
 THICK = 64
 """Slices that a strip has a multiple of: those of the widest lanes, which share each entry of the table."""
-TAPS = np.arange(-1, 3)
-"""Samples about a place that a cubic polynomial goes through."""
 
 
 @final
@@ -45,10 +45,10 @@ class RingProjection(LinearOperator):
     """A `Projection` at even angles in another way: by Fourier transforms over the angles, on rings about the axis.
 
     Takes the place of a `Projection` wherever one is taken, in a vial too, and gives the same dose within 0.002 of the
-    greatest (root mean square; 0.02 anywhere): the mean over voxels about points of rings 0.55 voxels wide,
-    interpolated by cubic polynomials to the voxels within the cylinder that every angle lights. Voxels beyond it count
-    as unlit. Its transpose is exact. Prints are judged by rays of their own, as those of ``direct``. The fields that it
-    works in are kept: three on rings, each 2.6 times a volume and more, and three of light; of as many slices at once
+    greatest (root mean square; 0.02 anywhere): the mean over voxels about points of rings 0.75 voxels wide, by cubic
+    splines through them at the voxels within the cylinder that every angle lights. Voxels beyond it count as unlit. Its
+    transpose is exact. Prints are judged by rays of their own, as those of ``direct``. The fields that it
+    works in are kept: three on rings, each 1.4 times a volume and more, and three of light; of as many slices at once
     as keep them below a gigabyte on processors, eight on GPUs.
 
     Args:
@@ -57,7 +57,7 @@ class RingProjection(LinearOperator):
         motion: Angles of the turntable, even over a full turn.
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best one here by default.
-        rings: Those to compute on, of the voxels' height; by default 0.55 times as wide as voxels.
+        rings: Those to compute on, of the voxels' height; by default 0.75 times as wide as voxels.
         tf32: Let products take eleven bits of each number, as of `SpectralProjection`.
 
     Raises:
@@ -97,7 +97,9 @@ class RingProjection(LinearOperator):
         self.device: Device = open_device(device)
         self._strips, slices = _strips(self.rings, beam, self.device)
         some = replace(self.rings, slices=slices)
-        self._spectral = SpectralProjection(some, beam, vessel, self.device, square=grid.pitch, faint=FAINT, tf32=tf32)
+        self._spectral = SpectralProjection(
+            some, beam, vessel, self.device, square=grid.pitch, faint=FAINT, tf32=tf32, splines=True
+        )
         self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
         found = _interpolated(self.rings, grid)
         self._to_voxels = found.table(self.device, grid.shape[:2], BLOCK)
@@ -279,7 +281,7 @@ def _against(grid: Grid, motion: Turntable) -> str:
 
 def _rings(grid: Grid, angles: int, width: float) -> PolarGrid:
     """Rings out to beyond the taps of the outermost voxel that every angle lights."""
-    count = ceil(0.5 * (min(grid.shape[:2]) - 1) / width + TAPS[-1] + 0.5)
+    count = ceil(0.5 * (min(grid.shape[:2]) - 1) / width + TAPS[-1] + 0.5) + BEYOND
     return PolarGrid(-(-count // ROWS) * ROWS, grid.shape[2], width * grid.pitch, angles, grid.pitch)
 
 
@@ -302,7 +304,7 @@ def _fitting(rings: PolarGrid, grid: Grid, motion: Turntable) -> PolarGrid:
 
 
 def _interpolated(rings: PolarGrid, grid: Grid) -> SparseEntries:
-    """What voxels take of squares on rings: cubic polynomials along the radius and along each of four rings."""
+    """What voxels take of coefficients on rings: splines along the radius and along each of four rings."""
     x, y, _ = grid.axes()
     across, along = (each.ravel() for each in np.meshgrid(x, y, indexing="ij"))
     voxel = np.flatnonzero(grid.cylinder().ravel())
@@ -320,21 +322,16 @@ def _at_points(rings: PolarGrid, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarr
         *((b.samples, b.rings, b.cell - b.begin) for b in belts), strict=True))  # fmt: skip
     low = np.floor(radius).astype(int)
     rows, columns, weights = [], [], []
-    for tap, radial in zip(TAPS, _cubic(radius - low), strict=True):
+    for tap, radial in zip(TAPS, shares(radius - low), strict=True):
         ring = low + tap
         beyond = ring < 0  # across the axis, half a turn on
         ring = np.where(beyond, -1 - ring, ring)
         count = samples[ring] * rings.angles
         place = np.mod(turn + 0.5 * beyond, 1.0) * count
         start = np.floor(place).astype(int)
-        for step, tangential in zip(TAPS, _cubic(place - start), strict=True):
+        for step, tangential in zip(TAPS, shares(place - start), strict=True):
             angle, cell = np.divmod((start + step) % count, samples[ring])
             rows.append(inside)
             columns.append(angle * rings.shape[1] + first[ring] + cell * wide[ring] + ring)
             weights.append(radial * tangential)
     return np.concatenate(rows), np.concatenate(columns), np.concatenate(weights)
-
-
-def _cubic(t: np.ndarray) -> list[np.ndarray]:
-    """Weights of `TAPS` at a place t after the second of them, 0..1."""
-    return [np.prod([(t - other) / (tap - other) for other in TAPS if other != tap], axis=0) for tap in TAPS.tolist()]

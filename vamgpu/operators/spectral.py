@@ -56,6 +56,7 @@ class SpectralProjection(LinearOperator):
         faint: Share of the greatest entry of its table up to which entries of neighboring frequencies count as none.
         tf32: Let products take eleven bits of each number (TensorFloat-32) where a device has units for that: NVIDIA's
             in OpenCL. Elsewhere it changes nothing.
+        splines: Give coefficients of `vamgpu.operators.ring_splines`, which make the dose between cells, in place of doses.
 
     Raises:
         BadInput: An argument is of another kind, or no light reaches a ring.
@@ -71,7 +72,7 @@ class SpectralProjection(LinearOperator):
 
     def __init__(
         self, grid: PolarGrid, beam: Beam, vessel: Vessel | None = None, device: str | Device | None = None, *,
-        square: float | None = None, faint: float = 0.0, tf32: bool = False,
+        square: float | None = None, faint: float = 0.0, tf32: bool = False, splines: bool = False,
     ) -> None:  # fmt: skip
         for value, kind in ((grid, PolarGrid), (beam, Beam)):
             if not isinstance(value, kind):
@@ -86,7 +87,7 @@ class SpectralProjection(LinearOperator):
         self.device: Device = open_device(device)
         self._held = local()
         self._rows = RowResampler.of(beam, grid.slices, grid.slice_pitch, self.device)
-        table = ring_table(grid, beam, vessel or OpenAir(), square, faint, self.device.room)
+        table = ring_table(grid, beam, vessel or OpenAir(), square, faint, self.device.room, splines)
         self._folded = (grid.angles, table.pairs * (2 if table.mirrored else 1), grid.slices)
         upload = self.device.table
         self._entries = {
