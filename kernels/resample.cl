@@ -44,14 +44,23 @@ FIELD_KERNEL resample(__global const float *restrict source, __global const int 
             }
             shares[s - begin] = PASTE(vload, WIDTH)(0, share);
         }
-        EACH_MINOR(j, n_j) {
-            Vector sum = (Vector)(0.0f);
+        // Sums of neighbors side by side: one alone would wait for itself at every slice.
+        for (int j = MINOR_BEGIN, stop_j = MINOR_END(n_j); j < stop_j; j += BESIDE) {
+            const int there = min(BESIDE, stop_j - j);
+            Vector sum[BESIDE];
+            long at[BESIDE];
+            UNROLL for (int k = 0; k < BESIDE; k++) {
+                sum[k] = (Vector)(0.0f);
+                at[k] = min(k, there - 1) * lanes;
+            }
             for (int s = begin; s < end;) {
                 __global const float *near = source + slice_offset(i, j, s, n_i, n_j, lanes);
-                for (const int stop = min(end, s - s % lanes + lanes); s < stop; s++, near++)
-                    sum = fma(shares[s - begin], (Vector)(*near), sum);
+                for (const int stop = min(end, s - s % lanes + lanes); s < stop; s++, near++) {
+                    const Vector share = shares[s - begin];
+                    UNROLL for (int k = 0; k < BESIDE; k++) sum[k] = fma(share, (Vector)(near[at[k]]), sum[k]);
+                }
             }
-            STORE(target + SAMPLE(i, j, n_j), sum);
+            for (int k = 0; k < there; k++) STORE(target + SAMPLE(i, j + k, n_j), sum[k]);
         }
     }
 #else

@@ -13,7 +13,7 @@
 
 // Where a group stands; those of the same entries follow each other. A frequency without another takes its own place twice.
 #define PLACE                                                                                                          \
-    __local uint4 light[2][SLABS][2][2 * LIGHT], matrix[2][8][2 * MATRIX];                                             \
+    __local uint4 held[2][SLABS][2][2 * LIGHT], matrix[2][8][2 * MATRIX];                                             \
     __local float scale[2][SLABS][2];                                                                                  \
     const int blocks = get_num_groups(2), across = get_num_groups(0), item = WARP_ITEM, strip = get_local_id(0) / 32;  \
     const int number = get_group_id(0) + across * (get_group_id(1) + get_num_groups(1) * get_group_id(2));             \
@@ -23,8 +23,8 @@
     __global const int4 *tile = (__global const int4 *)order + k * n_tile;                                             \
     __global const float4 *frequency =                                                                                 \
         (__global const float4 *)(entries + (size_t)k * (n_entry / (n_k / 2 + 1))) + ENTRIES_OF_ITEM;                  \
-    __local const uint4 *light_from = light[0][beside][0], *matrix_from = matrix[0][strip * TALL] + item;              \
-    __local uint2 *light_to = (__local uint2 *)light[0][beside][strip];                                                \
+    __local const uint4 *light_from = held[0][beside][0], *matrix_from = matrix[0][strip * TALL] + item;              \
+    __local uint2 *light_to = (__local uint2 *)held[0][beside][strip];                                                \
     __local uint2 *matrix_to = (__local uint2 *)matrix[0][WARP * OWN] + PLACE_OF_ENTRIES;                              \
     const int place = place_of_light(item / 8, item % 8), lower = place_of_light(item / 8 + 4, item % 8);              \
     const int named = named_row_of_light(item);                                                                        \
@@ -46,7 +46,7 @@
         there[own][t] = THERE(step, own, t);                                                                           \
         next_entries[own][t] = fetched(frequency + (there[own][t] ? ENTRIES_OF(step, own, t) : 0));                    \
     }
-#define FETCH_LIGHT(step) UNROLL for (int i = 0; i < 4; i++) next_light[i] = fetched(LIGHT_OF(step, i / 2) + i % 2 * 32);
+#define FETCH_LIGHT(step) UNROLL for (int i = 0; i < 4; i++) next_light[i] = fetched(LIGHT_OF(step, i / 2, i % 2));
 // 0, but not before sums are known: keeps compilers from waiting for what is under way ahead of their products.
 #define NOTHING(which) as_float(OR_OF(which, 0) | OR_OF(which, 1))
 #define OR_OF(which, n)                                                                                                \
@@ -61,6 +61,7 @@
 #define LAY_LIGHT(side, whole, nothing)                                                                                \
     {                                                                                                                  \
         const float none = nothing;                                                                                    \
+        PAIRED                                                                                                         \
         const float most = fmax(fmax(greatest_of(none, next_light[0]), greatest_of(none, next_light[1])),              \
                                 fmax(greatest_of(none, next_light[2]), greatest_of(none, next_light[3])));             \
         const float2 factor = scale_of(greatest_of_warp(as_uint(most)));                                               \
@@ -104,22 +105,33 @@
 #ifdef COMPILE_light_rings
 #define CELLS_IN_ROWS 1
 #define IS_STEP(step) ((step) < n_step)
-#define LIGHT_OF(step, t) (lit + (min(step, n_step - 1) * ROWS + (t) * middle) * THREADS)
+// Right of the middle, or left; pairs beyond all have entries that are zero, and any light.
+#define LIGHT_OF(step, left, lower)                                                                                    \
+    (own_light + ((left) ? leftmost : 0) + ((left) ? onward : THREADS) * min(RIGHT((step) * ROWS + item / 8 + 4 * (lower)), n_r - 1))
 #define ENTRIES_OF(step, own, t) (from[own][t] + (step) * 32)
 #define THERE(step, own, t) ((step) < steps[own][t])
 #define LOOK_AHEAD(step) if ((step) + 3 < reach) call(ahead + ((step) + 3) * stride);
 #define CLOSE_STEP
+// Sums of columns, then differences.
+#define PAIRED                                                                                                         \
+    UNROLL for (int i = 0; i < 2; i++) {                                                                               \
+        const float4 right = next_light[i], left = both * next_light[i + 2];                                           \
+        next_light[i] = right + left;                                                                                  \
+        next_light[i + 2] = right - left;                                                                              \
+    }
 // Differences are multiplied by ±i.
 #define SCALED(value, factor, t)                                                                                       \
     ((t) ? sign * (factor) * (float4)(-(value).y, (value).x, -(value).w, (value).z) : (factor) * (value))
-GROUP_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, float greatest,
-                         __global const int *restrict tiles, __global const int *restrict order, int mirrored, int tf32,
-                         __global float *restrict spectrum, int n_k, int n_pair, int n_z, int n_entry, int n_tile,
+GROUP_KERNEL light_rings(ARRAY light, __global const float *restrict entries, float greatest,
+                         __global const int *restrict tiles, __global const int *restrict lit,
+                         __global const int *restrict order, int mirrored, int tf32,
+                         __global float *restrict spectrum, int n_k, int n_r, int n_z, int n_entry, int n_tile,
                          int n_frequency, int n_cell) {
     PLACE
-    const int middle = mirrored ? n_pair / 2 : 0, n_step = max(tile[here * TILES].y / ROWS, 1);
-    __global const float4 *lit = LIGHT_OF_WARP(folded, n_pair);
-    const float sign = turned ? -1.0f : 1.0f;
+    const int n_step = max(tile[here * TILES].y / ROWS, 1);
+    const int leftmost = mirrored ? (n_r - 1) * THREADS : 0, onward = mirrored ? -THREADS : THREADS;
+    __global const float4 *own_light = LIGHT_OF_WARP(light, n_r) - item + item % THREADS;
+    const float sign = turned ? -1.0f : 1.0f, both = mirrored ? 1.0f : 0.0f;
     int from[OWN][2], steps[OWN][2];
     EACH_PART(own, t) {
         const int at = here * TILES + (WARP * OWN + own) * 2 + t;
@@ -130,8 +142,10 @@ GROUP_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, f
     // A line of what the warp fetches: half of its items look ahead for light, half for entries, four lines a tile.
     const int line = item % 16, light_ahead = item < 16;
     const int4 given = tile[min(here * TILES + WARP * OWN * 2 + line / 4, n_tile - 1)];
-    const int reach = light_ahead ? n_step : given.y / ROWS, stride = light_ahead ? ROWS * THREADS : 32;
-    __global const float4 *ahead = light_ahead ? lit - item + (line % 8 + line / 8 * middle) * THREADS
+    const int there_are = (n_r - RIGHT(line % 8) + ROWS - 1) / ROWS, steps_ahead = min(n_step, there_are);
+    const int reach = light_ahead ? steps_ahead : given.y / ROWS, way = line / 8 ? onward : THREADS;
+    const int stride = light_ahead ? ROWS * way : 32;
+    __global const float4 *ahead = light_ahead ? own_light - item % THREADS + (line / 8 ? leftmost : 0) + way * RIGHT(line % 8)
                                                : frequency - ENTRIES_OF_ITEM + given.x / 4 + line % 4 * 8;
     if (tf32)
         EACH_STEP(0)
@@ -162,18 +176,20 @@ GROUP_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, f
         bring(&GIVEN((step) + 3, item), tile + 2 * ((step) + 3) + item, 2 * ((step) + 3) + item < n_tile);
 #define CLOSE_STEP WAIT_FOR_BROUGHT
 #define IS_STEP(step) (GIVEN(step, 0).y > begin)
-#define LIGHT_OF(step, t) (lit + (turned ? GIVEN(step, t).w : GIVEN(step, t).z) * ROWS * THREADS)
+#define LIGHT_OF(step, t, lower) (own_light + ((turned ? GIVEN(step, t).w : GIVEN(step, t).z) * ROWS + 4 * (lower)) * THREADS)
 #define ENTRIES_OF(step, own, t) (GIVEN(step, t).x / 4 + (begin / ROWS + WARP * OWN + own) * 32)
 #define THERE(step, own, t) (begin + ROWS * (WARP * OWN + own) < GIVEN(step, t).y)
+#define PAIRED
 #define SCALED(value, factor, t) ((factor) * (value))
 GROUP_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries, float greatest,
-                          __global const int *restrict tiles, __global const int *restrict order, int mirrored, int tf32,
-                          __global float *restrict folded, int n_k, int n_cell, int n_z, int n_entry, int n_tile,
-                          int n_frequency, int n_pair) {
+                          __global const int *restrict tiles, __global const int *restrict lit,
+                         __global const int *restrict order, int mirrored, int tf32,
+                          __global float *restrict light, int n_k, int n_cell, int n_z, int n_entry, int n_tile,
+                          int n_frequency, int n_r) {
     PLACE
-    const int middle = mirrored ? n_pair / 2 : 0, end = mirrored ? middle : n_pair, begin = here * PAIRS;
+    const int end = ALL_PAIRS, begin = here * PAIRS;
     if (begin >= end) return;
-    __global const float4 *lit = LIGHT_OF_WARP(spectrum, n_cell);
+    __global const float4 *own_light = LIGHT_OF_WARP(spectrum, n_cell);
     __local int4 given[4][2];
     for (int step = -3; step < 0; step++) LOOK_AHEAD(step)
     WAIT_FOR_BROUGHT
@@ -186,14 +202,15 @@ GROUP_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
     UNROLL for (int m = 0; m < TALL; m++) {
         const int pair = begin + (strip * TALL + m) * ROWS + item / 4;
         if (pair >= end) continue;
+        const int right = RIGHT(pair), left = mirrored ? LEFT(pair) : right, single = mirrored && right == left;
         UNROLL for (int which = 0; which < 2; which++) {
             if (which && alone) continue;
-            __global float *to = folded + (((size_t)slab * n_k + (which ? other_k : k)) * n_pair + pair) * LANES;
+            __global float *to = light + ((size_t)slab * n_k + (which ? other_k : k)) * n_r * LANES;
             UNROLL for (int n = 0; n < WIDE; n++) {
                 const float2 sum = sums[which][m][n].lo, other = sums[which][m][n].hi;
                 const float2 difference = (which ? 1.0f : -1.0f) * (float2)(-other.y, other.x);
-                *(__global float2 *)(to + SLICE_OF(n)) = middle ? sum : sum + difference;
-                if (middle) *(__global float2 *)(to + middle * LANES + SLICE_OF(n)) = difference;
+                *(__global float2 *)(to + left * LANES + SLICE_OF(n)) = sum - difference;
+                *(__global float2 *)(to + right * LANES + SLICE_OF(n)) = sum + (single ? sum : difference);
             }
         }
     }

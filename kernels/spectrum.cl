@@ -13,49 +13,8 @@ static inline Vector turned(Vector x) {
 
 #endif
 
-#ifdef COMPILE_fold_columns
-FIELD_KERNEL fold_columns(ARRAY sinogram, int mirrored, __global float *restrict folded, int n_k, int n_r, int n_z,
-                          int n_pair) {
-    const int k = ITEM_MAJOR, middle = n_pair / 2;
-    if (k >= n_k) return;
-    ARRAY from = sinogram + slab_offset(n_k, n_r);
-    __global float *to = folded + slab_offset(n_k, n_pair);
-    EACH_MINOR(p, n_pair) {
-        const int pair = mirrored ? p % middle : p, right = mirrored ? n_r / 2 + pair : p;
-        const int left = n_r - 1 - right, whole = !mirrored || right == left;
-        const int dark = right >= n_r || p >= 2 * middle || (mirrored && whole && p >= middle);
-        EACH_VECTOR {
-            Vector sum = ZERO;
-            if (!dark) {
-                sum = LOAD(from + SAMPLE(k, right, n_r));
-                if (!whole) sum += (p < middle ? 1.0f : -1.0f) * LOAD(from + SAMPLE(k, left, n_r));
-            }
-            STORE(to + SAMPLE(k, p, n_pair), sum);
-        }
-    }
-}
-#endif
-
-#ifdef COMPILE_unfold_columns
-FIELD_KERNEL unfold_columns(ARRAY folded, int mirrored, __global float *restrict sinogram, int n_k, int n_pair, int n_z,
-                            int n_r) {
-    const int k = ITEM_MAJOR, middle = n_pair / 2;
-    if (k >= n_k) return;
-    ARRAY from = folded + slab_offset(n_k, n_pair);
-    __global float *to = sinogram + slab_offset(n_k, n_r);
-    EACH_MINOR(r, n_r) {
-        const int mirror = n_r - 1 - r, pair = mirrored ? max(r, mirror) - n_r / 2 : r;
-        EACH_VECTOR {
-            Vector sum = LOAD(from + SAMPLE(k, pair, n_pair));
-            if (mirrored && r != mirror) sum += (r > mirror ? 1.0f : -1.0f) * LOAD(from + SAMPLE(k, middle + pair, n_pair));
-            STORE(to + SAMPLE(k, r, n_r), sum);
-        }
-    }
-}
-#endif
-
 #ifdef COMPILE_fourier
-#define BELT 17
+#define BELT 18
 #define TURN(value, c, s) (value) = (c) * (value) + sign * (s) * turned(value)
 #define SWAP(a, b) { const Vector held = a; a = b; b = held; }
 
@@ -259,9 +218,6 @@ static inline void direct_sums(ARRAY from, __global float *to, __global const in
 }
 
 #ifdef GPU
-#define SLOTS ((int)get_local_size(0) / THREADS)
-#define SLOT ((int)get_local_id(0) / THREADS)
-
 // Samples that are evenly apart: where the first one lies, how far the next one, and what to add where that passes n.
 typedef struct {
     int at, within, n, step, apart, wrap;
@@ -285,75 +241,109 @@ static inline int next_place(Places *own) {
     return at;
 }
 
-// Of `count` values, taken all at once, the transform: from the source into local memory, and from there to the sink.
+// Of `count` values, taken all at once, the transform: from the source, from local memory to local memory, and to the sink.
+#define TURN_EACH(count, step)                                                                                         \
+    UNROLL for (int i = 1; i < count; i++) {                                                                           \
+        const float2 turn = wave[i * (step) * (n / radix)];                                                            \
+        TURN(g[i], turn.x, turn.y);                                                                                    \
+    }
 #define TAKE(count)                                                                                                    \
     case count: {                                                                                                      \
         Vector g[count];                                                                                               \
         UNROLL for (int i = 0; i < count; i++) g[i] = given[(size_t)next_place(&places) * THREADS];                    \
         if (inner)                                                                                                     \
             UNROLL for (int i = 0; i < count; i++) {                                                                   \
-                const float2 turn = wave[(i * c + q) * inner * turns];                                                 \
+                const float2 turn = wave[(i * rest + q) * inner * turns];                                              \
                 TURN(g[i], turn.x, turn.y);                                                                            \
             }                                                                                                          \
         of_few(g, count, sign);                                                                                        \
-        UNROLL for (int i = 1; i < count; i++) {                                                                       \
-            const float2 turn = wave[i * q * (n / radix)];                                                             \
-            TURN(g[i], turn.x, turn.y);                                                                                \
+        if (rest == 1) {                                                                                               \
+            UNROLL for (int i = 0; i < count; i++) found[(size_t)next_place(&sinks) * THREADS] = g[i];                 \
+            break;                                                                                                     \
         }                                                                                                              \
-        UNROLL for (int i = 0; i < count; i++) own[i * c * THREADS] = g[i];                                            \
+        TURN_EACH(count, q)                                                                                            \
+        UNROLL for (int i = 0; i < count; i++) own[i * rest * wide] = g[i];                                            \
+        break;                                                                                                         \
+    }
+#define PASS_ON(count)                                                                                                 \
+    case count: {                                                                                                      \
+        Vector g[count];                                                                                               \
+        UNROLL for (int i = 0; i < count; i++) g[i] = own[i * c * wide];                                               \
+        of_few(g, count, sign);                                                                                        \
+        TURN_EACH(count, a * q)                                                                                        \
+        UNROLL for (int i = 0; i < count; i++) own[i * c * wide] = g[i];                                               \
         break;                                                                                                         \
     }
 #define GIVE(count)                                                                                                    \
     case count: {                                                                                                      \
         Vector g[count];                                                                                               \
-        UNROLL for (int i = 0; i < count; i++) g[i] = own[i * THREADS];                                                \
+        UNROLL for (int i = 0; i < count; i++) g[i] = own[i * wide];                                                   \
         of_few(g, count, sign);                                                                                        \
-        UNROLL for (int i = 0; i < count; i++) found[(size_t)next_place(&places) * THREADS] = g[i];                    \
+        UNROLL for (int i = 0; i < count; i++) found[(size_t)next_place(&sinks) * THREADS] = g[i];                     \
         break;                                                                                                         \
     }
 #endif
 
 // An item computes OUTPUTS samples of a transform, which share what they are made of. Of a radix above ONE_SUM a
-// processor's item computes all or none, where there is room for it; on GPUs, where the radix is a · c, the items of a
-// group transform a values each, pass them on through local memory, and transform c values each.
+// processor's item computes all or none, where there is room for it; on GPUs, where the radix is a · b · c, the items of a
+// group transform a values each, pass them on through local memory, then b, then c; as many lanes at once as are held there.
 FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global const float2 *restrict waves, float sign,
                      __global float *restrict sink, int n_a, int n_b, int n_z, int n_belt, int n_wave, int n_i, int n_j) {
     ARRAY from = source + slab_offset(n_a, n_b);
     __global float *to = sink + slab_offset(n_i, n_j);
 #ifdef GPU
-    __local Vector held[HELD * THREADS];
-    const int groups = get_num_groups(0) * get_num_groups(1), lane = (int)get_local_id(0) % THREADS;
+    __local Vector held[HELD];
+    const int groups = get_num_groups(0) * get_num_groups(1), items = get_local_size(0), item = get_local_id(0);
+    __global const Vector *slab = (__global const Vector *)(from - ITEM_LANE);
+    __global Vector *sunk = (__global Vector *)(to - ITEM_LANE);
     for (int number = get_group_id(1) * get_num_groups(0) + get_group_id(0);; number += groups) {
         __global const int *belt = belts;
-        for (int b = 1; b < n_belt && number >= belts[b * BELT + 16]; b++) belt = belts + b * BELT;
-        const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], a = belt[14], at_once = belt[15];
-        const int batches = (rings + at_once - 1) / at_once, unit = (number - belt[16]) / batches;
+        for (int next = 1; next < n_belt && number >= belts[next * BELT + 17]; next++) belt = belts + next * BELT;
+        const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], a = belt[14], b = belt[15];
+        const int batches = (rings + belt[16] - 1) / belt[16], unit = (number - belt[17]) / batches;
         if (unit >= n / radix) return;
         __global const float2 *wave = waves + belt[5];
         if (a == 0) {
             const int blocks = (radix + OUTPUTS - 1) / OUTPUTS;
-            for (int task = SLOT; task < blocks * rings; task += SLOTS)
+            for (int task = item / THREADS; task < blocks * rings; task += items / THREADS)
                 direct_sums(from, to, belt, wave, sign, unit * blocks * rings + task, blocks);
             continue;
         }
-        const int c = radix / a, turns = n / (done * radix), inner = unit % done, start = unit / done;
-        const int first = (number - belt[16]) % batches * at_once, here = min(at_once, rings - first);
-        for (int task = SLOT; task < here * c; task += SLOTS) {
-            const int ring = task % here, q = task / here;
-            Places places = places_of(belt + 6, start * done + inner + q * turns * done, c * turns * done);
-            __global const Vector *given = (__global const Vector *)(from + SAMPLE(0, first + ring, 0));
-            __local Vector *own = held + (ring * radix + q) * THREADS + lane;
-            switch (a) { TAKE(2) TAKE(3) TAKE(4) TAKE(5) TAKE(6) TAKE(7) TAKE(8) TAKE(9) TAKE(10) }
+        const int c = radix / (a * b), rest = b * c, turns = n / (done * radix), inner = unit % done, start = unit / done;
+        const int first = (number - belt[17]) % batches * belt[16], here = min(belt[16], rings - first);
+        int wide = THREADS;
+        while (wide > 1 && here * radix * wide > HELD) wide /= 2;
+        for (int lane = item % wide; lane < THREADS; lane += wide) {
+            for (int task = item / wide; task < here * rest; task += items / wide) {
+                const int ring = task % here, q = task / here;
+                Places places = places_of(belt + 6, start * done + inner + q * turns * done, rest * turns * done);
+                Places sinks = places_of(belt + 10, start * done * radix + inner, done);
+                __global const Vector *given = slab + (first + ring) * THREADS + lane;
+                __global Vector *found = sunk + (first + ring) * THREADS + lane;
+                __local Vector *own = held + (ring * radix + q) * wide + item % wide;
+                switch (a) { TAKE(1) TAKE(2) TAKE(3) TAKE(4) TAKE(5) TAKE(6) TAKE(7) TAKE(8) TAKE(9) TAKE(10) }
+            }
+            if (rest == 1) continue;
+            barrier(CLK_LOCAL_MEM_FENCE);
+            if (b > 1) {
+                for (int task = item / wide; task < here * a * c; task += items / wide) {
+                    const int ring = task % here, q = task / here % c, p = task / here / c;
+                    __local Vector *own = held + (ring * radix + p * rest + q) * wide + item % wide;
+                    switch (b) {
+                        PASS_ON(2) PASS_ON(3) PASS_ON(4) PASS_ON(5) PASS_ON(6) PASS_ON(7) PASS_ON(8) PASS_ON(9) PASS_ON(10)
+                    }
+                }
+                barrier(CLK_LOCAL_MEM_FENCE);
+            }
+            for (int task = item / wide; task < here * a * b; task += items / wide) {
+                const int ring = task % here, p = task / here, k = p / b + p % b * a;
+                Places sinks = places_of(belt + 10, start * done * radix + inner + k * done, a * b * done);
+                __global Vector *found = sunk + (first + ring) * THREADS + lane;
+                __local const Vector *own = held + (ring * radix + p * c) * wide + item % wide;
+                switch (c) { GIVE(2) GIVE(3) GIVE(4) GIVE(5) GIVE(6) GIVE(7) GIVE(8) GIVE(9) GIVE(10) }
+            }
+            barrier(CLK_LOCAL_MEM_FENCE);
         }
-        barrier(CLK_LOCAL_MEM_FENCE);
-        for (int task = SLOT; task < here * a; task += SLOTS) {
-            const int ring = task % here, p = task / here;
-            Places places = places_of(belt + 10, start * done * radix + inner + p * done, a * done);
-            __global Vector *found = (__global Vector *)(to + SAMPLE(0, first + ring, 0));
-            __local const Vector *own = held + (ring * radix + p * c) * THREADS + lane;
-            switch (c) { GIVE(1) GIVE(2) GIVE(3) GIVE(4) GIVE(5) GIVE(6) GIVE(7) GIVE(8) GIVE(9) GIVE(10) }
-        }
-        barrier(CLK_LOCAL_MEM_FENCE);
     }
 #else
     if (ITEM_MAJOR >= n_i || ITEM_Z >= n_z) return;
@@ -397,9 +387,14 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 #define ENTRIES                                                                                                        \
     const int back = 2 * k > n_k, kept = back ? n_k - k : k;                                                           \
     __global const float *frequency = entries + (size_t)kept * (n_entry / (n_k / 2 + 1));
-#define TILE_OF(tile) (tiles + 5 * (back ? tiles[5 * (tile) + 2] : (tile)))
+#define KEPT_TILE(tile) (back ? tiles[3 * (tile) + 2] : (tile))
+#define FIRST_OF(tile) tiles[3 * KEPT_TILE(tile)]
+// Columns of a pair: right and left of the middle where they mirror each other, else one. How many pairs there are.
+#define RIGHT(pair) ((mirrored ? n_r / 2 : 0) + (pair))
+#define LEFT(pair) (n_r - 1 - RIGHT(pair))
+#define ALL_PAIRS (n_r - RIGHT(0))
 // How many pairs of columns light it at this frequency.
-#define PAIRS_OF(own) (kept >= (own)[3] && kept < (own)[4] ? 0 : (own)[1])
+#define PAIRS_OF(tile) lit[kept * n_tile + KEPT_TILE(tile)]
 #ifdef MATRIX_UNITS
 #include "ring_units.h"
 #else
@@ -452,40 +447,46 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
         for (int m = (first) + part * (step); m < (count); m += (step)) (to)[PLACE_OF(m)] = VALUE(m);                  \
     }
 #define OF_ROW(row) ((row) * spread + near)
+static inline int column_of(int pair, int left, int mirrored, int n_r) {
+    const int right = min(RIGHT(pair), n_r - 1);
+    return left ? n_r - 1 - right : right;
+}
 #define ITSELF(m) (m)
 #endif
 
 #ifdef COMPILE_light_rings
-FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, float greatest,
-                         __global const int *restrict tiles, __global const int *restrict order, int mirrored, int tf32,
-                         __global float *restrict spectrum, int n_k, int n_pair, int n_z, int n_entry, int n_tile,
+FIELD_KERNEL light_rings(ARRAY light, __global const float *restrict entries, float greatest,
+                         __global const int *restrict tiles, __global const int *restrict lit,
+                         __global const int *restrict order, int mirrored, int tf32,
+                         __global float *restrict spectrum, int n_k, int n_r, int n_z, int n_entry, int n_tile,
                          int n_frequency, int n_cell) {
 #ifdef GPU
-    const int k = ITEM_MAJOR, middle = mirrored ? n_pair / 2 : 0;
+    const int k = ITEM_MAJOR;
     ENTRIES
     PLACE
-    __local float4 light[SIDES][2 * CHUNK * HELD_SLABS], shares[SIDES][ITEMS * EACH * CHUNK * 4];
+    __local float4 seen[SIDES][2 * CHUNK * HELD_SLABS], shares[SIDES][ITEMS * EACH * CHUNK * 4];
     __local int starts[ITEMS * EACH], counts[ITEMS * EACH];
     for (int m = MEMBER; m < ITEMS * EACH; m += MEMBERS) {
         const int tile = GROUP_ITEM * EACH + m;
-        __global const int *own = TILE_OF(min(tile, n_tile - 1));
-        starts[m] = own[0];
-        counts[m] = tile < n_tile ? PAIRS_OF(own) : 0;
+        starts[m] = FIRST_OF(min(tile, n_tile - 1));
+        counts[m] = tile < n_tile ? PAIRS_OF(tile) : 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
+    const float both = mirrored ? 1.0f : 0.0f;
     int most = 0, mine = 0;
     for (int t = 0; t < ITEMS * EACH; t++) most = max(most, counts[t]);
     for (int t = 0; t < EACH; t++) mine = max(mine, counts[item * EACH + t]);
-    __global const float4 *from = (__global const float4 *)folded + (size_t)k * n_pair * THREADS + lane;
+    __global const float4 *from = (__global const float4 *)light + (size_t)k * n_r * THREADS + lane;
     Vector real[EACH][TILE_SLABS][ROWS], imaginary[EACH][TILE_SLABS][ROWS];
     UNROLL for (int t = 0; t < EACH; t++) EACH_SLAB(u) EACH_ROW(row) real[t][u][row] = imaginary[t][u][row] = ZERO;
 #define LIT (2 * CHUNK * TILE_SLABS)
 #define SHARED (ITEMS * EACH * CHUNK * 4)
     float4 next_light[PART_OF_ROWS(LIT)], next_shares[PART(SHARED)];
-    // m counts slabs of an item, pairs, then sums and differences; entries of a pair, pairs, then tiles.
+    // m counts slabs of an item, pairs, then right and left; entries of a pair, pairs, then tiles. Pairs beyond all have
+    // entries that are zero, and any light.
 #define LIGHT_AT(m)                                                                                                    \
-    from[SLAB_AT((m) % TILE_SLABS, n_k * n_pair)                                                                       \
-         + (begin + (m) / TILE_SLABS % CHUNK + ((m) / TILE_SLABS >= CHUNK ? middle : 0)) * THREADS]
+    from[SLAB_AT((m) % TILE_SLABS, n_k * n_r) + column_of(PAIR_AT(m), mirrored && (m) / TILE_SLABS >= CHUNK, mirrored, n_r) * THREADS]
+#define PAIR_AT(m) (begin + (m) / TILE_SLABS % CHUNK)
 #define SHARES_AT(m)                                                                                                   \
     (begin < counts[(m) / (CHUNK * 4)]                                                                                 \
          ? ((__global const float4 *)(frequency + starts[(m) / (CHUNK * 4)] + 2 * ROWS * begin))[(m) % (CHUNK * 4)]   \
@@ -502,14 +503,16 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, f
                 UNROLL for (int t = 0; t < EACH; t++) {
                     __local const float4 *share = shares[side] + ((item * EACH + t) * CHUNK + p) * 4;
                     EACH_SLAB(u) {
-                        ADD_EIGHT(real[t][u], share, light[side][(p * TILE_SLABS + u) * spread + near])
-                        ADD_EIGHT(imaginary[t][u], share + 2, light[side][((CHUNK + p) * TILE_SLABS + u) * spread + near])
+                        const float4 right = seen[side][(p * TILE_SLABS + u) * spread + near];
+                        const float4 left = both * seen[side][((CHUNK + p) * TILE_SLABS + u) * spread + near];
+                        ADD_EIGHT(real[t][u], share, right + left)
+                        ADD_EIGHT(imaginary[t][u], share + 2, right - left)
                     }
                 }
             }
         WAIT_FOR_READERS
         if (begin < most) {
-            LAY(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_AT, light[OTHER(side)], OF_ROW)
+            LAY(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_AT, seen[OTHER(side)], OF_ROW)
             LAY(next_shares, PART(SHARED), MEMBER, MEMBERS, SHARED, SHARES_AT, shares[OTHER(side)], ITSELF)
         }
         barrier(CLK_LOCAL_MEM_FENCE);
@@ -522,20 +525,20 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, f
             real[t][u][row] + (back ? -1.0f : 1.0f) * turned(imaginary[t][u][row]);
     }
 #else
-    const int k = ITEM_MAJOR, tile = ITEM_MINOR, middle = mirrored ? n_pair / 2 : 0;
+    const int k = ITEM_MAJOR, tile = ITEM_MINOR;
     if (k >= n_k || tile >= n_tile || ITEM_Z >= n_z) return;
     ENTRIES
-    __global const int *own = TILE_OF(tile);
-    ARRAY from = folded + slab_offset(n_k, n_pair) + SAMPLE(k, 0, n_pair);
+    ARRAY from = light + slab_offset(n_k, n_r) + SAMPLE(k, 0, n_r);
     __global float *to = spectrum + slab_offset(n_k, n_cell) + SAMPLE(k, tile * ROWS, n_cell);
     EACH_VECTOR {
         Vector real[ROWS], imaginary[ROWS];
         EACH_ROW(row) real[row] = imaginary[row] = ZERO;
-        __global const float *entry = frequency + own[0];
-        for (int pair = 0, pairs = PAIRS_OF(own); pair < pairs; pair++, entry += 2 * ROWS) {
-            const Vector sum = LOAD(from + SAMPLE(0, pair, 0)), difference = LOAD(from + SAMPLE(0, middle + pair, 0));
-            ADD_EIGHT(real, (__global const float4 *)entry, sum)
-            ADD_EIGHT(imaginary, (__global const float4 *)entry + 2, difference)
+        __global const float *entry = frequency + FIRST_OF(tile);
+        for (int pair = 0, pairs = min(PAIRS_OF(tile), ALL_PAIRS); pair < pairs; pair++, entry += 2 * ROWS) {
+            const Vector right = LOAD(from + SAMPLE(0, RIGHT(pair), 0));
+            const Vector left = mirrored ? LOAD(from + SAMPLE(0, LEFT(pair), 0)) : ZERO;
+            ADD_EIGHT(real, (__global const float4 *)entry, right + left)
+            ADD_EIGHT(imaginary, (__global const float4 *)entry + 2, right - left)
         }
         EACH_ROW(row) STORE(to + SAMPLE(0, row, 0), real[row] + (back ? -1.0f : 1.0f) * turned(imaginary[row]));
     }
@@ -554,24 +557,26 @@ FIELD_KERNEL light_rings(ARRAY folded, __global const float *restrict entries, f
 
 #ifdef GPU
 // The first tile from one on that a pair of columns lights.
-static inline int next_lit(int tile, int n_tile, int pair, __global const int *tiles, int back, int kept) {
-    while (tile < n_tile && PAIRS_OF(TILE_OF(tile)) <= pair) tile++;
+static inline int next_lit(int tile, int n_tile, int pair, __global const int *tiles, __global const int *lit, int back,
+                           int kept) {
+    while (tile < n_tile && PAIRS_OF(tile) <= pair) tile++;
     return tile;
 }
 #endif
 
 FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries, float greatest,
-                          __global const int *restrict tiles, __global const int *restrict order, int mirrored, int tf32,
-                          __global float *restrict folded, int n_k, int n_cell, int n_z, int n_entry, int n_tile,
-                          int n_frequency, int n_pair) {
-    const int middle = mirrored ? n_pair / 2 : 0, end = mirrored ? middle : n_pair;
+                          __global const int *restrict tiles, __global const int *restrict lit,
+                         __global const int *restrict order, int mirrored, int tf32,
+                          __global float *restrict light, int n_k, int n_cell, int n_z, int n_entry, int n_tile,
+                          int n_frequency, int n_r) {
+    const int end = ALL_PAIRS;
 #ifdef GPU
     const int k = ITEM_MAJOR, begin = GROUP_ITEM * TILE_MINOR;
     ENTRIES
     PLACE
     const int first = begin + item * TILE_MINOR;
     if (begin >= end) return;
-    __local float4 light[SIDES][ROWS * HELD_SLABS], shares[SIDES][ITEMS * TILE_MINOR * 4];
+    __local float4 seen[SIDES][ROWS * HELD_SLABS], shares[SIDES][ITEMS * TILE_MINOR * 4];
     __global const float4 *from = (__global const float4 *)spectrum + (size_t)k * n_cell * THREADS + lane;
     Vector real[TILE_SLABS][TILE_MINOR], imaginary[TILE_SLABS][TILE_MINOR];
     EACH_SLAB(u) UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) real[u][pair] = imaginary[u][pair] = ZERO;
@@ -581,22 +586,22 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
     // m counts slabs of an item, then cells; entries of a pair, then pairs.
 #define LIGHT_OF(m) from[SLAB_AT((m) % TILE_SLABS, n_k * n_cell) + (tile * ROWS + (m) / TILE_SLABS) * THREADS]
 #define SHARES_OF(m)                                                                                                   \
-    (begin + (m) / 4 < pairs ? ((__global const float4 *)(frequency + own[0] + 2 * ROWS * begin))[m] : (float4)(0.0f))
+    (begin + (m) / 4 < pairs ? ((__global const float4 *)(frequency + FIRST_OF(own) + 2 * ROWS * begin))[m] : (float4)(0.0f))
     int tile = -1, pairs = 0;
     for (int side = SIDES - 1; tile < n_tile; side = OTHER(side)) {
-        const int lit = pairs;
-        tile = next_lit(tile + 1, n_tile, begin, tiles, back, kept);
-        __global const int *own = TILE_OF(min(tile, n_tile - 1));
+        const int laid = pairs;
+        tile = next_lit(tile + 1, n_tile, begin, tiles, lit, back, kept);
+        const int own = min(tile, n_tile - 1);
         pairs = PAIRS_OF(own);
         if (tile < n_tile) {
             FETCH(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_OF)
             FETCH(next_shares, PART(SHARED), MEMBER, MEMBERS, SHARED, SHARES_OF)
         }
-        if (lit > first)
+        if (laid > first)
             for (int upper = 0; upper < 2; upper++) {
                 Vector ring[TILE_SLABS][4];
                 EACH_SLAB(u) UNROLL for (int row = 0; row < 4; row++)
-                    ring[u][row] = light[side][((4 * upper + row) * TILE_SLABS + u) * spread + near];
+                    ring[u][row] = seen[side][((4 * upper + row) * TILE_SLABS + u) * spread + near];
                 __local const float4 *share = shares[side] + item * TILE_MINOR * 4 + upper;
                 UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) EACH_SLAB(u) {
                     DOT_FOUR(real[u][pair], share[4 * pair], ring[u])
@@ -605,31 +610,31 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
             }
         WAIT_FOR_READERS
         if (tile < n_tile) {
-            LAY(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_OF, light[OTHER(side)], OF_ROW)
+            LAY(next_light, PART_OF_ROWS(LIT), item, ITEMS, LIT, LIGHT_OF, seen[OTHER(side)], OF_ROW)
             LAY(next_shares, PART(SHARED), MEMBER, MEMBERS, SHARED, SHARES_OF, shares[OTHER(side)], ITSELF)
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
     EACH_SLAB(u) UNROLL for (int pair = 0; pair < TILE_MINOR; pair++) {
         if (first + pair >= end || SLAB(u) > last) break;
-        __global float4 *to = (__global float4 *)folded + ((size_t)SLAB(u) * n_k + k) * n_pair * THREADS + lane;
+        __global float4 *to = (__global float4 *)light + ((size_t)SLAB(u) * n_k + k) * n_r * THREADS + lane;
+        const int right = RIGHT(first + pair), left = mirrored ? LEFT(first + pair) : right;
         const Vector difference = (back ? 1.0f : -1.0f) * turned(imaginary[u][pair]);
-        to[(first + pair) * THREADS] = middle ? real[u][pair] : real[u][pair] + difference;
-        if (middle) to[(middle + first + pair) * THREADS] = difference;
+        to[left * THREADS] = real[u][pair] - difference;
+        to[right * THREADS] = real[u][pair] + (mirrored && right == left ? real[u][pair] : difference);
     }
 #else
     const int k = ITEM_MAJOR, first = ITEM_MINOR * ROWS;
     if (k >= n_k || first >= end || ITEM_Z >= n_z) return;
     ENTRIES
     ARRAY from = spectrum + slab_offset(n_k, n_cell) + SAMPLE(k, 0, n_cell);
-    __global float *to = folded + slab_offset(n_k, n_pair) + SAMPLE(k, first, n_pair);
+    __global float *to = light + slab_offset(n_k, n_r) + SAMPLE(k, 0, n_r);
     EACH_VECTOR {
         Vector real[ROWS], imaginary[ROWS];
         EACH_ROW(pair) real[pair] = imaginary[pair] = ZERO;
         for (int tile = 0; tile < n_tile; tile++) {
-            __global const int *own = TILE_OF(tile);
-            if (PAIRS_OF(own) <= first) continue;
-            __global const float4 *entry = (__global const float4 *)(frequency + own[0] + 2 * ROWS * first);
+            if (PAIRS_OF(tile) <= first) continue;
+            __global const float4 *entry = (__global const float4 *)(frequency + FIRST_OF(tile) + 2 * ROWS * first);
             Vector ring[ROWS];
             EACH_ROW(row) ring[row] = LOAD(from + SAMPLE(0, tile * ROWS + row, 0));
             EACH_ROW(pair) {
@@ -639,10 +644,11 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
                 DOT_FOUR(imaginary[pair], entry[4 * pair + 3], ring + 4)
             }
         }
-        EACH_ROW(pair) {
+        for (int pair = 0; pair < min(ROWS, end - first); pair++) {
+            const int right = RIGHT(first + pair), left = mirrored ? LEFT(first + pair) : right;
             const Vector difference = (back ? 1.0f : -1.0f) * turned(imaginary[pair]);
-            STORE(to + SAMPLE(0, pair, 0), middle ? real[pair] : real[pair] + difference);
-            if (middle) STORE(to + SAMPLE(0, middle + pair, 0), difference);
+            STORE(to + SAMPLE(0, left, 0), real[pair] - difference);
+            STORE(to + SAMPLE(0, right, 0), real[pair] + (mirrored && right == left ? real[pair] : difference));
         }
     }
 #endif

@@ -26,53 +26,59 @@ AT_ONCE = 2048
 ONE_SUM = 20
 """Greatest radix of a pass that is a plain sum everywhere, where radices can be so small."""
 FACTOR = 10
-"""Greatest radix of a pass in registers, in OpenCL: a processor's own, and of two that GPUs make one of."""
+"""Greatest radix of a pass in registers, in OpenCL: a processor's own, and of three that GPUs make one of."""
+ALL_LANES = 384
+"""Samples of which GPUs hold all lanes at once; of more they hold some."""
 
 Light = Annotated[np.ndarray, Field(("k", "r", "z"))]
+"""At each frequency over the angles."""
 LightOut = Annotated[np.ndarray, Field(("k", "r", "z"), writes=True)]
 Source = Annotated[np.ndarray, Field(("a", "b", "z"))]
 Sink = Annotated[np.ndarray, Field(("i", "j", "z"), writes=True)]
-Folded = Annotated[np.ndarray, Field(("k", "pair", "z"))]
-FoldedOut = Annotated[np.ndarray, Field(("k", "pair", "z"), writes=True)]
 Spectrum = Annotated[np.ndarray, Field(("k", "cell", "z"))]
 SpectrumOut = Annotated[np.ndarray, Field(("k", "cell", "z"), writes=True)]
-Belts = Annotated[np.ndarray, Table("int32", ("belt", "17"))]
+Belts = Annotated[np.ndarray, Table("int32", ("belt", "18"))]
 """Rings of equally many samples: first sample, samples a ring, rings, radix, product of the radices before, first
 wave; for the source, then the sink: first place, n, and steps a and b: sample s of ring j lies at
 first + (s mod n)·a + (s div n)·b + j; and what `in_groups` adds."""
 Waves = Annotated[np.ndarray, Table("float32", ("wave", "2"))]  # cosine and sine of each n-th of a turn
 Entries = Annotated[np.ndarray, Table("float32", ("entry",))]
-"""For each frequency up to half of all, tile and pair of columns: real parts of `ROWS` cells, then the imaginary."""
-Tiles = Annotated[np.ndarray, Table("int32", ("tile", "5"))]
-"""Of each `ROWS` cells: first entry, pairs of columns that light them, the tile whose entries are conjugate, and the
-frequencies, up to half of all, from which to before which no entry counts."""
+"""For each frequency up to half of all, tile and pair of columns: real parts of `ROWS` cells, then the imaginary; half
+of them for a column in the middle of mirrored ones, which is a pair with itself; 0 beyond all columns."""
+Tiles = Annotated[np.ndarray, Table("int32", ("tile", "3"))]
+"""Of each `ROWS` cells: first entry, pairs of columns that it has entries of, the tile whose entries are conjugate."""
+Lit = Annotated[np.ndarray, Table("int32", ("frequency", "tile"))]
+"""For each frequency up to half of all, how many pairs of columns light a tile there, a multiple of `ROWS`."""
 Order = Annotated[np.ndarray, Table("int32", ("frequency", "tile", "4"))]
 """For each frequency up to half of all, the tiles, those first that most pairs of columns light: first entry, pairs of
 columns that light them there, the tile, and that whose entries are conjugate."""
 
 
-def greater_factor(radix: int) -> int:
-    """Of two factors of a radix the greater, both of at most `FACTOR`; 0 where there are no such two."""
-    return next((a for a in range(1, FACTOR + 1) if a * a >= radix and radix % a == 0), 0)
+def factors(radix: int) -> tuple[int, int, int]:
+    """Of as few factors of a radix as are at most `FACTOR` each, three at most, the greatest first; zeros for none."""
+    most = range(1, FACTOR + 1)
+    found = [(a, b, radix // (a * b)) for a in most for b in most if radix % (a * b) == 0]
+    small = [each for each in found if FACTOR >= each[0] >= each[2] and (each[0] >= each[1] >= each[2] or each[1] == 1)]
+    return min(small, key=lambda each: (sum(f > 1 for f in each), each), default=(0, 0, 0))
 
 
 def in_groups(belts: list[tuple[int, ...]]) -> np.ndarray:
     """`Belts`: the columns of a pass, and how groups of a GPU share them out.
 
     Args:
-        belts: Of each belt all columns but the last three.
+        belts: Of each belt all columns but the last four.
 
     Returns:
-        The whole table. Its last columns: the greater of two small factors of the radix, 0 where direct sums are to be
+        The whole table. Its last columns: two of three small factors of the radix, zeros where direct sums are to be
         taken; how many rings a group takes at once; the belt's first group.
     """
     found, group = [], 0
     for belt in belts:
         _, n, rings, radix, *_ = belt
-        factor = greater_factor(radix)
-        batches = -(-rings // max(fourier.constants["gpu"]["HELD"] // radix, 1)) if factor else 1
-        found.append((*belt, factor, -(-rings // batches), group))
-        group += n // radix * batches
+        a, b, _ = factors(radix)
+        at_once = -(-rings // max(-(-rings // max(ALL_LANES // radix, 1)), 1)) if a else rings
+        found.append((*belt, a, b, at_once, group))
+        group += n // radix * -(-rings // at_once)
     return np.array(found)
 
 
@@ -85,52 +91,21 @@ def _parted(values: np.ndarray, out: np.ndarray) -> None:
     out[..., 0::2], out[..., 1::2] = np.real(values), np.imag(values)
 
 
-def _mirrored(columns: int, pairs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Columns right and left of the middle of each pair, and how many there are: 2, 1 in the middle, 0 beyond."""
-    right = columns // 2 + np.arange(pairs)
-    left = columns - 1 - right
-    return right, left, np.where(right < columns, 2 - (right == left), 0)
-
-
-@kernel(over="folded", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1))
-def fold_columns(sinogram: Light, mirrored: Integer, folded: FoldedOut) -> None:
-    """Sums of columns that mirror each other, then right minus left; zero beyond the columns.
-
-    Where light is not mirrored (0), columns are copied.
-    """
-    folded[...] = 0.0
-    columns, half = sinogram.shape[1], folded.shape[1] // 2
+def _right_and_left(columns: int, mirrored: int) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of each pair, outward, or all of them and none; one in the middle mirrors itself."""
     if not mirrored:
-        folded[:, :columns] = sinogram
-        return
-    right, left, count = _mirrored(columns, half)
-    two, one = np.flatnonzero(count == 2), np.flatnonzero(count == 1)
-    folded[:, two] = sinogram[:, right[two]] + sinogram[:, left[two]]
-    folded[:, half + two] = sinogram[:, right[two]] - sinogram[:, left[two]]
-    folded[:, one] = sinogram[:, right[one]]
-
-
-@kernel(over="sinogram", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1))
-def unfold_columns(folded: Folded, mirrored: Integer, sinogram: LightOut) -> None:
-    """The transpose of `fold_columns`."""
-    columns, half = sinogram.shape[1], folded.shape[1] // 2
-    if not mirrored:
-        sinogram[...] = folded[:, :columns]
-        return
-    right, left, count = _mirrored(columns, half)
-    two, one = np.flatnonzero(count == 2), np.flatnonzero(count == 1)
-    sinogram[:, right[two]] = folded[:, two] + folded[:, half + two]
-    sinogram[:, left[two]] = folded[:, two] - folded[:, half + two]
-    sinogram[:, right[one]] = folded[:, one]
+        return np.arange(columns), np.arange(0)
+    right = np.arange(columns // 2, columns)
+    return right, columns - 1 - right
 
 
 @kernel(
     over="sink",
     cpu=Tiling(major=1, minor=0),
-    gpu=Tiling(major=1, minor=2, group=(128, 1), registers=80),
+    gpu=Tiling(major=1, minor=2, group=(256, 1), registers=64),
     constants={
         "cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM, "FACTOR": FACTOR},
-        "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 192},
+        "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 8 * ALL_LANES},
     },
 )
 def fourier(source: Source, belts: Belts, waves: Waves, sign: Real, sink: Sink) -> None:
@@ -159,24 +134,20 @@ def _place(first: int, steps: list[int], sample: np.ndarray, ring: np.ndarray) -
     return (first + sample % n * a + sample // n * b)[:, None] + ring
 
 
-def most_lit_first(tiles: np.ndarray, count: int) -> np.ndarray:
-    """`Order` of `Tiles` at so many frequencies."""
-    k = np.arange(count // 2 + 1)[:, None]
-    first, pairs, other, dark, lit = tiles.T
-    given = np.where((k >= dark) & (k < lit), 0, pairs)
-    order = np.argsort(-given, axis=1, kind="stable")
-    return np.stack([first[order], np.take_along_axis(given, order, 1), order, other[order]], axis=2).astype(np.int32)
+def most_lit_first(tiles: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    """`Order` of `Tiles` and `Lit`."""
+    first, _, other = tiles.T
+    order = np.argsort(-lit, axis=1, kind="stable")
+    return np.stack([first[order], np.take_along_axis(lit, order, 1), order, other[order]], axis=2).astype(np.int32)
 
 
-def _entries(entries: np.ndarray, tiles: np.ndarray, k: int, count: int) -> list[np.ndarray]:
+def _entries(entries: np.ndarray, tiles: np.ndarray, lit: np.ndarray, k: int, count: int) -> list[np.ndarray]:
     """Of a frequency: entries (pairs, `ROWS`) of each tile, complex."""
     back, per = 2 * k > count, len(entries) // (count // 2 + 1)
-    found = []
+    kept, found = count - k if back else k, []
     for tile in range(len(tiles)):
-        first, pairs, _, dark, lit = (int(n) for n in tiles[int(tiles[tile, 2]) if back else tile])
-        kept = count - k if back else k
-        pairs *= not dark <= kept < lit
-        start = kept * per + first
+        own = int(tiles[tile, 2]) if back else tile
+        start, pairs = kept * per + int(tiles[own, 0]), int(lit[kept, own])
         parts = entries[start : start + 2 * ROWS * pairs].reshape(pairs, 2, ROWS)
         found.append(parts[:, 0] + (-1j if back else 1j) * parts[:, 1])
     return found
@@ -190,39 +161,45 @@ def _entries(entries: np.ndarray, tiles: np.ndarray, k: int, count: int) -> list
     constants={"gpu": {"GROUP": 32, "SLABS": 4, "CHUNK": 8}, "nvidia": {"GROUP": 64, "SLABS": 2}},
 )
 def light_rings(
-    folded: Folded, entries: Entries, greatest: Real, tiles: Tiles, order: Order, mirrored: Integer,
-    tf32: Integer, spectrum: SpectrumOut,
+    light: Light, entries: Entries, greatest: Real, tiles: Tiles, lit: Lit, order: Order,
+    mirrored: Integer, tf32: Integer, spectrum: SpectrumOut,
 ) -> None:  # fmt: skip
-    """spectrum = entries · light: real parts take sums of columns that mirror each other, imaginary ones differences.
+    """spectrum = entries · light: real parts take sums of columns that mirror each other, imaginary ones right minus left.
 
     Where light is not mirrored (0), both take the columns themselves. For matrix units alone are greatest, than which
     no entry is; order; and tf32: numbers may lose what is beyond eleven bits of them.
     """
-    half = folded.shape[1] // 2 if mirrored else 0
-    for k, light in enumerate(_paired(folded)):
-        for tile, parts in enumerate(_entries(entries, tiles, k, len(folded))):
-            pairs = len(parts)
-            rings = np.real(parts).T @ light[:pairs] + 1j * (np.imag(parts).T @ light[half : half + pairs])
+    right, left = _right_and_left(light.shape[1], mirrored)
+    for k, values in enumerate(_paired(light)):
+        sums, differences = values[right], values[right]
+        sums[: len(left)] += values[left]
+        differences[: len(left)] -= values[left]
+        for tile, parts in enumerate(_entries(entries, tiles, lit, k, len(light))):
+            parts = parts[: len(right)]
+            rings = np.real(parts).T @ sums[: len(parts)] + 1j * (np.imag(parts).T @ differences[: len(parts)])
             _parted(rings, spectrum[k, tile * ROWS : (tile + 1) * ROWS])
 
 
 @kernel(
-    over="folded",
+    over="light",
     cpu=Tiling(major=1, minor=ROWS),
     gpu=Tiling(major=1, minor=ROWS, slabs=2, group=(32, 1, 4)),
     nvidia=Tiling(major=2, minor=ROWS, group=(64, 1, 2)),
     constants={"gpu": {"GROUP": 32, "SLABS": 4}, "nvidia": {"GROUP": 64, "SLABS": 2}},
 )
 def gather_rings(
-    spectrum: Spectrum, entries: Entries, greatest: Real, tiles: Tiles, order: Order, mirrored: Integer,
-    tf32: Integer, folded: FoldedOut,
+    spectrum: Spectrum, entries: Entries, greatest: Real, tiles: Tiles, lit: Lit, order: Order,
+    mirrored: Integer, tf32: Integer, light: LightOut,
 ) -> None:  # fmt: skip
     """The transpose of `light_rings`."""
-    half = folded.shape[1] // 2 if mirrored else 0
+    right, left = _right_and_left(light.shape[1], mirrored)
     for k, rings in enumerate(_paired(spectrum)):
-        total = np.zeros((folded.shape[1], rings.shape[1]), complex)
-        for tile, parts in enumerate(_entries(entries, tiles, k, len(spectrum))):
-            pairs, own = len(parts), rings[tile * ROWS : (tile + 1) * ROWS]
-            total[:pairs] += np.real(parts) @ own
-            total[half : half + pairs] -= 1j * (np.imag(parts) @ own)
-        _parted(total, folded[k])
+        sums, differences = np.zeros((2, len(right), rings.shape[1]), complex)
+        for tile, parts in enumerate(_entries(entries, tiles, lit, k, len(spectrum))):
+            parts, own = parts[: len(right)], rings[tile * ROWS : (tile + 1) * ROWS]
+            sums[: len(parts)] += np.real(parts) @ own
+            differences[: len(parts)] -= 1j * (np.imag(parts) @ own)
+        total = np.zeros((light.shape[1], rings.shape[1]), complex)
+        total[right] += sums + differences
+        total[left] += (sums - differences)[: len(left)]
+        _parted(total, light[k])

@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from vamgpu.kernels.wide_warp import Flat, Vectors, read, write
+from vamgpu.kernels.wide_warp import Flat, read, write
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -23,46 +23,6 @@ Steps: Any = wp.types.vector(length=5, dtype=wp.int32)
 def turned(x: wp.vec4):
     """i times each pair of lanes."""
     return wp.vec4(-x[1], x[0], -x[3], x[2])
-
-
-@wp.kernel
-def fold_columns(sinogram: Vectors, mirrored: int, folded: Vectors, n_k: int, n_r: int, n_z: int, n_pair: int) -> None:
-    slab, k, p, lane = wp.tid()
-    half = n_pair // 2
-    right = p
-    if mirrored != 0:
-        right = n_r // 2 + p % half
-    left = n_r - 1 - right
-    whole = mirrored == 0 or right == left
-    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    if right < n_r and p < 2 * half and (mirrored == 0 or not whole or p < half):
-        total = sinogram[slab, k, right, lane]
-        if not whole:
-            other = sinogram[slab, k, left, lane]
-            if p < half:
-                total += other
-            else:
-                total -= other
-    folded[slab, k, p, lane] = total
-
-
-@wp.kernel
-def unfold_columns(
-    folded: Vectors, mirrored: int, sinogram: Vectors, n_k: int, n_pair: int, n_z: int, n_r: int
-) -> None:
-    slab, k, r, lane = wp.tid()
-    mirror = n_r - 1 - r
-    pair = r
-    if mirrored != 0:
-        pair = wp.max(r, mirror) - n_r // 2
-    total = folded[slab, k, pair, lane]
-    if mirrored != 0 and r != mirror:
-        other = folded[slab, k, n_pair // 2 + pair, lane]
-        if r > mirror:
-            total += other
-        else:
-            total -= other
-    sinogram[slab, k, r, lane] = total
 
 
 @wp.kernel
@@ -156,19 +116,16 @@ def tile_at(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
 
 
 @wp.func
-def pairs_of(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
-    """How many pairs of columns light a tile at a frequency."""
-    kept = wp.where(2 * k > n_k, n_k - k, k)
-    if kept >= tiles[tile, 3] and kept < tiles[tile, 4]:
-        return 0
-    return tiles[tile, 1]
+def pairs_of(lit: wp.array2d[int], tile: int, k: int, n_k: int):
+    """How many pairs of columns light the tile whose entries are taken, at a frequency."""
+    return lit[wp.where(2 * k > n_k, n_k - k, k), tile]
 
 
 @wp.kernel
 def light_rings(
-    folded: Flat, entries: wp.array[float], greatest: float, tiles: wp.array2d[int], order: wp.array3d[int],
-    mirrored: int, tf32: int, spectrum: Flat,
-    n_k: int, n_pair: int, n_z: int, n_entry: int, n_tile: int, n_frequency: int, n_cell: int,
+    light: Flat, entries: wp.array[float], greatest: float, tiles: wp.array2d[int], lit: wp.array2d[int],
+    order: wp.array3d[int], mirrored: int, tf32: int, spectrum: Flat,
+    n_k: int, n_r: int, n_z: int, n_entry: int, n_tile: int, n_frequency: int, n_cell: int,
 ) -> None:  # fmt: skip
     two, k, tile, lane = wp.tid()
     slab = 2 * two
@@ -176,25 +133,35 @@ def light_rings(
         return
     other = wp.min(slab + 1, spectrum.shape[0] - 1)
     lanes = spectrum.shape[1] // (n_k * n_cell)
-    half = int(0)
+    right = k * n_r * lanes + lane
+    left = right + (n_r - 1) * lanes
+    both = float(0.0)
+    pairs = n_r
     if mirrored != 0:
-        half = n_pair // 2 * lanes
+        both = 1.0
+        right += n_r // 2 * lanes
+        left -= n_r // 2 * lanes
+        pairs -= n_r // 2
     own = tile_at(tiles, tile, k, n_k)
     entry = first_entry(entries, k, n_k) + tiles[own, 0]
     real = Rows()
     imaginary = Rows()
     other_real = Rows()
     other_imaginary = Rows()
-    at = k * n_pair * lanes + lane
-    for _ in range(pairs_of(tiles, own, k, n_k)):
+    for _ in range(wp.min(pairs_of(lit, own, k, n_k), pairs)):
         a = eight(entries, entry)
         b = eight(entries, entry + ROWS)
-        real += wp.outer(a, read(folded, slab, at))
-        imaginary += wp.outer(b, read(folded, slab, at + half))
-        other_real += wp.outer(a, read(folded, other, at))
-        other_imaginary += wp.outer(b, read(folded, other, at + half))
+        x = read(light, slab, right)
+        y = both * read(light, slab, left)
+        other_x = read(light, other, right)
+        other_y = both * read(light, other, left)
+        real += wp.outer(a, x + y)
+        imaginary += wp.outer(b, x - y)
+        other_real += wp.outer(a, other_x + other_y)
+        other_imaginary += wp.outer(b, other_x - other_y)
         entry += 2 * ROWS
-        at += lanes
+        right += lanes
+        left -= lanes
     sign = wp.where(2 * k > n_k, -1.0, 1.0)
     at = (k * n_cell + tile * ROWS) * lanes + lane
     for row in range(ROWS):
@@ -203,35 +170,27 @@ def light_rings(
 
 
 @wp.func
-def write_pair(
-    folded: Flat, slab: int, at: int, half: int, sign: float, real: wp.vec4, imaginary: wp.vec4,
-):  # fmt: skip
-    difference = sign * turned(imaginary)
-    if half != 0:
-        write(folded, slab, at, real)
-        write(folded, slab, at + half, difference)
-    else:
-        write(folded, slab, at, real + difference)
+def write_pair(light: Flat, slab: int, right: int, left: int, real: wp.vec4, difference: wp.vec4):
+    write(light, slab, left, real - difference)
+    write(light, slab, right, real + difference)
 
 
 @wp.kernel
 def gather_rings(
-    spectrum: Flat, entries: wp.array[float], greatest: float, tiles: wp.array2d[int], order: wp.array3d[int],
-    mirrored: int, tf32: int, folded: Flat,
-    n_k: int, n_cell: int, n_z: int, n_entry: int, n_tile: int, n_frequency: int, n_pair: int,
+    spectrum: Flat, entries: wp.array[float], greatest: float, tiles: wp.array2d[int], lit: wp.array2d[int],
+    order: wp.array3d[int], mirrored: int, tf32: int, light: Flat,
+    n_k: int, n_cell: int, n_z: int, n_entry: int, n_tile: int, n_frequency: int, n_r: int,
 ) -> None:  # fmt: skip
     two, k, here, lane = wp.tid()
     slab = 2 * two
     first = here * ROWS
-    lanes = folded.shape[1] // (n_k * n_pair)
-    pairs = n_pair
-    half = int(0)
+    lanes = light.shape[1] // (n_k * n_r)
+    middle = int(0)
     if mirrored != 0:
-        pairs = n_pair // 2
-        half = pairs * lanes
-    if slab >= folded.shape[0] or k >= n_k or first >= pairs:
+        middle = n_r // 2
+    if slab >= light.shape[0] or k >= n_k or middle + first >= n_r:
         return
-    other = wp.min(slab + 1, folded.shape[0] - 1)
+    other = wp.min(slab + 1, light.shape[0] - 1)
     frequency = first_entry(entries, k, n_k)
     real = Rows()
     imaginary = Rows()
@@ -239,7 +198,7 @@ def gather_rings(
     other_imaginary = Rows()
     for tile in range(n_tile):
         own = tile_at(tiles, tile, k, n_k)
-        if pairs_of(tiles, own, k, n_k) > first:
+        if pairs_of(lit, own, k, n_k) > first:
             entry = frequency + tiles[own, 0] + 2 * ROWS * first
             rings = Rows()
             other_rings = Rows()
@@ -256,6 +215,16 @@ def gather_rings(
                 other_imaginary[pair] += b @ other_rings
     sign = wp.where(2 * k > n_k, 1.0, -1.0)
     for pair in range(ROWS):
-        at = (k * n_pair + first + pair) * lanes + lane
-        write_pair(folded, slab, at, half, sign, real[pair], imaginary[pair])
-        write_pair(folded, other, at, half, sign, other_real[pair], other_imaginary[pair])
+        right = middle + first + pair
+        if right < n_r:
+            left = right
+            a_difference = sign * turned(imaginary[pair])
+            b_difference = sign * turned(other_imaginary[pair])
+            if mirrored != 0:
+                left = n_r - 1 - right
+                if left == right:  # it mirrors itself
+                    a_difference = real[pair]
+                    b_difference = other_real[pair]
+            at = k * n_r * lanes + lane
+            write_pair(light, slab, at + right * lanes, at + left * lanes, real[pair], a_difference)
+            write_pair(light, other, at + right * lanes, at + left * lanes, other_real[pair], b_difference)

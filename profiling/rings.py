@@ -62,8 +62,9 @@ def stages(device: Device, run: Callable[[], Any], runs: int) -> list[dict[str, 
 def _flops(kernel: str, given: dict[str, Any]) -> int:
     """Of products and transforms."""
     if kernel in PRODUCTS:
-        tiles, angles = given["tiles"].numpy(), given["folded"].shape[0]
-        return int(2 * 16 * tiles[:, 1].sum()) * angles * given["folded"].shape[2]
+        angles, _, slices = given["light"].shape
+        lit = given["lit"].numpy().astype(np.int64)
+        return int(2 * 16 * lit.sum() * angles / len(lit)) * slices
     if kernel == "fourier":
         belts = given["belts"].numpy().astype(np.float64)  # as is usual, 5·n·log₂ n for n complex numbers
         return int(2.5 * given["sink"].shape[2] * (belts[:, 1] * belts[:, 2] * np.log2(belts[:, 3])).sum())

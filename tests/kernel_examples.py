@@ -13,7 +13,7 @@ from vamgpu.backend.device import Device
 from vamgpu.kernels.catalog import kernels
 from vamgpu.kernels.histogram import tally
 from vamgpu.kernels.signature import Field, Kernel, Moved, Scalar, Table
-from vamgpu.kernels.spectrum import in_groups, most_lit_first
+from vamgpu.kernels.spectrum import ROWS, in_groups, most_lit_first
 
 
 @dataclass(frozen=True)
@@ -555,23 +555,20 @@ def _in_belts(size: int) -> Example:
 
 def _on_rings(size: int, pairs: int = 16, mirrored: int = 1) -> Example:
     """Three tiles of cells, two of which stand in for each other, lit by all pairs of columns or half of them."""
-    k, tiles = 6 + size % 3, [(0, 16, 1, 0, 0), (256, 16, 0, 2, 3), (512, 8, 2, 1, 9)]
-    sizes = {"k": k, "pair": pairs * (1 + mirrored), "cell": 24, "z": size + size % 2, "tile": 3}
-    order = most_lit_first(np.array(tiles), k)
-    sizes |= {"entry": (k // 2 + 1) * 640, "frequency": len(order)}
-    return Example(sizes, {"tiles": tiles, "order": order, "mirrored": mirrored, "tf32": 0, "greatest": 1.0})
-
-
-def _mirrored(size: int, mirrored: int = 1) -> Example:
-    return Example({"k": 5, "r": 13 + size % 2, "pair": 16, "z": size}, {"mirrored": mirrored})
+    k, tiles = 6 + size % 3, np.array([(0, 16, 1), (256, 16, 0), (512, 8, 2)])
+    sizes = {"k": k, "r": (pairs - 2) * (1 + mirrored) - mirrored * (size % 2), "cell": 24, "z": size + size % 2, "tile": 3}
+    lit = np.array([(16, 16, 8), (16, 8, 0), (8, 0, 0), (0, 16, 0), (0, 0, 8)])[: k // 2 + 1]
+    order = most_lit_first(tiles, lit)
+    entries = np.random.default_rng(size).normal(size=(k // 2 + 1, 40, 2 * ROWS))
+    entries[:, [pairs - 2, pairs - 1, 2 * pairs - 2, 2 * pairs - 1]] = 0.0  # beyond all columns
+    sizes |= {"entry": entries.size, "frequency": len(order)}
+    return Example(sizes, {"entries": entries.ravel(), "tiles": tiles, "lit": lit, "order": order, "mirrored": mirrored, "tf32": 0, "greatest": 1.0})
 
 
 EXAMPLES: dict[str, Callable[[int], Example]] = {
     "fourier": _in_belts,
     "light_rings": _on_rings,
     "gather_rings": _on_rings,
-    "fold_columns": _mirrored,
-    "unfold_columns": _mirrored,
     "spread_rows": _spread_rows,
     "spread_columns": _spread_columns,
     "expose_voxels": _exposed,

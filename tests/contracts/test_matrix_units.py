@@ -84,19 +84,25 @@ def test_matrix_units_keep_the_bits_that_they_are_asked_for(
     mates = number.copy()
     mates[[0, 7, 3, 4]] = [7, 0, 4, 3]
     first = np.cumsum(2 * ROWS * pairs) - 2 * ROWS * pairs
-    dark = (pairs == 8).astype(int)  # at the first frequency beyond 0
-    tiles = np.column_stack([first, pairs, mates, dark, 2 * dark]).astype(np.int32)
+    tiles = np.column_stack([first, pairs, mates]).astype(np.int32)
+    lit = np.tile(pairs, (angles // 2 + 1, 1))
+    lit[1:] = np.where(lit[1:] % 16, lit[1:] // 2 // ROWS * ROWS, lit[1:])
+    lit = lit.astype(np.int32)
     entries = rng.normal(size=(angles // 2 + 1) * 2 * ROWS * pairs.sum()).astype(np.float32)
-    light = rng.normal(size=(angles, max(PAIRS) * (1 + mirrored), slices)) * 1e-12
+    columns = (max(PAIRS) - 3) * (1 + mirrored) - mirrored * (angles % 2)
+    light = rng.normal(size=(angles, columns, slices)) * 1e-12
+    for first_entry, count in zip(first, pairs, strict=True):  # of what columns beyond all would show
+        values = entries.reshape(angles // 2 + 1, -1)[:, first_entry : first_entry + 2 * ROWS * count]
+        values.reshape(len(values), count, 2 * ROWS)[:, max(PAIRS) - 3 :] = 0.0
     rings = (
         rng.normal(size=(angles, ROWS * len(PAIRS), slices)) * 10.0 ** rng.uniform(-9, 9, ROWS * len(PAIRS))[:, None]
     )
-    fields = ("folded", "spectrum") if kernel is light_rings else ("spectrum", "folded")
-    held = {"folded": light.astype(np.float32), "spectrum": rings.astype(np.float32)}
+    fields = ("light", "spectrum") if kernel is light_rings else ("spectrum", "light")
+    held = {"light": light.astype(np.float32), "spectrum": rings.astype(np.float32)}
     held[fields[1]][:] = np.nan
     given = {
         fields[0]: held[fields[0]], "entries": entries, "greatest": np.float32(np.abs(entries).max()), "tiles": tiles,
-        "order": most_lit_first(tiles, angles), "mirrored": np.int32(mirrored), "tf32": np.int32(tf32),
+        "lit": lit, "order": most_lit_first(tiles, lit), "mirrored": np.int32(mirrored), "tf32": np.int32(tf32),
         fields[1]: held[fields[1]],
     }  # fmt: skip
     found = launched(queue, sources, kernel, given, fields)
@@ -106,7 +112,8 @@ def test_matrix_units_keep_the_bits_that_they_are_asked_for(
 
 
 def test_tiles_are_ordered_by_what_lights_them_at_each_frequency() -> None:
-    tiles = np.array([(0, 8, 0, 0, 0), (128, 16, 2, 1, 2), (384, 16, 1, 0, 1), (640, 24, 3, 0, 0)])
-    order = most_lit_first(tiles, 5)
+    tiles = np.array([(0, 8, 0), (128, 16, 2), (384, 16, 1), (640, 24, 3)])
+    lit = np.array([(8, 16, 0, 24), (8, 0, 16, 24), (8, 16, 16, 24)])
+    order = most_lit_first(tiles, lit)
     assert order[:, :, 2].tolist() == [[3, 1, 0, 2], [3, 2, 0, 1], [3, 1, 2, 0]]
     assert order[1].tolist() == [[640, 24, 3, 3], [384, 16, 2, 1], [0, 8, 0, 0], [128, 0, 1, 2]]

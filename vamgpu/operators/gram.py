@@ -14,7 +14,7 @@ from vamgpu.backend.device import Device
 from vamgpu.geometry import Grid
 from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.reduce import disc
-from vamgpu.kernels.spectrum import ROWS, fold_columns, gather_rings, light_rings, most_lit_first, unfold_columns
+from vamgpu.kernels.spectrum import ROWS, gather_rings, light_rings, most_lit_first
 from vamgpu.kernels.update import multiply
 from vamgpu.operators.compose import combine
 from vamgpu.operators.polar import PolarGrid
@@ -70,13 +70,14 @@ class GramInverse:
         blur = np.sum([weight * _shared(each) * _blur(each, reach, rim) for weight, each in members], axis=0)
         angles, columns, rows = operator.range.shape
         wide = -(-columns // ROWS) * ROWS
-        self._passes = straight_passes(self.device, angles, wide)
+        self._there = straight_passes(self.device, angles, columns)
+        self._back = straight_passes(self.device, angles, columns, wide)
         self._weights = _row_weights(members)
         thin, greatest = _Thin(members, reach, rim), float(np.linalg.norm(blur[0], 2))
         self._take_room((angles, columns, 2), wide)
         for share in SHARES:
             self.base = share * greatest
-            self._entries = _table(self.device, _inverses(blur, self.base) / np.float32(angles), wide, angles)
+            self._entries = _table(self.device, _inverses(blur, self.base) / np.float32(angles), wide)
             if thin.most(self) <= MOST:
                 break
         self._take_room((angles, columns, rows), wide)
@@ -104,7 +105,7 @@ class GramInverse:
         deep = rows + rows % 2
         even = (angles, columns, deep)
         self._even = None if rows == deep else (self.device.upload(np.zeros(even, np.float32)), empty(even))
-        self._work = tuple(empty((angles, wide, deep)) for _ in range(2))
+        self._held, self._wide = empty(even), empty((angles, wide, deep))
 
     def __call__(self, light: DeviceArray, out: DeviceArray) -> None:
         """Apply it.
@@ -113,16 +114,14 @@ class GramInverse:
             light: [angle, r, z]; an odd number of rows is filled up with a dark one.
             out: Takes the result; may be ``light``.
         """
-        launch, (first, second), even = self.device.launch, self._work, self._even
+        launch, even = self.device.launch, self._even
         source, sink = even or (light, out)
         if even is not None:
             launch(copy_slices, source=light, first=0, lanes=light, field=source)
-        launch(fold_columns, sinogram=source, mirrored=0, folded=first)
-        spectrum = self._passes.run(-1.0, first, lambda number: (second, first)[number])
-        other = first if spectrum is second else second
-        launch(light_rings, folded=spectrum, **self._entries, spectrum=other)
-        found = self._passes.run(1.0, other, lambda number: (spectrum, other)[number])
-        launch(unfold_columns, folded=found, mirrored=0, sinogram=sink)
+        spectrum = self._there.run(-1.0, source, lambda number: (self._held, sink)[number % 2])
+        launch(light_rings, light=spectrum, **self._entries, spectrum=self._wide)
+        last = self._back.count % 2  # in turn, so that the last pass does not write what it reads
+        self._back.run(1.0, self._wide, lambda number: (self._held, sink)[(number + last) % 2], last=sink)
         if even is not None:
             launch(copy_slices, source=sink, first=0, lanes=sink, field=out)
 
@@ -170,18 +169,16 @@ def _blur(operator: Projection | RingProjection, reach: float, rim: float) -> np
     pose = SpectralProjection(rings, shape, operator.vessel, operator.device, square=grid.pitch)
     device, entries = pose.device, pose._entries
     counted = device.upload(np.broadcast_to(_counted(rings, reach, rim)[:, None], rings.shape).astype(np.float32))
-    spectrum, folded = device.empty(rings.shape), device.empty(pose._folded)
+    spectrum = device.empty(rings.shape)
     found = np.empty((angles // 2 + 1, columns, columns), np.complex64)
     for begin in range(0, columns, AT_ONCE):
         some = np.arange(begin, min(begin + AT_ONCE, columns))
         units = np.zeros((angles, columns, 2 * AT_ONCE), np.float32)
         units[:, some, 2 * (some - begin)] = 1.0
         lit = device.upload(units)
-        device.launch(fold_columns, sinogram=lit, mirrored=entries["mirrored"], folded=folded)
-        device.launch(light_rings, folded=folded, **entries, spectrum=spectrum)
+        device.launch(light_rings, light=lit, **entries, spectrum=spectrum)
         device.launch(multiply, x=spectrum, y=counted, out=spectrum)
-        device.launch(gather_rings, spectrum=spectrum, **entries, folded=folded)
-        device.launch(unfold_columns, folded=folded, mirrored=entries["mirrored"], sinogram=lit)
+        device.launch(gather_rings, spectrum=spectrum, **entries, light=lit)
         values = lit.numpy()[: len(found), :, : 2 * len(some)]
         found[:, :, some] = values[..., 0::2] + 1j * values[..., 1::2]
     return np.float32(0.5 * angles) * (found + found.conj().swapaxes(1, 2))
@@ -260,7 +257,7 @@ def _inverses(blur: np.ndarray, base: float) -> np.ndarray:
     return found
 
 
-def _table(device: Device, matrices: np.ndarray, wide: int, angles: int) -> dict[str, Any]:
+def _table(device: Device, matrices: np.ndarray, wide: int) -> dict[str, Any]:
     """Matrices (frequency, column, column) as `light_rings` takes them, columns in place of cells."""
     count, columns, _ = matrices.shape
     filled = np.zeros((count, wide, wide), np.complex64)
@@ -269,13 +266,14 @@ def _table(device: Device, matrices: np.ndarray, wide: int, angles: int) -> dict
     own = filled.reshape(count, tiles, ROWS, wide).transpose(0, 1, 3, 2)
     entries = np.stack([own.real, own.imag], axis=3)  # (frequency, tile, pair, part, cell)
     number = np.arange(tiles)
-    none = np.zeros(tiles, int)
-    table = np.stack([2 * ROWS * wide * number, none + wide, number, none, none], axis=1)
+    table = np.stack([2 * ROWS * wide * number, np.full(tiles, wide), number], axis=1)
+    lit = np.full((count, tiles), wide)
     return {
         "entries": device.table(entries.ravel()),
         "greatest": float(np.abs(entries).max()),
         "tiles": device.table(table, "int32"),
-        "order": device.table(most_lit_first(table, angles), "int32"),
+        "lit": device.table(lit, "int32"),
+        "order": device.table(most_lit_first(table, lit), "int32"),
         "mirrored": 0,
         "tf32": 0,
     }

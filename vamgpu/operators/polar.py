@@ -271,15 +271,15 @@ def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: f
 
 @dataclass(frozen=True)
 class RingTable:
-    """Entries and tiles of `vamgpu.kernels.spectrum`, and what no entry is greater than.
+    """Entries, tiles and what lights these, of `vamgpu.kernels.spectrum`.
 
-    pairs: of columns.  mirrored: whether they mirror each other.
+    greatest: than which no entry is.  mirrored: whether columns mirror each other.
     """
 
     entries: np.ndarray
     greatest: float
     tiles: np.ndarray
-    pairs: int
+    lit: np.ndarray
     mirrored: bool
 
 
@@ -289,7 +289,7 @@ def ring_table(
 ) -> RingTable:  # fmt: skip
     """The products of each angular frequency, from the light of one pose; arguments as for `pose_on_rings`.
 
-    faint: share of the greatest entry up to which those of a tile at neighboring frequencies count as none.
+    faint: share of the greatest entry up to which those of a tile's outermost columns count as none.
     splines: whether they are to give coefficients of `vamgpu.operators.ring_splines` in place of doses.
     room: makes the array of the entries, which may be most of what memory holds.
     """
@@ -326,21 +326,29 @@ def ring_table(
             found = _spectrum(footprint, beam, grid.angles, len(numbers), half, width)
             for number, values in zip(numbers, found, strict=True):
                 of_tile(number)[...] = values
+                if mirrored and columns % 2:
+                    of_tile(number)[:, :1] *= 0.5
 
         list(pool.map(fill, footprints, wide, own))
         if splines:
             to_coefficients(entries, tiles, grid, pool)
         peaks = list(pool.map(lambda number: _greatest(of_tile(number)), range(len(tiles))))
-    most = max(float(peak.max()) for peak in peaks)
+    most = max(float(peak.max(initial=0.0)) for peak in peaks)
     if most == 0.0:
         raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
-    dark = [_dark(peak <= faint * most) for peak in peaks]
-    return RingTable(entries.ravel(), most, np.column_stack([tiles, dark]), all_pairs, mirrored)
+    lit = np.stack([_lit(peak > faint * most) for peak in peaks], axis=1)
+    return RingTable(entries.ravel(), most, np.array(tiles), lit, mirrored)
 
 
 def _greatest(entries: np.ndarray) -> np.ndarray:
-    """The greatest of each frequency, of entries (frequency, pair, 2, `ROWS`)."""
-    return np.hypot(entries[:, :, 0], entries[:, :, 1]).max(axis=(1, 2), initial=0.0)
+    """The greatest of each frequency and pair, of entries (frequency, pair, 2, `ROWS`)."""
+    return np.hypot(entries[:, :, 0], entries[:, :, 1]).max(axis=2)
+
+
+def _lit(seen: np.ndarray) -> np.ndarray:
+    """How many pairs, whole `ROWS` of them, there are up to the last one seen, of (frequency, pair)."""
+    ends = np.where(seen, np.arange(1, seen.shape[1] + 1), 0).max(axis=1, initial=0)
+    return -(-ends // ROWS) * ROWS
 
 
 def _in_rows(count: int) -> int:
@@ -371,10 +379,3 @@ def _spectrum(
         entries[:, :columns, 1] = np.where(back, np.float32(-1.0), np.float32(1.0))[:, None, None] * np.imag(own)
         found.append(entries)
     return found
-
-
-def _dark(vanish: np.ndarray) -> tuple[int, int]:
-    """The longest run of frequencies that vanish: its first, and the one after it."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], vanish, [0]])))
-    runs = ends.reshape(-1, 2)
-    return tuple(runs[np.argmax(runs[:, 1] - runs[:, 0])].tolist()) if len(runs) else (0, 0)

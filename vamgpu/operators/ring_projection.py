@@ -32,8 +32,8 @@ WIDTH = 0.75
 """Width of a ring over that of a voxel."""
 BEYOND = 2
 """Rings more than voxels take of, beyond which light would go on: what ends there reaches voxels as 0.1 of its slope."""
-FAINT = 1e-4
-"""Share of the greatest entry of the table that counts as none: a fifth to a third of the products."""
+FAINT = 3e-4
+"""Share of the greatest entry of the table that counts as none: a fifth to a third of the products, and 2e-5 of a dose."""
 AT_ONCE = {False: 1 << 30, True: 1 << 33}
 """Bytes of the fields it works in, on processors and on GPUs."""
 THICK = 64
@@ -182,8 +182,7 @@ class RingProjection(LinearOperator):
         work = self._spectral._work
         for name in ("samples", "rings 0", "rings 1"):
             work(name, self._spectral.grid.shape)
-        for name in ("folded 0", "folded 1"):
-            work(name, self._spectral._folded)
+        work("light 0", self._spectral._light_shape)
         if len(self._strips) > 1:
             work("light", (angles, columns, slices))
             work("voxels", (*self.grid.shape[:2], slices))

@@ -18,14 +18,12 @@ from vamgpu.geometry import FULL_TURN, Beam, Turntable, Vessel
 from vamgpu.kernels.spectrum import (
     AT_ONCE,
     ONE_SUM,
-    fold_columns,
+    factors,
     fourier,
     gather_rings,
-    greater_factor,
     in_groups,
     light_rings,
     most_lit_first,
-    unfold_columns,
 )
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid, ring_table
@@ -53,7 +51,7 @@ class SpectralProjection(LinearOperator):
         device: A name or a device; the best one here by default.
         square: Side [mm] of squares about the middles of the cells, over which doses are means in place of the cells;
             ``pitch`` above is theirs then.
-        faint: Share of the greatest entry of its table up to which entries of neighboring frequencies count as none.
+        faint: Share of the greatest entry of its table up to which those of the outermost columns of rings count as none.
         tf32: Let products take eleven bits of each number (TensorFloat-32) where a device has units for that: NVIDIA's
             in OpenCL. Elsewhere it changes nothing.
         splines: Give coefficients of `vamgpu.operators.ring_splines`, which make the dose between cells, in place of doses.
@@ -88,13 +86,14 @@ class SpectralProjection(LinearOperator):
         self._held = local()
         self._rows = RowResampler.of(beam, grid.slices, grid.slice_pitch, self.device)
         table = ring_table(grid, beam, vessel or OpenAir(), square, faint, self.device.room, splines)
-        self._folded = (grid.angles, table.pairs * (2 if table.mirrored else 1), grid.slices)
+        self._light_shape = (grid.angles, beam.pixels[0], grid.slices)
         upload = self.device.table
         self._entries = {
             "entries": self.device.settle(table.entries),
             "greatest": table.greatest,
             "tiles": upload(table.tiles, "int32"),
-            "order": upload(most_lit_first(table.tiles, grid.angles), "int32"),
+            "lit": upload(table.lit, "int32"),
+            "order": upload(most_lit_first(table.tiles, table.lit), "int32"),
             "mirrored": int(table.mirrored),
             "tf32": int(tf32),
         }
@@ -104,16 +103,24 @@ class SpectralProjection(LinearOperator):
         return f"SpectralProjection({self.grid!r}, {self.beam!r}{vessel}, device={self.device.name!r})"
 
     @cached_property
-    def _of_light(self) -> _Passes:
-        return straight_passes(self.device, *self._folded[:2])
+    def _of_light(self) -> Passes:
+        return straight_passes(self.device, *self._light_shape[:2])
 
     @cached_property
-    def _to_rings(self) -> _Passes:
-        return _Passes(self.device, [(n, rings, spectral, cells) for n, rings, cells, spectral in self._belts])
+    def _to_rings(self) -> Passes:
+        own = self._radices and [radices[::-1] for radices in self._radices]
+        return Passes(self.device, [(n, rings, spectral, cells) for n, rings, cells, spectral in self._belts], own)
 
     @cached_property
-    def _from_rings(self) -> _Passes:
-        return _Passes(self.device, self._belts)
+    def _from_rings(self) -> Passes:
+        return Passes(self.device, self._belts, self._radices)
+
+    @property
+    def _radices(self) -> list[tuple[int, ...]] | None:
+        """GPUs transform rings over the angles first, as light, then over the cells between two angles."""
+        if not (self.device.name.startswith("opencl") and getattr(self.device, "is_gpu", False) and any(factors(self.grid.angles))):
+            return None
+        return [(self.grid.angles, belt.samples) for belt in self.grid.belts]
 
     @property
     def _belts(self) -> list[tuple[int, int, Place, Place]]:
@@ -140,19 +147,16 @@ class SpectralProjection(LinearOperator):
         """What slices of a volume send to columns, [angle, r, slice]."""
         launch, work = self.device.launch, self._work
         spectrum = self._from_rings.run(-1.0, x, lambda number: work(f"rings {number}", x.shape))
-        folded = work("folded 0", self._folded)
-        launch(gather_rings, spectrum=spectrum, **self._entries, folded=folded)
-        folded = self._of_light.run(1.0, folded, lambda number: work(f"folded {1 - number}", self._folded))
-        launch(unfold_columns, folded=folded, mirrored=self._entries["mirrored"], sinogram=rows)
+        light = work("light 0", self._light_shape)
+        launch(gather_rings, spectrum=spectrum, **self._entries, light=light)
+        self._of_light.run(1.0, light, lambda number: work(f"light {1 - number}", self._light_shape), last=rows)
 
     def _light(self, rows: DeviceArray, out: DeviceArray) -> None:
         """The dose of columns in slices, the transpose of `_gather`."""
         launch, work = self.device.launch, self._work
-        folded = work("folded 0", self._folded)
-        launch(fold_columns, sinogram=rows, mirrored=self._entries["mirrored"], folded=folded)
-        folded = self._of_light.run(-1.0, folded, lambda number: work(f"folded {1 - number}", self._folded))
+        light = self._of_light.run(-1.0, rows, lambda number: work(f"light {number}", self._light_shape))
         spectrum = work("rings 0", out.shape)
-        launch(light_rings, folded=folded, **self._entries, spectrum=spectrum)
+        launch(light_rings, light=light, **self._entries, spectrum=spectrum)
         self._to_rings.run(1.0, spectrum, lambda number: work(f"rings {1 - number}", out.shape), last=out)
 
     def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
@@ -167,15 +171,22 @@ Place = tuple[int, int, int, int]
 """First sample, n, and steps a and b, as of `vamgpu.kernels.spectrum.Belts`."""
 
 
-class _Passes:
+class Passes:
     """Fourier transforms of rings, a pass after the other: (samples, rings, place in the source, in the sink)."""
 
-    def __init__(self, device: Device, belts: list[tuple[int, int, Place, Place]]) -> None:
+    def __init__(
+        self, device: Device, belts: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]] | None = None
+    ) -> None:
         self._device = device
-        radices = passes([n for n, *_ in belts], _fits(device))
+        radices = radices or passes([n for n, *_ in belts], _fits(device))
         waves = [FULL_TURN * np.arange(n) / n for n, *_ in belts]
         self._waves = device.table(np.concatenate([np.stack([np.cos(w), np.sin(w)], axis=1) for w in waves]))
         self._tables = [device.table(self._pass(belts, radices, number), "int32") for number in range(len(radices[0]))]
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self._tables)
 
     @staticmethod
     def _pass(belts: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]], number: int) -> np.ndarray:
@@ -194,25 +205,23 @@ class _Passes:
 
         Where the result is.
         """
-        count = len(self._tables)
         for number, belts in enumerate(self._tables):
-            sink = last if last is not None and number == count - 1 else work(number % 2)
+            sink = last if last is not None and number == self.count - 1 else work(number % 2)
             self._device.launch(fourier, source=source, belts=belts, waves=self._waves, sign=sign, sink=sink)
             source = sink
         return source
 
 
-def straight_passes(device: Device, angles: int, width: int) -> _Passes:
-    """Transforms over the angles of light [angle, r, z] of so many columns, in place."""
-    straight = (0, angles, width, 0)
-    return _Passes(device, [(angles, width, straight, straight)])
+def straight_passes(device: Device, angles: int, width: int, given: int | None = None) -> Passes:
+    """Transforms over the angles of light [angle, r, z] of so many columns, or of the first of those ``given``."""
+    return Passes(device, [(angles, width, (0, angles, given or width, 0), (0, angles, width, 0))])
 
 
 def _fits(device: Device) -> Callable[[int], bool]:
     """Which radices a device has short work with."""
     if not device.name.startswith("opencl"):
         return ONE_SUM.__ge__
-    return (lambda radix: greater_factor(radix) > 0) if getattr(device, "is_gpu", False) else AT_ONCE.__ge__
+    return (lambda radix: any(factors(radix))) if getattr(device, "is_gpu", False) else AT_ONCE.__ge__
 
 
 def passes(lengths: list[int], fits: Callable[[int], bool]) -> list[tuple[int, ...]]:
