@@ -53,9 +53,10 @@ class Table(Moved):
 
 @dataclass(frozen=True)
 class Scalar:
-    """A number passed by value."""
+    """A number passed by value. Fixed ones that are not 0 are in OpenCL a constant, too, named in capitals."""
 
     dtype: str
+    fixed: bool = False
 
 
 Volume = Annotated[np.ndarray, Field(("x", "y", "z"))]
@@ -69,6 +70,7 @@ ArrayOut = Annotated[np.ndarray, Field(("i", "j", "z"), writes=True)]
 ArrayInOut = Annotated[np.ndarray, Field(("i", "j", "z"), writes=True, updates=True)]
 Real = Annotated[float, Scalar("float32")]
 Integer = Annotated[int, Scalar("int32")]
+Fixed = Annotated[int, Scalar("int32", fixed=True)]
 
 
 @dataclass(frozen=True)

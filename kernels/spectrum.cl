@@ -14,7 +14,7 @@ static inline Vector turned(Vector x) {
 #endif
 
 #ifdef COMPILE_fourier
-#define BELT 18
+#define BELT 16
 #define TURN(value, c, s) (value) = (c) * (value) + sign * (s) * turned(value)
 #define SWAP(a, b) { const Vector held = a; a = b; b = held; }
 
@@ -218,137 +218,114 @@ static inline void direct_sums(ARRAY from, __global float *to, __global const in
 }
 
 #ifdef GPU
-// Samples that are evenly apart: where the first one lies, how far the next one, and what to add where that passes n.
-typedef struct {
-    int at, within, n, step, apart, wrap;
-} Places;
-
-static inline Places places_of(__global const int *place, int sample, int step) {
-    Places own;
-    own.n = place[1];
-    own.step = step % own.n;
-    own.within = sample % own.n;
-    own.at = place[0] + own.within * place[2] + sample / own.n * place[3];
-    own.apart = own.step * place[2] + step / own.n * place[3];
-    own.wrap = place[3] - own.n * place[2];
-    return own;
+// Samples of a ring, `step` apart from a first one on: their place, and how far the next one is.
+static inline int2 row_of(__global const int *place, int sample, int step) {
+    return (int2)(place[0] + sample % place[1] * place[2] + sample / place[1] * place[3],
+                  step % place[1] * place[2] + step / place[1] * place[3]) * THREADS;
 }
 
-static inline int next_place(Places *own) {
-    const int at = own->at, over = own->within + own->step >= own->n;
-    own->at += own->apart + (over ? own->wrap : 0);
-    own->within += own->step - (over ? own->n : 0);
-    return at;
-}
-
-// Of `count` values, taken all at once, the transform: from the source, from local memory to local memory, and to the sink.
-#define TURN_EACH(count, step)                                                                                         \
-    UNROLL for (int i = 1; i < count; i++) {                                                                           \
-        const float2 turn = wave[i * (step) * (n / radix)];                                                            \
-        TURN(g[i], turn.x, turn.y);                                                                                    \
+#ifdef FIRST
+#define RADIX (FIRST * SECOND * THIRD)
+// Lanes that are held at once.
+#define WIDE (RADIX * THREADS <= HELD ? THREADS : RADIX * THREADS <= 2 * HELD ? THREADS / 2 : RADIX * THREADS <= 4 * HELD ? THREADS / 4 : 1)
+#endif
+#define TURN_BY(value, number)                                                                                         \
+    {                                                                                                                  \
+        const float2 turn = wave[number];                                                                              \
+        TURN(value, turn.x, turn.y);                                                                                   \
     }
-#define TAKE(count)                                                                                                    \
+// All samples of a transform.
+#define FEW(count)                                                                                                     \
     case count: {                                                                                                      \
         Vector g[count];                                                                                               \
-        UNROLL for (int i = 0; i < count; i++) g[i] = given[(size_t)next_place(&places) * THREADS];                    \
-        if (inner)                                                                                                     \
-            UNROLL for (int i = 0; i < count; i++) {                                                                   \
-                const float2 turn = wave[(i * rest + q) * inner * turns];                                              \
-                TURN(g[i], turn.x, turn.y);                                                                            \
-            }                                                                                                          \
+        UNROLL for (int i = 0; i < count; i++) g[i] = given[i * read.y];                                               \
+        if (inner) UNROLL for (int i = 1; i < count; i++) TURN_BY(g[i], i * inner * turns)                             \
         of_few(g, count, sign);                                                                                        \
-        if (rest == 1) {                                                                                               \
-            UNROLL for (int i = 0; i < count; i++) found[(size_t)next_place(&sinks) * THREADS] = g[i];                 \
-            break;                                                                                                     \
-        }                                                                                                              \
-        TURN_EACH(count, q)                                                                                            \
-        UNROLL for (int i = 0; i < count; i++) own[i * rest * wide] = g[i];                                            \
-        break;                                                                                                         \
-    }
-#define PASS_ON(count)                                                                                                 \
-    case count: {                                                                                                      \
-        Vector g[count];                                                                                               \
-        UNROLL for (int i = 0; i < count; i++) g[i] = own[i * c * wide];                                               \
-        of_few(g, count, sign);                                                                                        \
-        TURN_EACH(count, a * q)                                                                                        \
-        UNROLL for (int i = 0; i < count; i++) own[i * c * wide] = g[i];                                               \
-        break;                                                                                                         \
-    }
-#define GIVE(count)                                                                                                    \
-    case count: {                                                                                                      \
-        Vector g[count];                                                                                               \
-        UNROLL for (int i = 0; i < count; i++) g[i] = own[i * wide];                                                   \
-        of_few(g, count, sign);                                                                                        \
-        UNROLL for (int i = 0; i < count; i++) found[(size_t)next_place(&sinks) * THREADS] = g[i];                     \
+        UNROLL for (int i = 0; i < count; i++) found[i * write.y] = g[i];                                              \
         break;                                                                                                         \
     }
 #endif
 
 // An item computes OUTPUTS samples of a transform, which share what they are made of. Of a radix above ONE_SUM a
-// processor's item computes all or none, where there is room for it; on GPUs, where the radix is a · b · c, the items of a
-// group transform a values each, pass them on through local memory, then b, then c; as many lanes at once as are held there.
+// processor's item computes all or none, where there is room for it. On GPUs all samples of a radix of up to FACTOR are
+// an item's; where it is FIRST · SECOND · THIRD, the items of a group pass on what they made through local memory.
 FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global const float2 *restrict waves, float sign,
-                     __global float *restrict sink, int n_a, int n_b, int n_z, int n_belt, int n_wave, int n_i, int n_j) {
+                     int first, int second, int third, __global float *restrict sink, int n_a, int n_b, int n_z,
+                     int n_belt, int n_wave, int n_i, int n_j) {
     ARRAY from = source + slab_offset(n_a, n_b);
     __global float *to = sink + slab_offset(n_i, n_j);
 #ifdef GPU
-    __local Vector held[HELD];
     const int groups = get_num_groups(0) * get_num_groups(1), items = get_local_size(0), item = get_local_id(0);
-    __global const Vector *slab = (__global const Vector *)(from - ITEM_LANE);
+    __global const Vector *whole = (__global const Vector *)(from - ITEM_LANE);
     __global Vector *sunk = (__global Vector *)(to - ITEM_LANE);
+#ifdef FIRST
+    __local Vector held[RADIX * WIDE];
+    const int slots = items / WIDE, slot = item / WIDE < slots ? item / WIDE : RADIX;
+#endif
     for (int number = get_group_id(1) * get_num_groups(0) + get_group_id(0);; number += groups) {
         __global const int *belt = belts;
-        for (int next = 1; next < n_belt && number >= belts[next * BELT + 17]; next++) belt = belts + next * BELT;
-        const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], a = belt[14], b = belt[15];
-        const int batches = (rings + belt[16] - 1) / belt[16], unit = (number - belt[17]) / batches;
+        for (int next = 1; next < n_belt && number >= belts[next * BELT + 15]; next++) belt = belts + next * BELT;
+        const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], turns = n / (done * radix);
+        const int at_once = belt[14], batches = (rings + at_once - 1) / at_once, unit = (number - belt[15]) / batches;
         if (unit >= n / radix) return;
+        const int inner = unit % done, start = unit / done, ring = (number - belt[15]) % batches * at_once;
         __global const float2 *wave = waves + belt[5];
-        if (a == 0) {
+        const int2 read = row_of(belt + 6, start * done + inner, turns * done);
+        const int2 write = row_of(belt + 10, start * done * radix + inner, done);
+#ifdef FIRST
+        for (int lanes = 0; lanes < THREADS; lanes += WIDE) {
+            const int lane = min(lanes + item % WIDE, THREADS - 1);
+            __global const Vector *given = whole + read.x + ring * THREADS + lane;
+            __global Vector *found = sunk + write.x + ring * THREADS + lane;
+            __local Vector *own = held + item % WIDE;
+            for (int q = slot; q < RADIX / FIRST; q += slots) {
+                Vector g[FIRST];
+                UNROLL for (int i = 0; i < FIRST; i++) g[i] = given[(i * (RADIX / FIRST) + q) * read.y];
+                if (inner)
+                    UNROLL for (int i = 0; i < FIRST; i++) TURN_BY(g[i], (i * (RADIX / FIRST) + q) * inner * turns)
+                of_few(g, FIRST, sign);
+                UNROLL for (int i = 1; i < FIRST; i++) TURN_BY(g[i], i * q * (n / RADIX))
+                UNROLL for (int i = 0; i < FIRST; i++) own[(i * (RADIX / FIRST) + q) * WIDE] = g[i];
+            }
+            barrier(CLK_LOCAL_MEM_FENCE);
+            if (SECOND > 1) {
+                for (int task = slot; task < RADIX / SECOND; task += slots) {
+                    const int q = task % THIRD, begin = task / THIRD * (SECOND * THIRD) + q;
+                    Vector g[SECOND];
+                    UNROLL for (int i = 0; i < SECOND; i++) g[i] = own[(i * THIRD + begin) * WIDE];
+                    of_few(g, SECOND, sign);
+                    UNROLL for (int i = 1; i < SECOND; i++) TURN_BY(g[i], i * q * FIRST * (n / RADIX))
+                    UNROLL for (int i = 0; i < SECOND; i++) own[(i * THIRD + begin) * WIDE] = g[i];
+                }
+                barrier(CLK_LOCAL_MEM_FENCE);
+            }
+            for (int task = slot; task < RADIX / THIRD; task += slots) {
+                Vector g[THIRD];
+                UNROLL for (int i = 0; i < THIRD; i++) g[i] = own[(task * THIRD + i) * WIDE];
+                of_few(g, THIRD, sign);
+                const int k = task / SECOND + task % SECOND * FIRST;
+                UNROLL for (int i = 0; i < THIRD; i++) found[(i * (FIRST * SECOND) + k) * write.y] = g[i];
+            }
+            barrier(CLK_LOCAL_MEM_FENCE);
+        }
+#else
+        if (radix > FACTOR) {
             const int blocks = (radix + OUTPUTS - 1) / OUTPUTS;
             for (int task = item / THREADS; task < blocks * rings; task += items / THREADS)
                 direct_sums(from, to, belt, wave, sign, unit * blocks * rings + task, blocks);
             continue;
         }
-        const int c = radix / (a * b), rest = b * c, turns = n / (done * radix), inner = unit % done, start = unit / done;
-        const int first = (number - belt[17]) % batches * belt[16], here = min(belt[16], rings - first);
-        int wide = THREADS;
-        while (wide > 1 && here * radix * wide > HELD) wide /= 2;
-        for (int lane = item % wide; lane < THREADS; lane += wide) {
-            for (int task = item / wide; task < here * rest; task += items / wide) {
-                const int ring = task % here, q = task / here;
-                Places places = places_of(belt + 6, start * done + inner + q * turns * done, rest * turns * done);
-                Places sinks = places_of(belt + 10, start * done * radix + inner, done);
-                __global const Vector *given = slab + (first + ring) * THREADS + lane;
-                __global Vector *found = sunk + (first + ring) * THREADS + lane;
-                __local Vector *own = held + (ring * radix + q) * wide + item % wide;
-                switch (a) { TAKE(1) TAKE(2) TAKE(3) TAKE(4) TAKE(5) TAKE(6) TAKE(7) TAKE(8) TAKE(9) TAKE(10) }
-            }
-            if (rest == 1) continue;
-            barrier(CLK_LOCAL_MEM_FENCE);
-            if (b > 1) {
-                for (int task = item / wide; task < here * a * c; task += items / wide) {
-                    const int ring = task % here, q = task / here % c, p = task / here / c;
-                    __local Vector *own = held + (ring * radix + p * rest + q) * wide + item % wide;
-                    switch (b) {
-                        PASS_ON(2) PASS_ON(3) PASS_ON(4) PASS_ON(5) PASS_ON(6) PASS_ON(7) PASS_ON(8) PASS_ON(9) PASS_ON(10)
-                    }
-                }
-                barrier(CLK_LOCAL_MEM_FENCE);
-            }
-            for (int task = item / wide; task < here * a * b; task += items / wide) {
-                const int ring = task % here, p = task / here, k = p / b + p % b * a;
-                Places sinks = places_of(belt + 10, start * done * radix + inner + k * done, a * b * done);
-                __global Vector *found = sunk + (first + ring) * THREADS + lane;
-                __local const Vector *own = held + (ring * radix + p * c) * wide + item % wide;
-                switch (c) { GIVE(2) GIVE(3) GIVE(4) GIVE(5) GIVE(6) GIVE(7) GIVE(8) GIVE(9) GIVE(10) }
-            }
-            barrier(CLK_LOCAL_MEM_FENCE);
+        for (int task = item; task < min(at_once, rings - ring) * THREADS; task += items) {
+            __global const Vector *given = whole + read.x + ring * THREADS + task;
+            __global Vector *found = sunk + write.x + ring * THREADS + task;
+            switch (radix) { FEW(1) FEW(2) FEW(3) FEW(4) FEW(5) FEW(6) FEW(7) FEW(8) FEW(9) FEW(10) }
         }
+#endif
     }
 #else
     if (ITEM_MAJOR >= n_i || ITEM_Z >= n_z) return;
-    const int items = (n_j + 1) / 2, first = ITEM_MAJOR * items, begin = TILE_MINOR ? ITEM_MINOR : 0;
-    for (int item = first + begin, end = first + (TILE_MINOR ? min(begin + 1, items) : items); item < end; item++) {
+    const int items = (n_j + 1) / 2, row = ITEM_MAJOR * items, begin = TILE_MINOR ? ITEM_MINOR : 0;
+    for (int item = row + begin, end = row + (TILE_MINOR ? min(begin + 1, items) : items); item < end; item++) {
         __global const int *belt = belts;
         int own = item, blocks = 0, b = 0;
         for (; b < n_belt; b++, belt += BELT) {

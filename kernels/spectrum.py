@@ -16,7 +16,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.signature import Field, Integer, Real, Table, Tiling, kernel
+from vamgpu.kernels.signature import Field, Fixed, Integer, Real, Table, Tiling, kernel
 
 ROWS = 8
 """Neighboring rings, and pairs of columns, that one item computes together."""
@@ -27,8 +27,8 @@ ONE_SUM = 20
 """Greatest radix of a pass that is a plain sum everywhere, where radices can be so small."""
 FACTOR = 10
 """Greatest radix of a pass in registers, in OpenCL: a processor's own, and of three that GPUs make one of."""
-ALL_LANES = 384
-"""Samples of which GPUs hold all lanes at once; of more they hold some."""
+AT_A_TIME = 32
+"""Rings of a short transform that a group of a GPU takes together."""
 
 Light = Annotated[np.ndarray, Field(("k", "r", "z"))]
 """At each frequency over the angles."""
@@ -37,7 +37,7 @@ Source = Annotated[np.ndarray, Field(("a", "b", "z"))]
 Sink = Annotated[np.ndarray, Field(("i", "j", "z"), writes=True)]
 Spectrum = Annotated[np.ndarray, Field(("k", "cell", "z"))]
 SpectrumOut = Annotated[np.ndarray, Field(("k", "cell", "z"), writes=True)]
-Belts = Annotated[np.ndarray, Table("int32", ("belt", "18"))]
+Belts = Annotated[np.ndarray, Table("int32", ("belt", "16"))]
 """Rings of equally many samples: first sample, samples a ring, rings, radix, product of the radices before, first
 wave; for the source, then the sink: first place, n, and steps a and b: sample s of ring j lies at
 first + (s mod n)·a + (s div n)·b + j; and what `in_groups` adds."""
@@ -55,29 +55,27 @@ columns that light them there, the tile, and that whose entries are conjugate.""
 
 
 def factors(radix: int) -> tuple[int, int, int]:
-    """Of as few factors of a radix as are at most `FACTOR` each, three at most, the greatest first; zeros for none."""
-    most = range(1, FACTOR + 1)
-    found = [(a, b, radix // (a * b)) for a in most for b in most if radix % (a * b) == 0]
-    small = [each for each in found if FACTOR >= each[0] >= each[2] and (each[0] >= each[1] >= each[2] or each[1] == 1)]
-    return min(small, key=lambda each: (sum(f > 1 for f in each), each), default=(0, 0, 0))
+    """Three factors of a radix, at most `FACTOR` each, the greatest first, the last two as near as may be; or zeros."""
+    found = [(a, b, radix // (a * b)) for a in range(1, FACTOR + 1) for b in range(1, a + 1) if radix % (a * b) == 0]
+    small = [each for each in found if each[1] >= each[2]]
+    return min(small, key=sum, default=(0, 0, 0))
 
 
-def in_groups(belts: list[tuple[int, ...]]) -> np.ndarray:
+def in_groups(belts: list[tuple[int, ...]], *, whole: bool = False) -> np.ndarray:
     """`Belts`: the columns of a pass, and how groups of a GPU share them out.
 
     Args:
-        belts: Of each belt all columns but the last four.
+        belts: Of each belt all columns but the last two.
+        whole: Whether a group takes one transform, of a radix of several factors.
 
     Returns:
-        The whole table. Its last columns: two of three small factors of the radix, zeros where direct sums are to be
-        taken; how many rings a group takes at once; the belt's first group.
+        The whole table. Its last columns: how many rings a group takes at once, and the belt's first group.
     """
     found, group = [], 0
     for belt in belts:
         _, n, rings, radix, *_ = belt
-        a, b, _ = factors(radix)
-        at_once = -(-rings // max(-(-rings // max(ALL_LANES // radix, 1)), 1)) if a else rings
-        found.append((*belt, a, b, at_once, group))
+        at_once = 1 if whole else min(rings, AT_A_TIME) if radix <= FACTOR else rings
+        found.append((*belt, at_once, group))
         group += n // radix * -(-rings // at_once)
     return np.array(found)
 
@@ -102,14 +100,19 @@ def _right_and_left(columns: int, mirrored: int) -> tuple[np.ndarray, np.ndarray
 @kernel(
     over="sink",
     cpu=Tiling(major=1, minor=0),
-    gpu=Tiling(major=1, minor=2, group=(256, 1), registers=64),
+    gpu=Tiling(major=4, minor=2, group=(256, 1), registers=80),
     constants={
         "cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM, "FACTOR": FACTOR},
-        "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 8 * ALL_LANES},
+        "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 3072},
     },
 )
-def fourier(source: Source, belts: Belts, waves: Waves, sign: Real, sink: Sink) -> None:
+def fourier(
+    source: Source, belts: Belts, waves: Waves, sign: Real, first: Fixed, second: Fixed, third: Fixed, sink: Sink
+) -> None:
     """One pass of the Fourier transforms of rings over their samples, of exponent ``sign``·i; in order after the last.
+
+    first, second, third: `factors` of the radix, where that is the same for all belts and GPUs are to take it at once.
+    On GPUs places of samples of all radices up to `FACTOR` are evenly apart, as are those of all radices taken at once.
 
     Source: T. G. Stockham, AFIPS Spring Joint Computer Conf. (1966) 229.
     """

@@ -13,7 +13,8 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 ROWS = 8
 Rows: Any = wp.types.matrix(shape=(8, 4), dtype=wp.float32)
 Entry: Any = wp.types.vector(length=8, dtype=wp.float32)
-OUTPUTS = 5  # samples of a transform that a thread computes
+OUTPUTS = 5  # samples of a transform that a thread computes at once, and how often it does
+MAJORS = 4
 Outputs: Any = wp.types.matrix(shape=(5, 4), dtype=wp.float32)
 Waves: Any = wp.types.vector(length=5, dtype=wp.float32)
 Steps: Any = wp.types.vector(length=5, dtype=wp.int32)
@@ -25,21 +26,20 @@ def turned(x: wp.vec4):
     return wp.vec4(-x[1], x[0], -x[3], x[2])
 
 
-@wp.kernel
-def fourier(
-    source: Flat, belts: wp.array2d[int], waves: wp.array2d[float], sign: float, sink: Flat,
-    n_a: int, n_b: int, n_z: int, n_belt: int, n_wave: int, n_i: int, n_j: int,
-) -> None:  # fmt: skip
-    slab, major, minor, lane = wp.tid()
-    lanes = source.shape[1] // (n_a * n_b)
-    own = major * ((n_j + 1) // 2) + minor
+@wp.func
+def direct_sums(
+    source: Flat, belts: wp.array2d[int], waves: wp.array2d[float], sign: float, sink: Flat, slab: int, lane: int,
+    lanes: int, number: int,
+):  # fmt: skip
+    """OUTPUTS samples of a transform: number `number` of all."""
+    own = number
     g = int(0)
     blocks = (belts[0, 3] + OUTPUTS - 1) // OUTPUTS
     count = belts[0, 1] // belts[0, 3] * blocks * belts[0, 2]
     while own >= count:
         own -= count
         g += 1
-        if g == n_belt:
+        if g == belts.shape[0]:
             return
         blocks = (belts[g, 3] + OUTPUTS - 1) // OUTPUTS
         count = belts[g, 1] // belts[g, 3] * blocks * belts[g, 2]
@@ -79,6 +79,18 @@ def fourier(
             out = start * done * radix + inner + (block + o) * done
             at = belts[g, 10] + out % belts[g, 11] * belts[g, 12] + out // belts[g, 11] * belts[g, 13] + ring
             write(sink, slab, at * lanes + lane, along[o] + sign * turned(across[o]))
+
+
+@wp.kernel
+def fourier(
+    source: Flat, belts: wp.array2d[int], waves: wp.array2d[float], sign: float, first: int, second: int, third: int,
+    sink: Flat, n_a: int, n_b: int, n_z: int, n_belt: int, n_wave: int, n_i: int, n_j: int,
+) -> None:  # fmt: skip
+    slab, majors, minor, lane = wp.tid()
+    lanes = source.shape[1] // (n_a * n_b)
+    for m in range(MAJORS):
+        number = (majors * MAJORS + m) * ((n_j + 1) // 2) + minor
+        direct_sums(source, belts, waves, sign, sink, slab, lane, lanes, number)
 
 
 @wp.func_native("""

@@ -545,11 +545,12 @@ def _stack(n: int, **given: Any) -> Example:
 def _in_belts(size: int) -> Example:
     """Two belts of four turns: two rings of twice as many samples, and one of three times as many; the first pass."""
     belts = [
-        (0, 8, 2, 2, 1, 0, 0, 2, 2, 7, 0, 4, 7, 2),
-        (16, 12, 1, 3, 1, 8, 4, 3, 1, 7, 4, 4, 7, 1),
+        (0, 8, 2, 4, 1, 0, 0, 2, 2, 7, 0, 4, 7, 2),
+        (16, 12, 1, 4, 1, 8, 4, 3, 1, 7, 4, 4, 7, 1),
     ]
     waves = np.concatenate([2.0 * np.pi * np.arange(n) / n for n in (8, 12)])
     given = {"belts": in_groups(belts), "waves": np.stack([np.cos(waves), np.sin(waves)], axis=1), "sign": -1.0}
+    given |= {"first": 0, "second": 0, "third": 0}
     return Example({"a": 4, "b": 7, "i": 4, "j": 7, "z": size + size % 2, "belt": 2, "wave": 20}, given)
 
 

@@ -10,10 +10,9 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.kernels.spectrum import factors, fourier, in_groups
 from vamgpu.operators.polar import PolarGrid, pose_on_rings
 from vamgpu.operators.ray_table import OpenAir
-from vamgpu.operators.spectral import SpectralProjection
+from vamgpu.operators.spectral import SpectralProjection, straight_passes
 
 VIAL = vam.Vial(radius=1.0, wall=0.08, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.5)
 ASIDE = vam.Misaligned(VIAL, offset=0.07)
@@ -77,24 +76,17 @@ def test_products_of_eleven_bits_are_near(device: Device, geometry: str) -> None
         assert np.abs(np.asarray(found) - np.asarray(wanted)).max() <= 1e-3 * np.asarray(wanted).max()
 
 
-def test_transforms_of_every_short_length(device: Device) -> None:
-    lengths = [n for n in range(1, 1001) if any(factors(n)) and (n <= 100 or n % 24 == 0 or n % 35 == 0)]
-    firsts = np.cumsum([0, *lengths])
-    waves = np.concatenate([2.0 * np.pi * np.arange(n) / n for n in lengths])
-    places = [(first, n, 1, 0) for first, n in zip(firsts, lengths, strict=False)]
-    belts = [(at[0], n, 1, n, 1, at[0], *at, *at) for at, n in zip(places, lengths, strict=True)]
-    given = np.random.default_rng(0).random((1, int(firsts[-1]), 36))
+@pytest.mark.parametrize("n", [*range(2, 11), 11, 53, 60, 96, 105, 360, 420, 720, 1000])
+@pytest.mark.parametrize("slices", [2, 36])
+def test_transforms_of_every_length(device: Device, n: int, slices: int) -> None:
+    given = np.random.default_rng(n).random((n, 3, slices))
+    numbers = given[..., ::2] + 1j * given[..., 1::2]
+    passes, fields = straight_passes(device, n, 2, 3), [device.empty((n, 2, slices)) for _ in range(2)]
     for sign in (-1.0, 1.0):
-        found = device.empty(given.shape)
-        device.launch(
-            fourier, source=device.upload(given), belts=device.table(in_groups(belts), "int32"),
-            waves=device.table(np.stack([np.cos(waves), np.sin(waves)], axis=1)), sign=sign, sink=found,
-        )  # fmt: skip
-        for first, n in zip(firsts, lengths, strict=False):
-            own = slice(first, first + n)
-            numbers, result = (each[0, own, ::2] + 1j * each[0, own, 1::2] for each in (given, found.numpy()))
-            wanted = np.fft.fft(numbers, axis=0) if sign < 0 else n * np.fft.ifft(numbers, axis=0)
-            assert np.abs(result - wanted).max() <= 1e-6 * np.abs(wanted).max(), (n, sign)
+        found = passes.run(sign, device.upload(given), fields.__getitem__).numpy()
+        wanted = np.fft.fft(numbers, axis=0) if sign < 0 else n * np.fft.ifft(numbers, axis=0)
+        off = found[..., ::2] + 1j * found[..., 1::2] - wanted[:, :2]
+        assert np.abs(off).max() <= 1e-6 * np.abs(wanted).max()
 
 
 def test_faint_frequencies_are_left_out_both_ways(device: Device) -> None:

@@ -19,7 +19,7 @@ import pyopencl.array as cla
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device, from_host
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
-from vamgpu.kernels.signature import Field, Kernel, Table, Tiling
+from vamgpu.kernels.signature import Field, Kernel, Scalar, Table, Tiling
 
 SMALL_TABLE = 1 << 24
 """Bytes up to which a table stays in memory, whatever that may hold."""
@@ -169,11 +169,17 @@ class OpenclDevice(Device):
         cl.enqueue_barrier(other.queue, wait_for=[done])
         return True
 
-    def compile(self, kernel: Kernel, lanes: int, *, cached: bool = True) -> cl.Kernel:
-        """The sibling of a kernel compiled for a layout of ``lanes``; not cached, it tells its arguments everywhere."""
+    def compile(
+        self, kernel: Kernel, lanes: int, fixed: tuple[tuple[str, int], ...] = (), *, cached: bool = True
+    ) -> cl.Kernel:
+        """The sibling of a kernel compiled for a layout of ``lanes`` and fixed numbers, by name.
+
+        Not cached, it tells its arguments everywhere.
+        """
         options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info"]
         options += [f"-DCOMPILE_{kernel.name}", "-DGPU" if self.is_gpu else "-DCPU"]
-        options += [f"-D{key}={value}" for key, value in self._constants(kernel, lanes).items()]
+        constants = self._constants(kernel, lanes) | {name.upper(): value for name, value in fixed if value}
+        options += [f"-D{key}={value}" for key, value in constants.items()]
         if self._kind(kernel, lanes) == "nvidia":
             options.append("-DMATRIX_UNITS")
         registers = self._tiling(kernel, lanes).registers
@@ -241,7 +247,9 @@ class OpenclDevice(Device):
             raise KernelError(f"{kernel.name} runs over {kernel.over}, which is a number")
         if group:
             counts = tuple(-(-n // g) * g for n, g in zip(counts, group, strict=True))
-        function = self._compiled(kernel, lanes)
+        numbers = [(name, spec) for name, spec in kernel.arguments.items() if isinstance(spec, Scalar)]
+        fixed = tuple((name, int(bound[name])) for name, spec in numbers if spec.fixed)
+        function = self._compiled(kernel, lanes, fixed)
         extents = [np.int32(sizes[axis]) for axis in kernel.axes]
         try:
             function(self.queue, counts, group, *bound.values(), *extents)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cached_property
 from math import prod
 from threading import local
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Turntable, Vessel
 from vamgpu.kernels.spectrum import (
     AT_ONCE,
+    FACTOR,
     ONE_SUM,
     factors,
     fourier,
@@ -118,7 +119,7 @@ class SpectralProjection(LinearOperator):
     @property
     def _radices(self) -> list[tuple[int, ...]] | None:
         """GPUs transform rings over the angles first, as light, then over the cells between two angles."""
-        if not (self.device.name.startswith("opencl") and getattr(self.device, "is_gpu", False) and any(factors(self.grid.angles))):
+        if not on_gpu(self.device):
             return None
         return [(self.grid.angles, belt.samples) for belt in self.grid.belts]
 
@@ -181,7 +182,14 @@ class Passes:
         radices = radices or passes([n for n, *_ in belts], _fits(device))
         waves = [FULL_TURN * np.arange(n) / n for n, *_ in belts]
         self._waves = device.table(np.concatenate([np.stack([np.cos(w), np.sin(w)], axis=1) for w in waves]))
-        self._tables = [device.table(self._pass(belts, radices, number), "int32") for number in range(len(radices[0]))]
+        self._tables: list[dict[str, Any]] = []
+        for number in range(len(radices[0])):
+            table, (radix, *others) = self._pass(belts, radices, number), {own[number] for own in radices}
+            own = factors(radix) if on_gpu(device) and not others and radix > FACTOR else (0, 0, 0)
+            self._tables.append(
+                dict(zip(("first", "second", "third"), own, strict=True))
+                | {"belts": device.table(in_groups(table, whole=any(own)), "int32")}
+            )
 
     @property
     def count(self) -> int:
@@ -189,14 +197,16 @@ class Passes:
         return len(self._tables)
 
     @staticmethod
-    def _pass(belts: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]], number: int) -> np.ndarray:
+    def _pass(
+        belts: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]], number: int
+    ) -> list[tuple[int, ...]]:
         """The table of one pass; the first reads where the source lies, all others where the sink does."""
         found, item, wave = [], 0, 0
         for (n, rings, source, sink), own in zip(belts, radices, strict=True):
             read = sink if number else source
             found.append((item, n, rings, own[number], prod(own[:number]), wave, *read, *sink))
             item, wave = item + n * rings, wave + n
-        return in_groups(found)
+        return found
 
     def run(
         self, sign: float, source: DeviceArray, work: Callable[[int], DeviceArray], last: DeviceArray | None = None
@@ -205,9 +215,9 @@ class Passes:
 
         Where the result is.
         """
-        for number, belts in enumerate(self._tables):
+        for number, tables in enumerate(self._tables):
             sink = last if last is not None and number == self.count - 1 else work(number % 2)
-            self._device.launch(fourier, source=source, belts=belts, waves=self._waves, sign=sign, sink=sink)
+            self._device.launch(fourier, source=source, **tables, waves=self._waves, sign=sign, sink=sink)
             source = sink
         return source
 
@@ -217,11 +227,16 @@ def straight_passes(device: Device, angles: int, width: int, given: int | None =
     return Passes(device, [(angles, width, (0, angles, given or width, 0), (0, angles, width, 0))])
 
 
+def on_gpu(device: Device) -> bool:
+    """Whether it is one in OpenCL, which computes some transforms in its own way."""
+    return device.name.startswith("opencl") and getattr(device, "is_gpu", False)
+
+
 def _fits(device: Device) -> Callable[[int], bool]:
     """Which radices a device has short work with."""
     if not device.name.startswith("opencl"):
         return ONE_SUM.__ge__
-    return (lambda radix: any(factors(radix))) if getattr(device, "is_gpu", False) else AT_ONCE.__ge__
+    return (lambda radix: any(factors(radix))) if on_gpu(device) else AT_ONCE.__ge__
 
 
 def passes(lengths: list[int], fits: Callable[[int], bool]) -> list[tuple[int, ...]]:
