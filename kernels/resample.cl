@@ -64,8 +64,51 @@ FIELD_KERNEL resample(__global const float *restrict source, __global const int 
         }
     }
 #else
-    EACH_MINOR(j, n_j)
-        resample_lanes(source, first, weights, lanes, target + SAMPLE(i, j, n_j), i, j, ITEM_Z, min(ITEM_Z + ITEM_LANES, n_z),
-                       n_i, n_j, n_source, n_tap);
+    // Shares of four slices each, of source slices from a multiple of four on, are laid once for all samples of a group.
+    __local float4 shares[4 * QUADS * THREADS];
+    const int lane = get_local_id(0) % THREADS, low = ITEM_Z, high = min(low + 4, n_z);
+    int begin = n_source, end = 0;
+    for (int z = low; z < high; z++) {
+        begin = min(begin, max(first[z], 0));
+        end = max(end, min(first[z] + n_tap, n_source));
+    }
+    begin -= begin % 4;
+    const int quads = (max(end - begin, 0) + 3) / 4;
+    for (int s = get_local_id(0) / THREADS; s < 4 * QUADS; s += get_local_size(0) / THREADS) {
+        float share[4];
+        for (int k = 0; k < 4; k++) {
+            const int tap = low + k < n_z ? begin + s - first[low + k] : -1;
+            share[k] = tap >= 0 && tap < n_tap ? weights[(low + k) * n_tap + tap] : 0.0f;
+        }
+        shares[s * THREADS + lane] = vload4(0, share);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (quads > QUADS) {
+        EACH_MINOR(j, n_j)
+            resample_lanes(source, first, weights, lanes, target + SAMPLE(i, j, n_j), i, j, low, high, n_i, n_j, n_source,
+                           n_tap);
+        return;
+    }
+    for (int j = MINOR_BEGIN, stop = MINOR_END(n_j); j < stop; j += BESIDE) {
+        Vector sum[BESIDE];
+        UNROLL for (int k = 0; k < BESIDE; k++) sum[k] = (Vector)(0.0f);
+        for (int q = 0; q < quads; q++) {
+            const int s = begin + 4 * q;
+            float4 near[BESIDE];
+            UNROLL for (int k = 0; k < BESIDE; k++) {
+                near[k] = *(__global const float4 *)(source + slice_offset(i, min(j + k, n_j - 1), s, n_i, n_j, lanes));
+                if (s + 4 > n_source) near[k] = select((float4)(0.0f), near[k], (int4)(s, s + 1, s + 2, s + 3) < n_source);
+            }
+            __local const float4 *share = shares + 4 * q * THREADS + lane;
+            UNROLL for (int k = 0; k < BESIDE; k++) {
+                sum[k] = fma(share[0], (Vector)(near[k].x), sum[k]);
+                sum[k] = fma(share[THREADS], (Vector)(near[k].y), sum[k]);
+                sum[k] = fma(share[2 * THREADS], (Vector)(near[k].z), sum[k]);
+                sum[k] = fma(share[3 * THREADS], (Vector)(near[k].w), sum[k]);
+            }
+        }
+        for (int k = 0, there = min(BESIDE, stop - j); k < there; k++)
+            *(__global Vector *)(target + SAMPLE(i, j + k, n_j)) = sum[k];
+    }
 #endif
 }

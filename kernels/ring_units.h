@@ -107,7 +107,8 @@
 #define IS_STEP(step) ((step) < n_step)
 // Right of the middle, or left; pairs beyond all have entries that are zero, and any light.
 #define LIGHT_OF(step, left, lower)                                                                                    \
-    (own_light + ((left) ? leftmost : 0) + ((left) ? onward : THREADS) * min(RIGHT((step) * ROWS + item / 8 + 4 * (lower)), n_r - 1))
+    (own_light + ((left) ? leftmost : 0)                                                                               \
+     + ((left) ? onward : THREADS) * min(RIGHT((step) * ROWS + item / 8 + 4 * (lower)), n_r - 1))
 #define ENTRIES_OF(step, own, t) (from[own][t] + (step) * 32)
 #define THERE(step, own, t) ((step) < steps[own][t])
 #define LOOK_AHEAD(step) if ((step) + 3 < reach) call(ahead + ((step) + 3) * stride);

@@ -224,11 +224,6 @@ static inline int2 row_of(__global const int *place, int sample, int step) {
                   step % place[1] * place[2] + step / place[1] * place[3]) * THREADS;
 }
 
-#ifdef FIRST
-#define RADIX (FIRST * SECOND * THIRD)
-// Lanes that are held at once.
-#define WIDE (RADIX * THREADS <= HELD ? THREADS : RADIX * THREADS <= 2 * HELD ? THREADS / 2 : RADIX * THREADS <= 4 * HELD ? THREADS / 4 : 1)
-#endif
 #define TURN_BY(value, number)                                                                                         \
     {                                                                                                                  \
         const float2 turn = wave[number];                                                                              \
@@ -244,6 +239,52 @@ static inline int2 row_of(__global const int *place, int sample, int step) {
         UNROLL for (int i = 0; i < count; i++) found[i * write.y] = g[i];                                              \
         break;                                                                                                         \
     }
+
+#ifdef FIRST
+#define RADIX (FIRST * SECOND * THIRD)
+#define REST (SECOND * THIRD)
+// Lanes that are held at once, and the items of a group that share one of them.
+#define FIT(lanes) (RADIX * (lanes) <= HELD)
+#define WIDE (FIT(THREADS) ? THREADS : FIT(THREADS / 2) ? THREADS / 2 : FIT(THREADS / 4) ? THREADS / 4 : 1)
+#define SLOTS ((int)get_local_size(0) / WIDE)
+#define SLOT (ITEM < SLOTS * WIDE ? ITEM / WIDE : RADIX)
+#define ITEM ((int)get_local_id(0))
+
+// The transform of RADIX samples, from `given`, `read` apart, to `found`, `write` apart, by the items of a group, which
+// take FIRST at once, pass on what they made in local memory, then take SECOND, and THIRD.
+static inline void by_group(__global const Vector *given, int read, __global Vector *found, int write, __local Vector *own,
+                            __global const float2 *wave, int turn_of_one, int turn_of_inner, float sign) {
+    for (int q = SLOT; q < REST; q += SLOTS) {
+        Vector g[FIRST];
+        UNROLL for (int i = 0; i < FIRST; i++) g[i] = given[(i * REST + q) * read];
+        if (turn_of_inner) UNROLL for (int i = 0; i < FIRST; i++) TURN_BY(g[i], (i * REST + q) * turn_of_inner)
+        of_few(g, FIRST, sign);
+        UNROLL for (int i = 1; i < FIRST; i++) TURN_BY(g[i], i * q * turn_of_one)
+        UNROLL for (int i = 0; i < FIRST; i++) own[(i * REST + q) * WIDE] = g[i];
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (SECOND > 1) {
+        for (int task = SLOT; task < FIRST * THIRD; task += SLOTS) {
+            const int q = task % THIRD;
+            __local Vector *at = own + (task / THIRD * REST + q) * WIDE;
+            Vector g[SECOND];
+            UNROLL for (int i = 0; i < SECOND; i++) g[i] = at[i * THIRD * WIDE];
+            of_few(g, SECOND, sign);
+            UNROLL for (int i = 1; i < SECOND; i++) TURN_BY(g[i], i * q * FIRST * turn_of_one)
+            UNROLL for (int i = 0; i < SECOND; i++) at[i * THIRD * WIDE] = g[i];
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+    for (int task = SLOT; task < FIRST * SECOND; task += SLOTS) {
+        const int k = task / SECOND + task % SECOND * FIRST;
+        Vector g[THIRD];
+        UNROLL for (int i = 0; i < THIRD; i++) g[i] = own[(task * THIRD + i) * WIDE];
+        of_few(g, THIRD, sign);
+        UNROLL for (int i = 0; i < THIRD; i++) found[(i * FIRST * SECOND + k) * write] = g[i];
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+}
+#endif
 #endif
 
 // An item computes OUTPUTS samples of a transform, which share what they are made of. Of a radix above ONE_SUM a
@@ -260,7 +301,6 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
     __global Vector *sunk = (__global Vector *)(to - ITEM_LANE);
 #ifdef FIRST
     __local Vector held[RADIX * WIDE];
-    const int slots = items / WIDE, slot = item / WIDE < slots ? item / WIDE : RADIX;
 #endif
     for (int number = get_group_id(1) * get_num_groups(0) + get_group_id(0);; number += groups) {
         __global const int *belt = belts;
@@ -274,39 +314,9 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
         const int2 write = row_of(belt + 10, start * done * radix + inner, done);
 #ifdef FIRST
         for (int lanes = 0; lanes < THREADS; lanes += WIDE) {
-            const int lane = min(lanes + item % WIDE, THREADS - 1);
-            __global const Vector *given = whole + read.x + ring * THREADS + lane;
-            __global Vector *found = sunk + write.x + ring * THREADS + lane;
-            __local Vector *own = held + item % WIDE;
-            for (int q = slot; q < RADIX / FIRST; q += slots) {
-                Vector g[FIRST];
-                UNROLL for (int i = 0; i < FIRST; i++) g[i] = given[(i * (RADIX / FIRST) + q) * read.y];
-                if (inner)
-                    UNROLL for (int i = 0; i < FIRST; i++) TURN_BY(g[i], (i * (RADIX / FIRST) + q) * inner * turns)
-                of_few(g, FIRST, sign);
-                UNROLL for (int i = 1; i < FIRST; i++) TURN_BY(g[i], i * q * (n / RADIX))
-                UNROLL for (int i = 0; i < FIRST; i++) own[(i * (RADIX / FIRST) + q) * WIDE] = g[i];
-            }
-            barrier(CLK_LOCAL_MEM_FENCE);
-            if (SECOND > 1) {
-                for (int task = slot; task < RADIX / SECOND; task += slots) {
-                    const int q = task % THIRD, begin = task / THIRD * (SECOND * THIRD) + q;
-                    Vector g[SECOND];
-                    UNROLL for (int i = 0; i < SECOND; i++) g[i] = own[(i * THIRD + begin) * WIDE];
-                    of_few(g, SECOND, sign);
-                    UNROLL for (int i = 1; i < SECOND; i++) TURN_BY(g[i], i * q * FIRST * (n / RADIX))
-                    UNROLL for (int i = 0; i < SECOND; i++) own[(i * THIRD + begin) * WIDE] = g[i];
-                }
-                barrier(CLK_LOCAL_MEM_FENCE);
-            }
-            for (int task = slot; task < RADIX / THIRD; task += slots) {
-                Vector g[THIRD];
-                UNROLL for (int i = 0; i < THIRD; i++) g[i] = own[(task * THIRD + i) * WIDE];
-                of_few(g, THIRD, sign);
-                const int k = task / SECOND + task % SECOND * FIRST;
-                UNROLL for (int i = 0; i < THIRD; i++) found[(i * (FIRST * SECOND) + k) * write.y] = g[i];
-            }
-            barrier(CLK_LOCAL_MEM_FENCE);
+            const int lane = ring * THREADS + min(lanes + item % WIDE, THREADS - 1);
+            by_group(whole + read.x + lane, read.y, sunk + write.x + lane, write.y, held + item % WIDE, wave, n / RADIX,
+                     inner * turns, sign);
         }
 #else
         if (radix > FACTOR) {
@@ -462,7 +472,8 @@ FIELD_KERNEL light_rings(ARRAY light, __global const float *restrict entries, fl
     // m counts slabs of an item, pairs, then right and left; entries of a pair, pairs, then tiles. Pairs beyond all have
     // entries that are zero, and any light.
 #define LIGHT_AT(m)                                                                                                    \
-    from[SLAB_AT((m) % TILE_SLABS, n_k * n_r) + column_of(PAIR_AT(m), mirrored && (m) / TILE_SLABS >= CHUNK, mirrored, n_r) * THREADS]
+    from[SLAB_AT((m) % TILE_SLABS, n_k * n_r)                                                                          \
+         + column_of(PAIR_AT(m), mirrored && (m) / TILE_SLABS >= CHUNK, mirrored, n_r) * THREADS]
 #define PAIR_AT(m) (begin + (m) / TILE_SLABS % CHUNK)
 #define SHARES_AT(m)                                                                                                   \
     (begin < counts[(m) / (CHUNK * 4)]                                                                                 \

@@ -100,7 +100,7 @@ def _right_and_left(columns: int, mirrored: int) -> tuple[np.ndarray, np.ndarray
 @kernel(
     over="sink",
     cpu=Tiling(major=1, minor=0),
-    gpu=Tiling(major=4, minor=2, group=(256, 1), registers=80),
+    gpu=Tiling(major=4, minor=2, group=(192, 1), registers=80),
     constants={
         "cpu": {"OUTPUTS": 4, "AT_ONCE": AT_ONCE, "ONE_SUM": ONE_SUM, "FACTOR": FACTOR},
         "gpu": {"OUTPUTS": 5, "FACTOR": FACTOR, "HELD": 3072},
@@ -167,7 +167,7 @@ def light_rings(
     light: Light, entries: Entries, greatest: Real, tiles: Tiles, lit: Lit, order: Order,
     mirrored: Integer, tf32: Integer, spectrum: SpectrumOut,
 ) -> None:  # fmt: skip
-    """spectrum = entries · light: real parts take sums of columns that mirror each other, imaginary ones right minus left.
+    """spectrum = entries · light: real parts take sums of columns that mirror each other, imaginary ones differences.
 
     Where light is not mirrored (0), both take the columns themselves. For matrix units alone are greatest, than which
     no entry is; order; and tf32: numbers may lose what is beyond eleven bits of them.

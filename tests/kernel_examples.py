@@ -557,13 +557,15 @@ def _in_belts(size: int) -> Example:
 def _on_rings(size: int, pairs: int = 16, mirrored: int = 1) -> Example:
     """Three tiles of cells, two of which stand in for each other, lit by all pairs of columns or half of them."""
     k, tiles = 6 + size % 3, np.array([(0, 16, 1), (256, 16, 0), (512, 8, 2)])
-    sizes = {"k": k, "r": (pairs - 2) * (1 + mirrored) - mirrored * (size % 2), "cell": 24, "z": size + size % 2, "tile": 3}
+    columns = (pairs - 2) * (1 + mirrored) - mirrored * (size % 2)
+    sizes = {"k": k, "r": columns, "cell": 24, "z": size + size % 2, "tile": 3}
     lit = np.array([(16, 16, 8), (16, 8, 0), (8, 0, 0), (0, 16, 0), (0, 0, 8)])[: k // 2 + 1]
     order = most_lit_first(tiles, lit)
     entries = np.random.default_rng(size).normal(size=(k // 2 + 1, 40, 2 * ROWS))
     entries[:, [pairs - 2, pairs - 1, 2 * pairs - 2, 2 * pairs - 1]] = 0.0  # beyond all columns
     sizes |= {"entry": entries.size, "frequency": len(order)}
-    return Example(sizes, {"entries": entries.ravel(), "tiles": tiles, "lit": lit, "order": order, "mirrored": mirrored, "tf32": 0, "greatest": 1.0})
+    given = {"entries": entries.ravel(), "tiles": tiles, "lit": lit, "order": order, "greatest": 1.0}
+    return Example(sizes, {**given, "mirrored": mirrored, "tf32": 0})
 
 
 EXAMPLES: dict[str, Callable[[int], Example]] = {

@@ -31,9 +31,9 @@ from vamgpu.operators.traced import WHOLE, SparseEntries
 WIDTH = 0.75
 """Width of a ring over that of a voxel."""
 BEYOND = 2
-"""Rings more than voxels take of, beyond which light would go on: what ends there reaches voxels as 0.1 of its slope."""
+"""Rings beyond those that voxels take of: where splines end, what light does beyond is felt for as many."""
 FAINT = 3e-4
-"""Share of the greatest entry of the table that counts as none: a fifth to a third of the products, and 2e-5 of a dose."""
+"""Share of the greatest entry of the table that counts as none: up to a quarter of the products, 2e-5 of a dose."""
 AT_ONCE = {False: 1 << 30, True: 1 << 33}
 """Bytes of the fields it works in, on processors and on GPUs."""
 THICK = 64

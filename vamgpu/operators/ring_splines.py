@@ -9,6 +9,7 @@ frequencies takes them in once, and products give coefficients where they gave s
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,16 +48,16 @@ def to_coefficients(entries: np.ndarray, tiles: list[tuple[int, int, int]], grid
         entries: (frequencies up to half of the angles, entries), as `vamgpu.kernels.spectrum.Entries`.
         tiles: Of each `ROWS` cells: first entry, pairs of columns, the tile of conjugate entries.
         grid: The rings.
-        pool: What works on tiles that do not depend on each other.
+        pool: What works on frequencies that do not depend on each other.
     """
-    along = [_along_radius(grid.rings, parity) for parity in (1.0, -1.0)]
+    pivots = _pivots(grid.rings)
     some = [slice(first, first + AT_ONCE) for first in range(0, len(entries), AT_ONCE)]
     tasks = [(part, m, track) for m, track in _tracks(grid).items() for part in some]
-    list(pool.map(lambda task: _filter(entries, tiles, grid, along, *task), tasks))
+    list(pool.map(lambda task: _filter(entries, tiles, grid.angles, pivots, *task), tasks))
 
 
 def _tracks(grid: PolarGrid) -> dict[int, list[tuple[int, int, int]]]:
-    """Of each m the tiles that hold the frequencies k + m · angles, outward: number, first ring, samples of its rings."""
+    """Of each m, outward, tiles of frequencies k + m · angles: number, first ring, samples of a ring in an angle."""
     found: dict[int, list[tuple[int, int, int]]] = {}
     for belt in grid.belts:
         for j in range(belt.samples):
@@ -66,38 +67,43 @@ def _tracks(grid: PolarGrid) -> dict[int, list[tuple[int, int, int]]]:
     return found
 
 
-def _along_radius(rings: int, parity: float) -> np.ndarray:
-    """Coefficients of samples along a diameter on whose other half waves go on (1) or turn about (−1)."""
-    values = OWN * np.eye(rings) + NEXT * (np.eye(rings, k=1) + np.eye(rings, k=-1))
-    values[0, 0] += parity * NEXT
-    values[-1, -1] += NEXT
-    return np.linalg.inv(values)
+def _pivots(rings: int) -> np.ndarray:
+    """Of the elimination along the radius, (rings, 2): beyond the axis even waves go on, odd ones change their sign."""
+    found = np.empty((rings, 2))
+    found[0] = OWN + NEXT, OWN - NEXT
+    for ring in range(1, rings):
+        found[ring] = OWN - NEXT**2 / found[ring - 1]
+    found[-1] += NEXT  # as if the last sample went on
+    return found
 
 
 def _filter(
-    entries: np.ndarray, tiles: list[tuple[int, int, int]], grid: PolarGrid, along: list[np.ndarray],
+    entries: np.ndarray, tiles: list[tuple[int, int, int]], angles: int, pivots: np.ndarray,
     part: slice, m: int, track: list[tuple[int, int, int]],
 ) -> None:  # fmt: skip
-    """Some frequencies of a track; a tile takes samples of its own rings and of those of the tiles beside it."""
+    """Some frequencies of a track: along the radius ring by ring, outward and back, then along the angle."""
     entries = entries[part]
-    kappa = np.arange(part.start, part.start + len(entries)) + m * grid.angles
+    kappa = np.arange(part.start, part.start + len(entries)) + m * angles
+    own = pivots[:, kappa % 2].astype(np.float32)[:, :, None, None]  # (ring, frequency, 1, 1)
+    rings: list[tuple[int, np.ndarray]] = []
+    for number, first, _ in track:
+        tile = _of_tile(entries, tiles[number])
+        rings += [(first + i, tile[..., i]) for i in range(ROWS)]
+    for (inner, before), (_, values) in pairwise(rings):
+        columns = min(before.shape[1], values.shape[1])
+        values[:, :columns] -= np.float32(NEXT) / own[inner] * before[:, :columns]
+    last, values = rings[-1]
+    values /= own[last]
+    for (_, beyond), (ring, values) in pairwise(reversed(rings)):
+        columns = min(beyond.shape[1], values.shape[1])
+        values[:, :columns] -= np.float32(NEXT) * beyond[:, :columns]
+        values /= own[ring]
+    for number, _, samples in track:
+        angular = OWN + 2.0 * NEXT * np.cos(FULL_TURN * kappa / (angles * samples))
+        _of_tile(entries, tiles[number])[...] /= angular.astype(np.float32)[:, None, None, None]
 
-    def of_tile(number: int) -> np.ndarray:
-        begin, pairs, _ = tiles[number]
-        return entries[:, begin : begin + 2 * ROWS * pairs].reshape(len(entries), pairs, 2, ROWS)
 
-    inner, here = None, of_tile(track[0][0]).copy()  # samples, as they were
-    for (number, ring, per_turn), following in zip(track, [*track[1:], None], strict=True):
-        outer = None if following is None else of_tile(following[0]).copy()
-        own = of_tile(number)
-        angular = OWN + 2.0 * NEXT * np.cos(FULL_TURN * kappa / (grid.angles * per_turn))
-        for parity, matrix in enumerate(along):
-            some = kappa % 2 == parity
-            total = np.zeros_like(own[some])
-            for samples, first in ((inner, ring - ROWS), (here, ring), (outer, ring + ROWS)):
-                if samples is not None:
-                    common = min(own.shape[1], samples.shape[1])
-                    weights = matrix[ring : ring + ROWS, first : first + ROWS].T.astype(np.float32)
-                    total[:, :common] += samples[some, :common] @ weights
-            own[some] = total / angular[some, None, None, None].astype(np.float32)
-        inner, here = here, outer
+def _of_tile(entries: np.ndarray, tile: tuple[int, int, int]) -> np.ndarray:
+    """Those of a tile, (frequency, pair, 2, `ROWS`)."""
+    begin, pairs, _ = tile
+    return entries[:, begin : begin + 2 * ROWS * pairs].reshape(len(entries), pairs, 2, ROWS)

@@ -52,10 +52,10 @@ class SpectralProjection(LinearOperator):
         device: A name or a device; the best one here by default.
         square: Side [mm] of squares about the middles of the cells, over which doses are means in place of the cells;
             ``pitch`` above is theirs then.
-        faint: Share of the greatest entry of its table up to which those of the outermost columns of rings count as none.
+        faint: Share of the greatest entry of its table up to which those of outermost columns count as none.
         tf32: Let products take eleven bits of each number (TensorFloat-32) where a device has units for that: NVIDIA's
             in OpenCL. Elsewhere it changes nothing.
-        splines: Give coefficients of `vamgpu.operators.ring_splines`, which make the dose between cells, in place of doses.
+        splines: Give coefficients of `vamgpu.operators.ring_splines`, which make the dose between cells, not doses.
 
     Raises:
         BadInput: An argument is of another kind, or no light reaches a ring.
