@@ -26,8 +26,10 @@ THEIRS = {
 QUANTILES = (1.0, 0.9999, 0.999, 0.997, 0.99)
 
 
-def job(mesh: Path, device: Any, n: int, iterations: int | None, efficiency: float | None) -> dict[str, Any]:
-    """Both variants; n scales patterns and pixels along with the voxels."""
+def job(
+    mesh: Path, device: Any, n: int, iterations: int | None, efficiency: float | None, *, rings: bool
+) -> dict[str, Any]:
+    """Both variants, on rings or by rays; n scales patterns and pixels along with the voxels."""
     solid = load_mesh(mesh)
     length = float(max(solid.vertices.max(axis=0) - solid.vertices.min(axis=0)))
     shape = (n, n, n)
@@ -36,7 +38,8 @@ def job(mesh: Path, device: Any, n: int, iterations: int | None, efficiency: flo
     )
     out: dict[str, Any] = {}
     for name in THEIRS:
-        A = projection(name, n, device)
+        A: Any = projection(name, n, device)
+        A = vamgpu.RingProjection.of(A) if rings else A
         out[name] = solved(A, target, method(iterations, efficiency), THEIRS[name])
     return out
 
@@ -59,7 +62,7 @@ def method(iterations: int | None, efficiency: float | None) -> tuple[Any, int]:
     return vamgpu.LBFGS(efficiency=0.03 if efficiency is None else efficiency), iterations or 26
 
 
-def solved(A: vamgpu.Projection, target: Any, how: tuple[Any, int], theirs: dict[str, float]) -> dict[str, Any]:
+def solved(A: Any, target: Any, how: tuple[Any, int], theirs: dict[str, float]) -> dict[str, Any]:
     """The loop once with compilation, once without; the plan's quality in floats, and of its frames."""
     chosen, iterations = how
     start = time.perf_counter()

@@ -39,6 +39,7 @@ def main() -> None:
     parser.add_argument("--method", choices=("osmo", "default", "lbfgs"), default="osmo", help="of the main job")
     parser.add_argument("--iterations", type=int, default=None)
     parser.add_argument("--efficiency", type=float, default=None, help="drtvam by L-BFGS with this price of light")
+    parser.add_argument("--rings", action="store_true", help="compute the main job and drtvam on rings")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.child:
@@ -50,7 +51,7 @@ def main() -> None:
         device = vamgpu.open_device(name)
         for job in ("main", "voxelize", "drtvam") if args.job == "all" else (args.job,):
             record = {"job": job, "device": name, "machine": machine(device)} | JOBS[job](args, device)
-            label = f"{job}-{name.replace(':', '-')}-{args.label}"
+            label = f"{job}{'-rings' * args.rings}-{name.replace(':', '-')}-{args.label}"
             print(f"{job} on {name}: {json.dumps(record['result'], indent=1)}")
             print(write_record(args.records, label, record), flush=True)
 
@@ -61,7 +62,7 @@ def main_process(args: argparse.Namespace, device: Any) -> dict[str, Any]:
     results: dict[str, Any] = {}
     command = [sys.executable, __file__, "--child", "--device", device.name, "--mesh", str(args.mesh)]
     command += ["--n", str(args.n or 128), "--angles", str(args.angles), "--method", args.method]
-    command += ["--iterations", str(args.iterations or 20)]
+    command += ["--iterations", str(args.iterations or 20), *["--rings"] * args.rings]
     with tempfile.TemporaryDirectory() as folder:
         names = ("XDG_CACHE_HOME", "POCL_CACHE_DIR", "WARP_CACHE_PATH", "CUDA_CACHE_PATH")
         surroundings = {**os.environ} | {name: str(Path(folder) / name.lower()) for name in names}
@@ -100,7 +101,9 @@ def main_job(args: argparse.Namespace) -> dict[str, Any]:
     target = benchy(args.mesh, n, device)
     stage("voxelize_s")
     beam, motion = vamgpu.Beam((n, n), target.grid.pitch), vamgpu.Turntable(args.angles)
-    A = vamgpu.Projection(target.grid, beam, motion, None, device)
+    A: Any = vamgpu.Projection(target.grid, beam, motion, None, device)
+    A = vamgpu.RingProjection.of(A) if args.rings else A
+    stage("operator_s")
     device.ledger.transfers.clear()
     plan = vamgpu.optimize(A, target, args.method, iterations=args.iterations)
     stage("optimize_s")
@@ -159,7 +162,7 @@ def drtvam(args: argparse.Namespace, device: Any) -> dict[str, Any]:
     """Dr.TVAM's benchmark job; see `drtvam.py`."""
     from drtvam import job
 
-    return {"result": job(args.mesh, device, args.n or 256, args.iterations, args.efficiency)}
+    return {"result": job(args.mesh, device, args.n or 256, args.iterations, args.efficiency, rings=args.rings)}
 
 
 JOBS = {"main": main_process, "voxelize": voxelizing, "drtvam": drtvam}
