@@ -47,9 +47,9 @@ class RingProjection(LinearOperator):
     Takes the place of a `Projection` wherever one is taken, in a vial too, and gives the same dose within 0.002 of the
     greatest (root mean square; 0.02 anywhere): the mean over voxels about points of rings 0.75 voxels wide, by cubic
     splines through them at the voxels within the cylinder that every angle lights. Voxels beyond it count as unlit. Its
-    transpose is exact. Prints are judged by rays of their own, as those of ``direct``. The fields that it
-    works in are kept: three on rings, each 1.4 times a volume and more, and three of light; of as many slices at once
-    as keep them below a gigabyte on processors, eight on GPUs.
+    transpose is exact. Prints are judged by rays of their own, as those of ``direct``. The fields that it works in are
+    kept: three on rings, each 1.4 times a volume and more, and two of light; of as many slices at once as keep them
+    below a gigabyte on processors, eight on GPUs.
 
     Args:
         grid: Voxels of the volume, an even number along z.
@@ -287,7 +287,7 @@ def _rings(grid: Grid, angles: int, width: float) -> PolarGrid:
 def _strips(rings: PolarGrid, beam: Beam, device: Device) -> tuple[range, int]:
     """First slices of the strips that are worked on one after the other, and how many slices a strip has."""
     angles, cells, slices = rings.shape
-    each = 4 * angles * (3 * cells + 3 * beam.pixels[0])
+    each = 4 * angles * (3 * cells + 2 * beam.pixels[0])
     most = AT_ONCE[getattr(device, "is_gpu", False)] * len(getattr(device, "members", ".")) // each
     if slices <= max(most, THICK):
         return range(1), slices
