@@ -18,7 +18,6 @@ FIELD_KERNEL resample(__global const float *restrict source, __global const int 
                       __global const float *restrict weights, int lanes, __global float *restrict target,
                       int n_i, int n_j, int n_source, int n_z, int n_tap) {
     const int i = ITEM_MAJOR;
-    if (i >= n_i) return;
     target += slab_offset(n_i, n_j);
 #ifdef SPAN
     // What every source slice adds to a vector of lanes is the same for all samples: gathered once, then no lane is alone.

@@ -184,7 +184,7 @@ GROUP_KERNEL light_rings(ARRAY light, __global const float *restrict entries, fl
 #define SCALED(value, factor, t) ((factor) * (value))
 GROUP_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries, float greatest,
                           __global const int *restrict tiles, __global const int *restrict lit,
-                         __global const int *restrict order, int mirrored, int tf32,
+                          __global const int *restrict order, int mirrored, int tf32,
                           __global float *restrict light, int n_k, int n_cell, int n_z, int n_entry, int n_tile,
                           int n_frequency, int n_r) {
     PLACE

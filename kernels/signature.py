@@ -131,6 +131,11 @@ class Kernel:
         return {name: hints[name].__metadata__[0] for name in names}
 
     @cached_property
+    def fixed(self) -> tuple[str, ...]:
+        """Declared arguments whose numbers are compiled in."""
+        return tuple(name for name, spec in self.arguments.items() if isinstance(spec, Scalar) and spec.fixed)
+
+    @cached_property
     def axes(self) -> tuple[str, ...]:
         """Named axes in order of first appearance; their sizes follow the declared arguments on devices."""
         seen: dict[str, None] = {}

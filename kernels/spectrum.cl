@@ -229,7 +229,7 @@ static inline int2 row_of(__global const int *place, int sample, int step) {
         const float2 turn = wave[number];                                                                              \
         TURN(value, turn.x, turn.y);                                                                                   \
     }
-// All samples of a transform.
+// Of up to FACTOR samples, which stay in registers.
 #define FEW(count)                                                                                                     \
     case count: {                                                                                                      \
         Vector g[count];                                                                                               \
@@ -241,46 +241,50 @@ static inline int2 row_of(__global const int *place, int sample, int step) {
     }
 
 #ifdef FIRST
-#define RADIX (FIRST * SECOND * THIRD)
-#define REST (SECOND * THIRD)
+#define RADIX (FIRST * SECOND * THIRD * LAST)
 // Lanes that are held at once, and the items of a group that share one of them.
 #define FIT(lanes) (RADIX * (lanes) <= HELD)
 #define WIDE (FIT(THREADS) ? THREADS : FIT(THREADS / 2) ? THREADS / 2 : FIT(THREADS / 4) ? THREADS / 4 : 1)
 #define SLOTS ((int)get_local_size(0) / WIDE)
-#define SLOT (ITEM < SLOTS * WIDE ? ITEM / WIDE : RADIX)
-#define ITEM ((int)get_local_id(0))
+#define SLOT ((int)get_local_id(0) / WIDE)
+// Of COUNT samples, BEYOND apart, that the passes before have BEFORE of: in place.
+#define PASS_ON(COUNT, BEFORE, BEYOND)                                                                                 \
+    if (COUNT > 1) {                                                                                                   \
+        for (int task = SLOT; task < RADIX / COUNT; task += SLOTS) {                                                   \
+            const int q = task % (BEYOND);                                                                             \
+            __local Vector *at = own + (task / (BEYOND) * COUNT * (BEYOND) + q) * WIDE;                                \
+            Vector g[COUNT];                                                                                           \
+            UNROLL for (int i = 0; i < COUNT; i++) g[i] = at[i * (BEYOND) * WIDE];                                     \
+            of_few(g, COUNT, sign);                                                                                    \
+            UNROLL for (int i = 1; i < COUNT; i++) TURN_BY(g[i], i * q * (BEFORE) * turn_of_one)                       \
+            UNROLL for (int i = 0; i < COUNT; i++) at[i * (BEYOND) * WIDE] = g[i];                                     \
+        }                                                                                                              \
+        barrier(CLK_LOCAL_MEM_FENCE);                                                                                  \
+    }
 
 // The transform of RADIX samples, from `given`, `read` apart, to `found`, `write` apart, by the items of a group, which
-// take FIRST at once, pass on what they made in local memory, then take SECOND, and THIRD.
+// take FIRST at once, pass on what they made in local memory, of which `own` is an item's lane, and so on to LAST. Numbers
+// of waves: turn_of_one, a RADIX-th of a turn; turn_of_inner, for each sample, what passes before left to turn it by.
 static inline void by_group(__global const Vector *given, int read, __global Vector *found, int write, __local Vector *own,
                             __global const float2 *wave, int turn_of_one, int turn_of_inner, float sign) {
-    for (int q = SLOT; q < REST; q += SLOTS) {
+    const int rest = RADIX / FIRST;
+    for (int q = SLOT; q < rest; q += SLOTS) {
         Vector g[FIRST];
-        UNROLL for (int i = 0; i < FIRST; i++) g[i] = given[(i * REST + q) * read];
-        if (turn_of_inner) UNROLL for (int i = 0; i < FIRST; i++) TURN_BY(g[i], (i * REST + q) * turn_of_inner)
+        UNROLL for (int i = 0; i < FIRST; i++) g[i] = given[(i * rest + q) * read];
+        if (turn_of_inner) UNROLL for (int i = 0; i < FIRST; i++) TURN_BY(g[i], (i * rest + q) * turn_of_inner)
         of_few(g, FIRST, sign);
         UNROLL for (int i = 1; i < FIRST; i++) TURN_BY(g[i], i * q * turn_of_one)
-        UNROLL for (int i = 0; i < FIRST; i++) own[(i * REST + q) * WIDE] = g[i];
+        UNROLL for (int i = 0; i < FIRST; i++) own[(i * rest + q) * WIDE] = g[i];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (SECOND > 1) {
-        for (int task = SLOT; task < FIRST * THIRD; task += SLOTS) {
-            const int q = task % THIRD;
-            __local Vector *at = own + (task / THIRD * REST + q) * WIDE;
-            Vector g[SECOND];
-            UNROLL for (int i = 0; i < SECOND; i++) g[i] = at[i * THIRD * WIDE];
-            of_few(g, SECOND, sign);
-            UNROLL for (int i = 1; i < SECOND; i++) TURN_BY(g[i], i * q * FIRST * turn_of_one)
-            UNROLL for (int i = 0; i < SECOND; i++) at[i * THIRD * WIDE] = g[i];
-        }
-        barrier(CLK_LOCAL_MEM_FENCE);
-    }
-    for (int task = SLOT; task < FIRST * SECOND; task += SLOTS) {
-        const int k = task / SECOND + task % SECOND * FIRST;
-        Vector g[THIRD];
-        UNROLL for (int i = 0; i < THIRD; i++) g[i] = own[(task * THIRD + i) * WIDE];
-        of_few(g, THIRD, sign);
-        UNROLL for (int i = 0; i < THIRD; i++) found[(i * FIRST * SECOND + k) * write] = g[i];
+    PASS_ON(SECOND, FIRST, THIRD * LAST)
+    PASS_ON(THIRD, FIRST * SECOND, LAST)
+    for (int task = SLOT; task < RADIX / LAST; task += SLOTS) {
+        const int k = task / (SECOND * THIRD) + (task / THIRD % SECOND + task % THIRD * SECOND) * FIRST;
+        Vector g[LAST];
+        UNROLL for (int i = 0; i < LAST; i++) g[i] = own[(task * LAST + i) * WIDE];
+        of_few(g, LAST, sign);
+        UNROLL for (int i = 0; i < LAST; i++) found[(i * (RADIX / LAST) + k) * write] = g[i];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 }
@@ -289,10 +293,10 @@ static inline void by_group(__global const Vector *given, int read, __global Vec
 
 // An item computes OUTPUTS samples of a transform, which share what they are made of. Of a radix above ONE_SUM a
 // processor's item computes all or none, where there is room for it. On GPUs all samples of a radix of up to FACTOR are
-// an item's; where it is FIRST · SECOND · THIRD, the items of a group pass on what they made through local memory.
+// an item's; where it is FIRST · SECOND · THIRD · LAST, the items of a group pass on what they made through local memory.
 FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global const float2 *restrict waves, float sign,
-                     int first, int second, int third, __global float *restrict sink, int n_a, int n_b, int n_z,
-                     int n_belt, int n_wave, int n_i, int n_j) {
+                     int first, int second, int third, int last, __global float *restrict sink, int n_a, int n_b,
+                     int n_z, int n_belt, int n_wave, int n_i, int n_j) {
     ARRAY from = source + slab_offset(n_a, n_b);
     __global float *to = sink + slab_offset(n_i, n_j);
 #ifdef GPU
@@ -306,7 +310,7 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
         __global const int *belt = belts;
         for (int next = 1; next < n_belt && number >= belts[next * BELT + 15]; next++) belt = belts + next * BELT;
         const int n = belt[1], rings = belt[2], radix = belt[3], done = belt[4], turns = n / (done * radix);
-        const int at_once = belt[14], batches = (rings + at_once - 1) / at_once, unit = (number - belt[15]) / batches;
+        const int at_once = belt[14] ? belt[14] : rings, batches = (rings + at_once - 1) / at_once, unit = (number - belt[15]) / batches;
         if (unit >= n / radix) return;
         const int inner = unit % done, start = unit / done, ring = (number - belt[15]) % batches * at_once;
         __global const float2 *wave = waves + belt[5];
@@ -319,7 +323,7 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
                      inner * turns, sign);
         }
 #else
-        if (radix > FACTOR) {
+        if (belt[14] == 0) {
             const int blocks = (radix + OUTPUTS - 1) / OUTPUTS;
             for (int task = item / THREADS; task < blocks * rings; task += items / THREADS)
                 direct_sums(from, to, belt, wave, sign, unit * blocks * rings + task, blocks);
@@ -374,8 +378,8 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
 #define ENTRIES                                                                                                        \
     const int back = 2 * k > n_k, kept = back ? n_k - k : k;                                                           \
     __global const float *frequency = entries + (size_t)kept * (n_entry / (n_k / 2 + 1));
-#define KEPT_TILE(tile) (back ? tiles[3 * (tile) + 2] : (tile))
-#define FIRST_OF(tile) tiles[3 * KEPT_TILE(tile)]
+#define KEPT_TILE(tile) (back ? tiles[2 * (tile) + 1] : (tile))
+#define FIRST_OF(tile) tiles[2 * KEPT_TILE(tile)]
 // Columns of a pair: right and left of the middle where they mirror each other, else one. How many pairs there are.
 #define RIGHT(pair) ((mirrored ? n_r / 2 : 0) + (pair))
 #define LEFT(pair) (n_r - 1 - RIGHT(pair))
@@ -434,10 +438,6 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict belts, __global 
         for (int m = (first) + part * (step); m < (count); m += (step)) (to)[PLACE_OF(m)] = VALUE(m);                  \
     }
 #define OF_ROW(row) ((row) * spread + near)
-static inline int column_of(int pair, int left, int mirrored, int n_r) {
-    const int right = min(RIGHT(pair), n_r - 1);
-    return left ? n_r - 1 - right : right;
-}
 #define ITSELF(m) (m)
 #endif
 
@@ -473,8 +473,8 @@ FIELD_KERNEL light_rings(ARRAY light, __global const float *restrict entries, fl
     // entries that are zero, and any light.
 #define LIGHT_AT(m)                                                                                                    \
     from[SLAB_AT((m) % TILE_SLABS, n_k * n_r)                                                                          \
-         + column_of(PAIR_AT(m), mirrored && (m) / TILE_SLABS >= CHUNK, mirrored, n_r) * THREADS]
-#define PAIR_AT(m) (begin + (m) / TILE_SLABS % CHUNK)
+         + (mirrored && (m) / TILE_SLABS >= CHUNK ? LEFT(PAIR_AT(m)) : RIGHT(PAIR_AT(m))) * THREADS]
+#define PAIR_AT(m) min(begin + (m) / TILE_SLABS % CHUNK, ALL_PAIRS - 1)
 #define SHARES_AT(m)                                                                                                   \
     (begin < counts[(m) / (CHUNK * 4)]                                                                                 \
          ? ((__global const float4 *)(frequency + starts[(m) / (CHUNK * 4)] + 2 * ROWS * begin))[(m) % (CHUNK * 4)]   \
@@ -554,7 +554,7 @@ static inline int next_lit(int tile, int n_tile, int pair, __global const int *t
 
 FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries, float greatest,
                           __global const int *restrict tiles, __global const int *restrict lit,
-                         __global const int *restrict order, int mirrored, int tf32,
+                          __global const int *restrict order, int mirrored, int tf32,
                           __global float *restrict light, int n_k, int n_cell, int n_z, int n_entry, int n_tile,
                           int n_frequency, int n_r) {
     const int end = ALL_PAIRS;

@@ -22,11 +22,12 @@ ROWS = 8
 """Neighboring rings, and pairs of columns, that one item computes together."""
 
 AT_ONCE = 2048
-"""Greatest radix of a pass that processors compute by passes of their own, within their caches."""
+"""Greatest radix of a pass that processors compute by passes of their own, within their caches, and a group of a GPU in
+local memory, of which OpenCL has 32 KiB everywhere."""
 ONE_SUM = 20
 """Greatest radix of a pass that is a plain sum everywhere, where radices can be so small."""
 FACTOR = 10
-"""Greatest radix of a pass in registers, in OpenCL: a processor's own, and of three that GPUs make one of."""
+"""Greatest radix of a pass in registers, in OpenCL: a processor's own, and of four that GPUs make one of."""
 AT_A_TIME = 32
 """Rings of a short transform that a group of a GPU takes together."""
 
@@ -45,8 +46,8 @@ Waves = Annotated[np.ndarray, Table("float32", ("wave", "2"))]  # cosine and sin
 Entries = Annotated[np.ndarray, Table("float32", ("entry",))]
 """For each frequency up to half of all, tile and pair of columns: real parts of `ROWS` cells, then the imaginary; half
 of them for a column in the middle of mirrored ones, which is a pair with itself; 0 beyond all columns."""
-Tiles = Annotated[np.ndarray, Table("int32", ("tile", "3"))]
-"""Of each `ROWS` cells: first entry, pairs of columns that it has entries of, the tile whose entries are conjugate."""
+Tiles = Annotated[np.ndarray, Table("int32", ("tile", "2"))]
+"""Of each `ROWS` cells: first entry of a frequency, and the tile whose entries are conjugate."""
 Lit = Annotated[np.ndarray, Table("int32", ("frequency", "tile"))]
 """For each frequency up to half of all, how many pairs of columns light a tile there, a multiple of `ROWS`."""
 Order = Annotated[np.ndarray, Table("int32", ("frequency", "tile", "4"))]
@@ -54,11 +55,47 @@ Order = Annotated[np.ndarray, Table("int32", ("frequency", "tile", "4"))]
 columns that light them there, the tile, and that whose entries are conjugate."""
 
 
-def factors(radix: int) -> tuple[int, int, int]:
-    """Three factors of a radix, at most `FACTOR` each, the greatest first, the last two as near as may be; or zeros."""
-    found = [(a, b, radix // (a * b)) for a in range(1, FACTOR + 1) for b in range(1, a + 1) if radix % (a * b) == 0]
-    small = [each for each in found if each[1] >= each[2]]
-    return min(small, key=sum, default=(0, 0, 0))
+def factors(radix: int) -> tuple[int, int, int, int]:
+    """First, second, third and last factor by which a group of a GPU takes a transform at once.
+
+    Args:
+        radix: Samples of the transform.
+
+    Returns:
+        As few as are at most `FACTOR` each, of those the ones whose sum is least, the greatest first, 1 for a second or
+        third that is not needed; zeros where there are none, or more samples than `AT_ONCE`.
+    """
+    if radix > AT_ONCE:
+        return (0, 0, 0, 0)
+    for count in range(1, 5):
+        found = [each for each in _products(radix, count, FACTOR) if 1 not in each or count == 1]
+        if found:
+            first, *more = min(found, key=lambda each: (sum(each), each))
+            last = more.pop() if more else 1
+            return (first, *[*more, 1, 1][:2], last)  # pyright: ignore[reportReturnType] - four of them
+    return (0, 0, 0, 0)
+
+
+def _products(n: int, count: int, most: int) -> list[tuple[int, ...]]:
+    """So many factors of n, of at most ``most`` each, in descending order."""
+    if count == 1:
+        return [(n,)] if n <= most else []
+    own = [a for a in range(1, most + 1) if n % a == 0]
+    return [(a, *rest) for a in own for rest in _products(n // a, count - 1, a)]
+
+
+def is_even(belt: tuple[int, ...]) -> bool:
+    """Whether the samples that a pass makes one of, and those that it makes, are evenly apart in their fields.
+
+    Args:
+        belt: The columns of `Belts`, but the last two.
+
+    Returns:
+        Whether no step from one to the next passes the n of their places.
+    """
+    _, n, _, radix, done, _, _, source, _, _, _, sink, _, _ = belt
+    read = n // radix % source == 0 or source >= n
+    return read and (done % sink == 0 or sink % (done * radix) == 0 or sink >= n)
 
 
 def in_groups(belts: list[tuple[int, ...]], *, whole: bool = False) -> np.ndarray:
@@ -69,14 +106,16 @@ def in_groups(belts: list[tuple[int, ...]], *, whole: bool = False) -> np.ndarra
         whole: Whether a group takes one transform, of a radix of several factors.
 
     Returns:
-        The whole table. Its last columns: how many rings a group takes at once, and the belt's first group.
+        The whole table. Its last columns: how many rings a group takes at once, 0 where it takes direct sums, as of
+        samples that are unevenly apart; the belt's first group.
     """
     found, group = [], 0
     for belt in belts:
         _, n, rings, radix, *_ = belt
-        at_once = 1 if whole else min(rings, AT_A_TIME) if radix <= FACTOR else rings
+        few = radix <= FACTOR and is_even(belt)
+        at_once = 1 if whole else min(rings, AT_A_TIME) if few else 0
         found.append((*belt, at_once, group))
-        group += n // radix * -(-rings // at_once)
+        group += n // radix * -(-rings // (at_once or rings))
     return np.array(found)
 
 
@@ -107,12 +146,13 @@ def _right_and_left(columns: int, mirrored: int) -> tuple[np.ndarray, np.ndarray
     },
 )
 def fourier(
-    source: Source, belts: Belts, waves: Waves, sign: Real, first: Fixed, second: Fixed, third: Fixed, sink: Sink
-) -> None:
+    source: Source, belts: Belts, waves: Waves, sign: Real, first: Fixed, second: Fixed, third: Fixed, last: Fixed,
+    sink: Sink,
+) -> None:  # fmt: skip
     """One pass of the Fourier transforms of rings over their samples, of exponent ``sign``·i; in order after the last.
 
-    first, second, third: `factors` of the radix, where that is the same for all belts and GPUs are to take it at once.
-    On GPUs places of samples of all radices up to `FACTOR` are evenly apart, as are those of all radices taken at once.
+    first, second, third, last: `factors` of the radix, where that is the same for all belts, whose samples are evenly
+    apart (`is_even`), and groups of a GPU are to take it at once; else 0.
 
     Source: T. G. Stockham, AFIPS Spring Joint Computer Conf. (1966) 229.
     """
@@ -139,7 +179,7 @@ def _place(first: int, steps: list[int], sample: np.ndarray, ring: np.ndarray) -
 
 def most_lit_first(tiles: np.ndarray, lit: np.ndarray) -> np.ndarray:
     """`Order` of `Tiles` and `Lit`."""
-    first, _, other = tiles.T
+    first, other = tiles.T
     order = np.argsort(-lit, axis=1, kind="stable")
     return np.stack([first[order], np.take_along_axis(lit, order, 1), order, other[order]], axis=2).astype(np.int32)
 
@@ -149,7 +189,7 @@ def _entries(entries: np.ndarray, tiles: np.ndarray, lit: np.ndarray, k: int, co
     back, per = 2 * k > count, len(entries) // (count // 2 + 1)
     kept, found = count - k if back else k, []
     for tile in range(len(tiles)):
-        own = int(tiles[tile, 2]) if back else tile
+        own = int(tiles[tile, 1]) if back else tile
         start, pairs = kept * per + int(tiles[own, 0]), int(lit[kept, own])
         parts = entries[start : start + 2 * ROWS * pairs].reshape(pairs, 2, ROWS)
         found.append(parts[:, 0] + (-1j if back else 1j) * parts[:, 1])

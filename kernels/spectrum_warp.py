@@ -84,7 +84,7 @@ def direct_sums(
 @wp.kernel
 def fourier(
     source: Flat, belts: wp.array2d[int], waves: wp.array2d[float], sign: float, first: int, second: int, third: int,
-    sink: Flat, n_a: int, n_b: int, n_z: int, n_belt: int, n_wave: int, n_i: int, n_j: int,
+    last: int, sink: Flat, n_a: int, n_b: int, n_z: int, n_belt: int, n_wave: int, n_i: int, n_j: int,
 ) -> None:  # fmt: skip
     slab, majors, minor, lane = wp.tid()
     lanes = source.shape[1] // (n_a * n_b)
@@ -123,7 +123,7 @@ def first_entry(entries: wp.array[float], k: int, n_k: int):
 def tile_at(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
     """The tile whose entries another one takes at a frequency."""
     if 2 * k > n_k:
-        return tiles[tile, 2]
+        return tiles[tile, 1]
     return tile
 
 
@@ -182,7 +182,8 @@ def light_rings(
 
 
 @wp.func
-def write_pair(light: Flat, slab: int, right: int, left: int, real: wp.vec4, difference: wp.vec4):
+def write_columns(light: Flat, slab: int, right: int, left: int, real: wp.vec4, difference: wp.vec4):
+    """Right after left: where both are one column, that is its value."""
     write(light, slab, left, real - difference)
     write(light, slab, right, real + difference)
 
@@ -238,5 +239,5 @@ def gather_rings(
                     a_difference = real[pair]
                     b_difference = other_real[pair]
             at = k * n_r * lanes + lane
-            write_pair(light, slab, at + right * lanes, at + left * lanes, real[pair], a_difference)
-            write_pair(light, other, at + right * lanes, at + left * lanes, other_real[pair], b_difference)
+            write_columns(light, slab, at + right * lanes, at + left * lanes, real[pair], a_difference)
+            write_columns(light, other, at + right * lanes, at + left * lanes, other_real[pair], b_difference)

@@ -16,10 +16,13 @@ from pathlib import Path
 from vamgpu.backend.opencl import FULL_SLAB
 from vamgpu.kernels.catalog import kernels
 from vamgpu.kernels.signature import Kernel
+from vamgpu.kernels.spectrum import factors
 
 MOST_LOCAL = 48 * 1024
 """Bytes of local memory that a group may declare."""
 WIDTH = 4
+TRANSFORM = 384
+"""Samples of the transforms of fixed factors, of which all lanes are held at once."""
 LIBRARY = Path("/usr/lib/clc/nvptx64--nvidiacl.bc")
 """OpenCL's functions, as the package libclc installs them."""
 
@@ -32,6 +35,7 @@ def assembled(kernel: Kernel, lanes: int, ptxas: str, architecture: str, library
         "LANES": lanes, "WIDTH": WIDTH, "THREADS": lanes // WIDTH, "VECTORS": 1, "TILE_MAJOR": tiling.major,
         "TILE_MINOR": tiling.minor, "TILE_SLABS": tiling.slabs, **kernel.constants.get(kind, {}),
     }  # fmt: skip
+    defined |= dict(zip(map(str.upper, kernel.fixed), factors(TRANSFORM), strict=True)) if kernel.fixed else {}
     flags = [f"-D{name}={value}" for name, value in defined.items()] + ["-DGPU", f"-DCOMPILE_{kernel.name}"]
     flags += ["-DMATRIX_UNITS"] if kind == "nvidia" else []
     included = [f"-I{kernel.source.parent}", "-Xclang", "-finclude-default-header"]

@@ -218,10 +218,11 @@ def _oblique(n: int, source: str) -> Example:
 
 
 def _resampled(n: int) -> Example:
-    source = n - n // 3
-    first = np.arange(n) * source // n - 1
+    """To more slices, or from very many to each where they are 25."""
+    source, taps = (3 * n, 41) if n == 25 else (n - n // 3, 3)
+    first = np.arange(n) * source // n - taps // 2
     given = {"first": first, "lanes": lambda _, arrays: arrays["source"]}
-    return Example({"i": n, "j": n + n % 2, "source": source, "z": n, "tap": 3}, given)
+    return Example({"i": n, "j": n + n % 2, "source": source, "z": n, "tap": taps}, given)
 
 
 def _stacked(n: int) -> Example:
@@ -550,13 +551,13 @@ def _in_belts(size: int) -> Example:
     ]
     waves = np.concatenate([2.0 * np.pi * np.arange(n) / n for n in (8, 12)])
     given = {"belts": in_groups(belts), "waves": np.stack([np.cos(waves), np.sin(waves)], axis=1), "sign": -1.0}
-    given |= {"first": 0, "second": 0, "third": 0}
+    given |= {"first": 0, "second": 0, "third": 0, "last": 0}
     return Example({"a": 4, "b": 7, "i": 4, "j": 7, "z": size + size % 2, "belt": 2, "wave": 20}, given)
 
 
 def _on_rings(size: int, pairs: int = 16, mirrored: int = 1) -> Example:
     """Three tiles of cells, two of which stand in for each other, lit by all pairs of columns or half of them."""
-    k, tiles = 6 + size % 3, np.array([(0, 16, 1), (256, 16, 0), (512, 8, 2)])
+    k, tiles = 6 + size % 3, np.array([(0, 1), (256, 0), (512, 2)])
     columns = (pairs - 2) * (1 + mirrored) - mirrored * (size % 2)
     sizes = {"k": k, "r": columns, "cell": 24, "z": size + size % 2, "tile": 3}
     lit = np.array([(16, 16, 8), (16, 8, 0), (8, 0, 0), (0, 16, 0), (0, 0, 8)])[: k // 2 + 1]

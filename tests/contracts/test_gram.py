@@ -58,6 +58,19 @@ def test_it_is_the_inverse_of_each_frequency(device: Device, vessel: Any, rows: 
         assert np.abs(found.numpy() - wanted)[:, lit].max() < 1e-4 * np.abs(wanted).max()
 
 
+@pytest.mark.parametrize("angles", [ANGLES, 23, 500], ids=["one pass", "one long pass", "several passes"])
+def test_it_may_take_the_place_of_its_light(device: Device, angles: int) -> None:
+    grid, beam = vam.Grid((N, N, 2), 0.1), vam.Beam((COLUMNS, 2), 0.1, spread=0.08)
+    A = vam.Projection(grid, beam, vam.Turntable(angles), None, device)
+    inverse, found = GramInverse(A, reach_of(grid)), device.empty(A.range.shape)
+    given = np.random.default_rng(0).standard_normal(A.range.shape).astype(np.float32)
+    light = device.upload(given)
+    inverse(light, found)
+    np.testing.assert_array_equal(light.numpy(), given)
+    inverse(light, light)
+    np.testing.assert_array_equal(light.numpy(), found.numpy())
+
+
 @VESSELS
 def test_rings_blur_light_as_voxels_do(vessel: Any) -> None:
     """Of voxels that are judged; by a tenth more at most, as those on the rim count whole rings."""

@@ -9,7 +9,9 @@ import pytest
 
 import vamgpu as vam
 from vamgpu.backend.device import Device
+from vamgpu.backend.slabs import SlabDevice
 from vamgpu.errors import BadInput
+from vamgpu.kernels.spectrum import FACTOR, factors
 from vamgpu.operators.polar import PolarGrid, pose_on_rings
 from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.spectral import SpectralProjection, straight_passes
@@ -22,6 +24,8 @@ GEOMETRIES: dict[str, Any] = {
     "several belts": (PolarGrid(24, 2, 0.05, 12), vam.Beam((40, 4), 0.06), None),
     "angles that take three passes": (PolarGrid(8, 2, 0.1, 420), vam.Beam((16, 2), 0.1), None),
     "a prime number of angles": (PolarGrid(8, 2, 0.1, 53), vam.Beam((16, 2), 0.1), None),
+    "angles with a factor that is great": (PolarGrid(16, 2, 0.05, 22), vam.Beam((32, 2), 0.05), None),
+    "many samples between two angles": (PolarGrid(24, 2, 0.04, 6), vam.Beam((48, 2), 0.04), None),
     "refracted and absorbed": (PolarGrid(8, 2, 0.11, 12), vam.Beam((13, 3), 0.15), VIAL),
     "light that nothing mirrors": (PolarGrid(8, 2, 0.11, 12), vam.Beam((14, 3), 0.15), ASIDE),
     "whole slabs of slices": (PolarGrid(40, 70, 0.05, 7), vam.Beam((80, 70), 0.05), None),
@@ -76,8 +80,8 @@ def test_products_of_eleven_bits_are_near(device: Device, geometry: str) -> None
         assert np.abs(np.asarray(found) - np.asarray(wanted)).max() <= 1e-3 * np.asarray(wanted).max()
 
 
-@pytest.mark.parametrize("n", [*range(2, 11), 11, 53, 60, 96, 105, 360, 420, 720, 1000])
-@pytest.mark.parametrize("slices", [2, 36])
+@pytest.mark.parametrize("n", [*range(2, 11), 11, 14, 49, 53, 60, 96, 105, 360, 420, 720, 1000, 1440])
+@pytest.mark.parametrize("slices", [2, 20, 28, 36])
 def test_transforms_of_every_length(device: Device, n: int, slices: int) -> None:
     given = np.random.default_rng(n).random((n, 3, slices))
     numbers = given[..., ::2] + 1j * given[..., 1::2]
@@ -89,7 +93,34 @@ def test_transforms_of_every_length(device: Device, n: int, slices: int) -> None
         assert np.abs(off).max() <= 1e-6 * np.abs(wanted).max()
 
 
-def test_faint_frequencies_are_left_out_both_ways(device: Device) -> None:
+@pytest.mark.parametrize("n", [*range(1, 130), 360, 768, 1080, 1440, 2048, 2187, 3600])
+def test_factors_make_the_radix(n: int) -> None:
+    found = factors(n)
+    if any(found):
+        assert np.prod(found) == n and max(found) <= FACTOR and found[0] == max(found)
+    else:
+        assert n > 2048 or any(n % prime == 0 for prime in range(11, n + 1) if all(prime % d for d in range(2, prime)))
+
+
+def test_few_factors_are_taken_whose_sum_is_least() -> None:
+    assert [factors(n) for n in (10, 12, 360, 1440)] == [(10, 1, 1, 1), (4, 1, 1, 3), (9, 8, 1, 5), (8, 6, 6, 5)]
+
+
+def test_devices_that_share_slices_give_the_same(device: Device) -> None:
+    """Whatever the name of what they are together: it tells no transform how samples lie."""
+    if device.name == "numpy":
+        pytest.skip("takes no slabs")
+    grid, beam, _ = GEOMETRIES["whole slabs of slices"]
+    alone, shared = (
+        SpectralProjection(grid, beam, None, device),
+        SpectralProjection(grid, beam, None, SlabDevice("three", [device] * 3)),
+    )
+    light, volume = (np.random.default_rng(0).random(space.shape) for space in (alone.range, alone.domain))
+    for found, wanted in ((shared.T(light), alone.T(light)), (shared(volume), alone(volume))):
+        assert np.abs(np.asarray(found) - np.asarray(wanted)).max() <= 1e-6 * np.asarray(wanted).max()
+
+
+def test_outermost_columns_are_left_out_where_they_are_faint(device: Device) -> None:
     grid, beam = PolarGrid(24, 2, 0.05, 48), vam.Beam((40, 2), 0.06)
     whole, part = (SpectralProjection(grid, beam, None, device, faint=faint) for faint in (0.0, 5e-3))
     lit = [each._entries["lit"].numpy().sum() for each in (whole, part)]

@@ -19,7 +19,7 @@ import pyopencl.array as cla
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device, from_host
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
-from vamgpu.kernels.signature import Field, Kernel, Scalar, Table, Tiling
+from vamgpu.kernels.signature import Field, Kernel, Table, Tiling
 
 SMALL_TABLE = 1 << 24
 """Bytes up to which a table stays in memory, whatever that may hold."""
@@ -200,7 +200,10 @@ class OpenclDevice(Device):
         tiling = self._tiling(kernel, lanes)
         shape = {"LANES": lanes, "WIDTH": width, "THREADS": threads, "VECTORS": lanes // width // threads}
         tile = {"TILE_MAJOR": tiling.major, "TILE_MINOR": tiling.minor, "TILE_SLABS": tiling.slabs}
-        return (shape if lanes else {}) | tile | kernel.constants.get(self._kind(kernel, lanes), {})
+        constants = dict(kernel.constants.get(self._kind(kernel, lanes), {}))
+        if "HELD" in constants:  # vectors in local memory
+            constants["HELD"] = min(constants["HELD"], self.context.devices[0].local_mem_size // (4 * width))
+        return (shape if lanes else {}) | tile | constants
 
     def _kind(self, kernel: Kernel, lanes: int) -> str:
         """Which tiling and constants of a kernel are this device's."""
@@ -247,9 +250,7 @@ class OpenclDevice(Device):
             raise KernelError(f"{kernel.name} runs over {kernel.over}, which is a number")
         if group:
             counts = tuple(-(-n // g) * g for n, g in zip(counts, group, strict=True))
-        numbers = [(name, spec) for name, spec in kernel.arguments.items() if isinstance(spec, Scalar)]
-        fixed = tuple((name, int(bound[name])) for name, spec in numbers if spec.fixed)
-        function = self._compiled(kernel, lanes, fixed)
+        function = self._compiled(kernel, lanes, tuple((name, int(bound[name])) for name in kernel.fixed))
         extents = [np.int32(sizes[axis]) for axis in kernel.axes]
         try:
             function(self.queue, counts, group, *bound.values(), *extents)

@@ -266,7 +266,7 @@ def _table(device: Device, matrices: np.ndarray, wide: int) -> dict[str, Any]:
     own = filled.reshape(count, tiles, ROWS, wide).transpose(0, 1, 3, 2)
     entries = np.stack([own.real, own.imag], axis=3)  # (frequency, tile, pair, part, cell)
     number = np.arange(tiles)
-    table = np.stack([2 * ROWS * wide * number, np.full(tiles, wide), number], axis=1)
+    table = np.stack([2 * ROWS * wide * number, number], axis=1)
     lit = np.full((count, tiles), wide)
     return {
         "entries": device.table(entries.ravel()),

@@ -16,7 +16,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Grid, Vessel, centers, counts
 from vamgpu.kernels.footprint import half_support, share, sides
 from vamgpu.kernels.spectrum import ROWS
-from vamgpu.operators.ring_splines import REACH, to_coefficients
+from vamgpu.operators.ring_splines import of_tile, to_coefficients
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length
 
@@ -305,7 +305,10 @@ def ring_table(
         columns, mirrored = beam.pixels[0], all(each.is_mirrored(beam.pixels[0]) for each in footprints)
         half = columns // 2 if mirrored else 0
         all_pairs = _in_rows(columns - half)
-        wide = [min(_in_rows(each.last(beam) + 1 - half + REACH * splines), all_pairs) for each in footprints]
+        last = [each.last(beam) for each in footprints]
+        if splines:  # coefficients reach on, each ring a third as much: as far as the samples of the next tile
+            last = [*last[1:], 2 * last[-1] - last[-2] if last[1:] else all_pairs + half]
+        wide = [min(_in_rows(each + 1 - half), all_pairs) for each in last]
         tiles, own = [], [[] for _ in footprints]
         start = number = 0
         for belt in grid.belts:
@@ -318,26 +321,23 @@ def ring_table(
             number += len(belt.tiles)
         entries = room((grid.angles // 2 + 1, start))
 
-        def of_tile(number: int) -> np.ndarray:
-            begin, pairs, _ = tiles[number]
-            return entries[:, begin : begin + 2 * ROWS * pairs].reshape(len(entries), pairs, 2, ROWS)
-
         def fill(footprint: _Footprints, width: int, numbers: list[int]) -> None:
             found = _spectrum(footprint, beam, grid.angles, len(numbers), half, width)
             for number, values in zip(numbers, found, strict=True):
-                of_tile(number)[...] = values
+                tile = of_tile(entries, tiles[number])
+                tile[...] = values
                 if mirrored and columns % 2:
-                    of_tile(number)[:, :1] *= 0.5
+                    tile[:, :1] *= 0.5
 
         list(pool.map(fill, footprints, wide, own))
         if splines:
             to_coefficients(entries, tiles, grid, pool)
-        peaks = list(pool.map(lambda number: _greatest(of_tile(number)), range(len(tiles))))
+        peaks = list(pool.map(lambda tile: _greatest(of_tile(entries, tile)), tiles))
     most = max(float(peak.max(initial=0.0)) for peak in peaks)
     if most == 0.0:
         raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
     lit = np.stack([_lit(peak > faint * most) for peak in peaks], axis=1)
-    return RingTable(entries.ravel(), most, np.array(tiles), lit, mirrored)
+    return RingTable(entries.ravel(), most, np.array(tiles)[:, [0, 2]], lit, mirrored)
 
 
 def _greatest(entries: np.ndarray) -> np.ndarray:

@@ -1,9 +1,9 @@
 """Splines through samples on rings: 4 × 4 coefficients about a place make a field there.
 
 Cubic O-MOMS, the piecewise polynomials of maximal order and minimal support that come nearest to smooth functions:
-T. Blu, P. Thévenaz, M. Unser, IEEE Trans. Image Process. 10 (2001) 1069. Coefficients come of samples by a recursive
-filter along the angle and one along the radius. Both are linear and the same at every angle: a table of angular
-frequencies takes them in once, and products give coefficients where they gave samples.
+T. Blu, P. Thévenaz, M. Unser, IEEE Trans. Image Process. 10 (2001) 1069. Coefficients come of samples by a division of
+each angular frequency and an elimination along the radius. Both are linear and the same at every angle: a table of
+angular frequencies takes them in once, and products give coefficients where they gave samples.
 """
 
 from __future__ import annotations
@@ -26,12 +26,10 @@ OWN, NEXT = 13 / 21, 4 / 21
 """What a coefficient makes of its own sample, and of either next one."""
 AT_ONCE = 32
 """Frequencies that are filtered together."""
-REACH = 4
-"""Columns beyond its own that the coefficients of a tile are kept of; neighboring rings add 0.34 as much for each."""
 
 
 def shares(place: np.ndarray) -> list[np.ndarray]:
-    """What each of `TAPS` is to count for a place after the second of them, 0..1."""
+    """What each of `TAPS` is to count for places (n,) after the second of them, 0..1; four arrays (n,)."""
     return [_spline(np.abs(place - tap)) for tap in TAPS.tolist()]
 
 
@@ -81,13 +79,16 @@ def _filter(
     entries: np.ndarray, tiles: list[tuple[int, int, int]], angles: int, pivots: np.ndarray,
     part: slice, m: int, track: list[tuple[int, int, int]],
 ) -> None:  # fmt: skip
-    """Some frequencies of a track: along the radius ring by ring, outward and back, then along the angle."""
+    """Some frequencies of a track: along the radius ring by ring, outward and back, then along the angle.
+
+    entries: (frequency, entry).  part: of the frequencies.
+    """
     entries = entries[part]
     kappa = np.arange(part.start, part.start + len(entries)) + m * angles
     own = pivots[:, kappa % 2].astype(np.float32)[:, :, None, None]  # (ring, frequency, 1, 1)
     rings: list[tuple[int, np.ndarray]] = []
     for number, first, _ in track:
-        tile = _of_tile(entries, tiles[number])
+        tile = of_tile(entries, tiles[number])
         rings += [(first + i, tile[..., i]) for i in range(ROWS)]
     for (inner, before), (_, values) in pairwise(rings):
         columns = min(before.shape[1], values.shape[1])
@@ -100,10 +101,10 @@ def _filter(
         values /= own[ring]
     for number, _, samples in track:
         angular = OWN + 2.0 * NEXT * np.cos(FULL_TURN * kappa / (angles * samples))
-        _of_tile(entries, tiles[number])[...] /= angular.astype(np.float32)[:, None, None, None]
+        of_tile(entries, tiles[number])[...] /= angular.astype(np.float32)[:, None, None, None]
 
 
-def _of_tile(entries: np.ndarray, tile: tuple[int, int, int]) -> np.ndarray:
+def of_tile(entries: np.ndarray, tile: tuple[int, int, int]) -> np.ndarray:
     """Those of a tile, (frequency, pair, 2, `ROWS`)."""
     begin, pairs, _ = tile
     return entries[:, begin : begin + 2 * ROWS * pairs].reshape(len(entries), pairs, 2, ROWS)

@@ -23,6 +23,7 @@ from vamgpu.kernels.spectrum import (
     fourier,
     gather_rings,
     in_groups,
+    is_even,
     light_rings,
     most_lit_first,
 )
@@ -33,7 +34,7 @@ from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import PolarSpace, SinogramSpace
 
 MOST = 4
-"""Passes that there may be."""
+"""_Passes that there may be."""
 
 
 @final
@@ -104,24 +105,25 @@ class SpectralProjection(LinearOperator):
         return f"SpectralProjection({self.grid!r}, {self.beam!r}{vessel}, device={self.device.name!r})"
 
     @cached_property
-    def _of_light(self) -> Passes:
+    def _of_light(self) -> _Passes:
         return straight_passes(self.device, *self._light_shape[:2])
 
     @cached_property
-    def _to_rings(self) -> Passes:
+    def _to_rings(self) -> _Passes:
         own = self._radices and [radices[::-1] for radices in self._radices]
-        return Passes(self.device, [(n, rings, spectral, cells) for n, rings, cells, spectral in self._belts], own)
+        return _Passes(self.device, [(n, rings, spectral, cells) for n, rings, cells, spectral in self._belts], own)
 
     @cached_property
-    def _from_rings(self) -> Passes:
-        return Passes(self.device, self._belts, self._radices)
+    def _from_rings(self) -> _Passes:
+        return _Passes(self.device, self._belts, self._radices)
 
     @property
     def _radices(self) -> list[tuple[int, ...]] | None:
         """GPUs transform rings over the angles first, as light, then over the cells between two angles."""
-        if not on_gpu(self.device):
+        angles, belts = self.grid.angles, self.grid.belts
+        if not on_gpu(self.device) or not any(factors(angles)):
             return None
-        return [(self.grid.angles, belt.samples) for belt in self.grid.belts]
+        return [(angles, belt.samples) if belts[-1].samples > 1 else (angles,) for belt in belts]
 
     @property
     def _belts(self) -> list[tuple[int, int, Place, Place]]:
@@ -172,8 +174,11 @@ Place = tuple[int, int, int, int]
 """First sample, n, and steps a and b, as of `vamgpu.kernels.spectrum.Belts`."""
 
 
-class Passes:
-    """Fourier transforms of rings, a pass after the other: (samples, rings, place in the source, in the sink)."""
+class _Passes:
+    """Fourier transforms of rings, a pass after the other.
+
+    belts: (samples, rings, place in the source, in the sink).  radices: of the passes of each; chosen if left out.
+    """
 
     def __init__(
         self, device: Device, belts: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]] | None = None
@@ -182,31 +187,27 @@ class Passes:
         radices = radices or passes([n for n, *_ in belts], _fits(device))
         waves = [FULL_TURN * np.arange(n) / n for n, *_ in belts]
         self._waves = device.table(np.concatenate([np.stack([np.cos(w), np.sin(w)], axis=1) for w in waves]))
-        self._tables: list[dict[str, Any]] = []
-        for number in range(len(radices[0])):
-            table, (radix, *others) = self._pass(belts, radices, number), {own[number] for own in radices}
-            own = factors(radix) if on_gpu(device) and not others and radix > FACTOR else (0, 0, 0)
-            self._tables.append(
-                dict(zip(("first", "second", "third"), own, strict=True))
-                | {"belts": device.table(in_groups(table, whole=any(own)), "int32")}
-            )
+        self._tables = [self._pass(belts, radices, number) for number in range(len(radices[0]))]
 
     @property
     def count(self) -> int:
         """How many there are."""
         return len(self._tables)
 
-    @staticmethod
     def _pass(
-        belts: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]], number: int
-    ) -> list[tuple[int, ...]]:
-        """The table of one pass; the first reads where the source lies, all others where the sink does."""
+        self, belts: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]], number: int
+    ) -> dict[str, Any]:
+        """The arguments of one pass; the first reads where the source lies, all others where the sink does."""
         found, item, wave = [], 0, 0
         for (n, rings, source, sink), own in zip(belts, radices, strict=True):
             read = sink if number else source
             found.append((item, n, rings, own[number], prod(own[:number]), wave, *read, *sink))
             item, wave = item + n * rings, wave + n
-        return found
+        radix = radices[0][number]
+        alike = radix > FACTOR and all(own[number] == radix for own in radices) and all(map(is_even, found))
+        fixed = factors(radix) if alike and on_gpu(self._device) else (0, 0, 0, 0)
+        belts_of_pass = self._device.table(in_groups(found, whole=any(fixed)), "int32")
+        return {"belts": belts_of_pass, **dict(zip(("first", "second", "third", "last"), fixed, strict=True))}
 
     def run(
         self, sign: float, source: DeviceArray, work: Callable[[int], DeviceArray], last: DeviceArray | None = None
@@ -215,16 +216,16 @@ class Passes:
 
         Where the result is.
         """
-        for number, tables in enumerate(self._tables):
+        for number, own in enumerate(self._tables):
             sink = last if last is not None and number == self.count - 1 else work(number % 2)
-            self._device.launch(fourier, source=source, **tables, waves=self._waves, sign=sign, sink=sink)
+            self._device.launch(fourier, source=source, **own, waves=self._waves, sign=sign, sink=sink)
             source = sink
         return source
 
 
-def straight_passes(device: Device, angles: int, width: int, given: int | None = None) -> Passes:
+def straight_passes(device: Device, angles: int, width: int, given: int | None = None) -> _Passes:
     """Transforms over the angles of light [angle, r, z] of so many columns, or of the first of those ``given``."""
-    return Passes(device, [(angles, width, (0, angles, given or width, 0), (0, angles, width, 0))])
+    return _Passes(device, [(angles, width, (0, angles, given or width, 0), (0, angles, width, 0))])
 
 
 def on_gpu(device: Device) -> bool:
