@@ -189,7 +189,7 @@ def picture(path: Path) -> None:
     A = Projection(grid, Beam((80, 8), 0.04), turn, vial, "numpy")
     light = np.random.default_rng(0).random(A.range.shape)
     wanted = np.asarray(A.T(light))
-    for width, style in ((1.0, "C1"), (0.55, "C0")):
+    for width, style in ((1.0, "C1"), (0.75, "C0")):
         own = PolarGrid(-(-int(32 / width + 3) // 8) * 8, 2, width * grid.pitch, 120, grid.pitch)
         R = RingProjection(grid, A.beam, turn, vial, "numpy", rings=own)
         off = np.abs(np.asarray(R.T(light)) - wanted)[grid.cylinder()] / wanted.max()
