@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,17 @@ def test_dose_and_projection_are_those_of_rays(vessel: Any) -> None:
     for got, wanted in (((R.T(light) * near), A.T(light) * near), (R(volume), A(volume))):
         off = np.abs(np.asarray(got) - np.asarray(wanted)) / np.asarray(wanted).max()
         assert off.max() <= 0.01 and np.sqrt((off**2).mean()) <= 0.001
+
+
+@pytest.mark.parametrize("radius", [0.77, 0.75, 0.6], ids=["a voxel beyond the grid", "at its rim", "inside it"])
+def test_light_may_end_near_the_rim(radius: float) -> None:
+    vial, grid, beam = replace(VIAL, radius=radius), vam.Grid((40, 40, 2), 0.025), vam.Beam((44, 6), 0.033)
+    A = vam.Projection(grid, beam, vam.Turntable(48), vial, "numpy")
+    light, near = np.random.default_rng(0).random(A.range.shape), grid.cylinder()
+    wanted = np.asarray(A.T(light))
+    off = np.abs(np.asarray(vam.RingProjection.of(A).T(light)) - wanted)[near] / wanted.max()
+    inner = np.hypot(*np.meshgrid(*grid.axes()[:2]))[near] < vial.lit_radius - 2 * grid.pitch
+    assert off[inner].max() <= 0.005 and off.max() <= 0.06 and np.sqrt((off**2).mean()) <= 0.006
 
 
 @pytest.mark.parametrize("rows", [22, 27], ids=["rows as slices", "rows resampled"])

@@ -231,10 +231,12 @@ class _Footprints:
                 found[(*hit, at[hit])] += strength[hit] * share(apart, a[hit], b[hit], fill, sigma)
 
 
-def _footprints(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, square: float | None) -> _Footprints:
+def _footprints(
+    grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, square: float | None, splines: bool = False
+) -> _Footprints:
     """Of the parts of a belt's cells, or of squares in their place."""
     if square is not None:
-        return _in_squares(grid, belt, beam, vessel, square)
+        return _in_squares(grid, belt, beam, vessel, square, splines)
     count = PARTS * grid.angles * belt.samples
     rho = (np.arange(PARTS * belt.rings) + 0.5)[:, None] / PARTS + belt.begin
     psi = FULL_TURN / count * (np.arange(count) - 0.5 * (PARTS - 1))
@@ -248,10 +250,17 @@ def _footprints(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, square:
     return _Footprints(column, strength, a, b, PARTS)
 
 
-def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: float) -> _Footprints:
-    """Of squares about the middles of a belt's cells."""
+def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: float, splines: bool) -> _Footprints:
+    """Of squares about the middles of a belt's cells.
+
+    splines: whether rings beyond lit resin are to go on as the last one in it: splines overshoot where light ends.
+    """
     count = grid.angles * belt.samples
     rho = (np.arange(belt.begin, belt.stop) + 0.5)[:, None] * grid.pitch
+    lit = rho <= vessel.lit_radius
+    if splines and 0.5 * grid.pitch <= vessel.lit_radius:
+        rho = np.minimum(rho, (np.floor(vessel.lit_radius / grid.pitch - 0.5) + 0.5) * grid.pitch)
+        lit = np.ones_like(lit)
     psi = FULL_TURN / count * np.arange(count)
 
     def column(outward: float, onward: float) -> tuple[np.ndarray, np.ndarray]:
@@ -264,7 +273,6 @@ def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: f
     a, b = (
         np.abs(column(*way)[0] - column(*(-step for step in way))[0]) for way in ((0.5 * side, 0.0), (0.0, 0.5 * side))
     )
-    lit = rho <= vessel.lit_radius
     first = middle + 0.5 * (beam.pixels[0] - 1)
     return _Footprints(first, weight * lit * side**2 / beam.pitch, a, b, 1)
 
@@ -296,7 +304,7 @@ def ring_table(
     with ThreadPoolExecutor(threads()) as pool:
         # squares of a ring do not depend on those of another: as many pieces as tiles
         pieces = [tile for belt in grid.belts for tile in belt.tiles] if square is not None else list(grid.belts)
-        footprints = list(pool.map(lambda piece: _footprints(grid, piece, beam, vessel, square), pieces))
+        footprints = list(pool.map(lambda piece: _footprints(grid, piece, beam, vessel, square, splines), pieces))
         if square is None:
             whole = zip(grid.belts, footprints, strict=True)
             footprints = [

@@ -102,7 +102,7 @@ class RingProjection(LinearOperator):
             some, beam, vessel, self.device, square=grid.pitch, faint=FAINT, tf32=tf32, splines=True
         )
         self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
-        found = _interpolated(self.rings, grid)
+        found = _interpolated(self.rings, grid, vessel.lit_radius if vessel else np.inf)
         self._to_voxels = found.table(self.device, grid.shape[:2], BLOCK)
         self._to_rings = found.transposed().table(self.device, self.rings.shape[:2], BLOCK)
         if getattr(self.device, "memory", None) is not None:
@@ -305,11 +305,11 @@ def _fitting(rings: PolarGrid, grid: Grid, motion: Turntable) -> PolarGrid:
     return rings
 
 
-def _interpolated(rings: PolarGrid, grid: Grid) -> SparseEntries:
-    """What voxels take of coefficients on rings: splines along the radius and along each of four rings."""
+def _interpolated(rings: PolarGrid, grid: Grid, lit_radius: float) -> SparseEntries:
+    """What lit voxels take of coefficients on rings: splines along the radius and along each of four rings."""
     x, y, _ = grid.axes()
     across, along = (each.ravel() for each in np.meshgrid(x, y, indexing="ij"))
-    voxel = np.flatnonzero(grid.cylinder().ravel())
+    voxel = np.flatnonzero(grid.cylinder().ravel() & (np.hypot(across, along) <= lit_radius))
     row, column, weight = _at_points(rings, across[voxel], along[voxel])
     return SparseEntries(voxel[row].astype(np.int32), column.astype(np.int32), weight.astype(np.float32))
 
