@@ -153,3 +153,36 @@ def test_why_an_operator_is_left_as_it_is() -> None:
     assert "footprint" in against_rings(A) and "Sum" in against_rings(A + A)
     with pytest.raises(BadInput, match="footprint"):
         vam.RingProjection.of(A)
+
+
+@pytest.mark.parametrize(
+    ("rings", "said"),
+    [
+        (0.7, "expected a PolarGrid"),
+        (vam.PolarGrid(24, 4, 0.04, 24), "pass height=0.05"),
+        (vam.PolarGrid(8, 4, 0.04, 24, 0.05), "expected 15 or more"),
+        (vam.PolarGrid(24, 4, 0.04, 20, 0.05), "same angles"),
+    ],
+)
+def test_rings_that_do_not_fit_are_refused(rings: Any, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        vam.RingProjection(GRID, vam.Beam((22, 6), 0.05), TURN, device="numpy", rings=rings)
+
+
+def test_widths_and_heights_that_make_no_sense_are_refused() -> None:
+    A = vam.Projection(GRID, vam.Beam((22, 6), 0.05), TURN, None, "numpy")
+    for width in (0.0, 1e-3, 4.0, "wide"):
+        with pytest.raises(BadInput, match="width"):
+            vam.RingProjection.of(A, width)  # pyright: ignore[reportArgumentType]
+    R = vam.RingProjection.of(A)
+    with pytest.raises(BadInput, match="height"):
+        R.raised(float("nan"))
+    with pytest.raises(BadInput, match="on rings already"):
+        vam.RingProjection.of(R)  # pyright: ignore[reportArgumentType]
+
+
+def test_light_sought_on_too_few_rings_is_sought_on_enough() -> None:
+    few = vam.SpectralProjection(vam.PolarGrid(8, 2, 0.1, 12), vam.Beam((20, 2), 0.1), None, "numpy")
+    part = (np.hypot(*np.indices(few.grid.box.shape[:2]) - 7.5) < 4.0).astype(np.float32)
+    plan: Any = vam.optimize(few, np.repeat(part[:, :, None], 2, axis=2), "osmo", iterations=1, progress=False)
+    assert plan.operator.rings.rings >= 10 > few.grid.rings

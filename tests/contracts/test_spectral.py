@@ -184,5 +184,13 @@ def test_bad_arguments_are_refused() -> None:
         SpectralProjection(vam.Grid((8, 8, 2), 0.1), beam)  # pyright: ignore[reportArgumentType]
     with pytest.raises(BadInput, match="Vial"):
         SpectralProjection(grid, beam, "vial")  # pyright: ignore[reportArgumentType]
+    for given, said in (
+        ({"square": -1.0}, "square"),
+        ({"faint": 1.0}, "faint=1.0; expected"),
+        ({"splines": True}, "with a square"),
+        ({"splines": "yes", "square": 0.1}, "splines='yes'"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            SpectralProjection(grid, beam, **given)  # pyright: ignore[reportArgumentType]
     with pytest.raises(BadInput, match="tf32='yes'; expected True"):
         SpectralProjection(grid, beam, tf32="yes")  # pyright: ignore[reportArgumentType]

@@ -40,7 +40,7 @@ from vamgpu.methods.trajectory import LossTrajectory
 from vamgpu.methods.widest import WidestWindow
 from vamgpu.methods.window import ProcessWindow
 from vamgpu.operators.reductions import extent
-from vamgpu.operators.ring_projection import RingProjection
+from vamgpu.operators.ring_projection import RingProjection, are_enough
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.spectral import SpectralProjection
 from vamgpu.targets.limits import Limits
@@ -317,9 +317,10 @@ def _posed_on_voxels(operator: Any, target: Any) -> Any:
     near the axis, which are narrower than a pixel. Any other operator itself."""
     if not isinstance(operator, SpectralProjection):
         return operator
-    rings = operator.grid
-    grid = target.grid if isinstance(target, Target) else rings.box
-    return RingProjection(grid, operator.beam, operator.motion, operator.vessel, operator.device, rings=rings)
+    grid = target.grid if isinstance(target, Target) else operator.grid.box
+    rings = operator.grid if are_enough(operator.grid, grid) else None
+    scene = (operator.beam, operator.motion, operator.vessel, operator.device)
+    return RingProjection(grid, *scene, rings=rings, tf32=operator.tf32)
 
 
 def chosen(method: str | Method | Loss) -> Method:

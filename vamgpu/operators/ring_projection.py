@@ -27,10 +27,13 @@ from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
 from vamgpu.operators.spectral import SpectralProjection, passes
 from vamgpu.operators.traced import WHOLE, SparseEntries
+from vamgpu.schema.quantities import finite
 
 WIDTH = 0.75
 """Width of a ring over that of a voxel. Windows of prints that end within 0.003 at 0.75 after 400 evaluations are lower
 by 0.006 at 0.85. Light finer than voxels, and perfectly sharp light, asks for narrower ones."""
+NARROWEST, WIDEST = 0.1, 2.0
+"""Widths that are taken: narrower rings are many, wider ones miss a tenth of the dose."""
 BEYOND = 2
 """Rings beyond those that voxels take of: where splines end, what light does beyond is felt for as many."""
 FAINT = 3e-4
@@ -46,7 +49,8 @@ class RingProjection(LinearOperator):
     """A `Projection` at even angles in another way: by Fourier transforms over the angles, on rings about the axis.
 
     Takes the place of a `Projection` wherever one is taken, in a vial too, and gives the same dose within 0.002 of the
-    greatest (root mean square; 0.02 anywhere): the mean over voxels about points of rings 0.75 voxels wide, by cubic
+    greatest (root mean square; 0.02 anywhere), of light with a point spread and but for two voxels along the rim of
+    resin that is lit: the mean over voxels about points of rings 0.75 voxels wide, by cubic
     splines through them at the voxels within the cylinder that every angle lights. Voxels beyond it count as unlit. Its
     transpose is exact. Prints are judged by rays of their own, as those of ``direct``. The fields that it works in are
     kept: three on rings, each 1.4 times a volume and more, and three of light; of as many slices at once as keep them
@@ -126,7 +130,9 @@ class RingProjection(LinearOperator):
         why = against_rings(A)
         if why:
             raise BadInput(f"rings do not take {A!r}: {why}; use that operator itself")
-        rings = _rings(A.grid, A.motion.angles, positive("width", width))
+        if not NARROWEST <= positive("width", width) <= WIDEST:
+            raise BadInput(f"got width={width}; expected {NARROWEST} to {WIDEST} of a voxel, such as {WIDTH}")
+        rings = _rings(A.grid, A.motion.angles, width)
         found = cls(A.grid, A.beam, A.motion, A.vessel, A.device, rings=rings, tf32=tf32)
         found.direct = A
         return found
@@ -140,6 +146,7 @@ class RingProjection(LinearOperator):
         Returns:
             The operator.
         """
+        finite("height", height)
         other = copy(self)
         other._transpose = None
         other._rows = RowResampler.of(self.beam, self.grid.shape[2], self.grid.pitch, self.device, height)
@@ -238,6 +245,8 @@ def against_rings(A: Any) -> str:
     Returns:
         The reason; empty where they can.
     """
+    if isinstance(A, RingProjection):
+        return "it is on rings already; RingProjection.of(A.direct, width=…) makes others"
     if not isinstance(A, Projection):
         return f"the light of a {type(A).__name__} is not that of one pose turned, level and past nothing that turns"
     if A.footprint != "exact":
@@ -283,7 +292,7 @@ def _against(grid: Grid, motion: Turntable) -> str:
 
 def _rings(grid: Grid, angles: int, width: float) -> PolarGrid:
     """Rings out to beyond the taps of the outermost voxel that every angle lights."""
-    count = ceil(0.5 * (min(grid.shape[:2]) - 1) / width + TAPS[-1] + 0.5) + BEYOND
+    count = _least(grid, width) + BEYOND
     return PolarGrid(-(-count // ROWS) * ROWS, grid.shape[2], width * grid.pitch, angles, grid.pitch)
 
 
@@ -300,9 +309,39 @@ def _strips(rings: PolarGrid, beam: Beam, device: Device) -> tuple[range, int]:
 
 
 def _fitting(rings: PolarGrid, grid: Grid, motion: Turntable) -> PolarGrid:
-    if (rings.slices, rings.angles) != (grid.shape[2], motion.angles) or abs(rings.slice_pitch / grid.pitch - 1) > 1e-9:
+    if not isinstance(rings, PolarGrid):
+        raise BadInput(f"got {rings!r} as rings; expected a PolarGrid, or None for rings {WIDTH} of a voxel wide")
+    if (rings.slices, rings.angles) != (grid.shape[2], motion.angles):
         raise BadInput(f"got {rings!r} for {grid!r} at {motion}; expected rings of the same angles and slices")
+    if abs(rings.slice_pitch / grid.pitch - 1) > 1e-9:
+        raise BadInput(
+            f"got rings whose slices are {rings.slice_pitch:g} mm high for voxels of {grid.pitch:g} mm; "
+            f"pass height={grid.pitch:g} to PolarGrid"
+        )
+    if not are_enough(rings, grid):
+        raise BadInput(
+            f"got {rings.rings} rings {rings.pitch:g} mm wide, which end before what voxels take of them; "
+            f"expected {_least(grid, rings.pitch / grid.pitch)} or more for {grid!r}, a multiple of {ROWS}"
+        )
     return rings
+
+
+def are_enough(rings: PolarGrid, grid: Grid) -> bool:
+    """Whether rings reach beyond all that the voxels which every angle lights take of them.
+
+    Args:
+        rings: The rings.
+        grid: The voxels.
+
+    Returns:
+        Whether no voxel is left dark for want of rings.
+    """
+    return rings.rings >= _least(grid, rings.pitch / grid.pitch)
+
+
+def _least(grid: Grid, width: float) -> int:
+    """Rings, of a width in voxels, out to the last tap of the outermost voxel that every angle lights."""
+    return ceil(0.5 * (min(grid.shape[:2]) - 1) / width + TAPS[-1] + 0.5)
 
 
 def _interpolated(rings: PolarGrid, grid: Grid, lit_radius: float) -> SparseEntries:

@@ -14,7 +14,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.geometry import FULL_TURN, Beam, Turntable, Vessel
+from vamgpu.geometry import FULL_TURN, Beam, Turntable, Vessel, positive
 from vamgpu.kernels.spectrum import (
     AT_ONCE,
     FACTOR,
@@ -32,6 +32,7 @@ from vamgpu.operators.polar import PolarGrid, ring_table
 from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import PolarSpace, SinogramSpace
+from vamgpu.schema.quantities import finite
 
 MOST = 4
 """_Passes that there may be."""
@@ -56,7 +57,8 @@ class SpectralProjection(LinearOperator):
         faint: Share of the greatest entry of its table up to which those of outermost columns count as none.
         tf32: Let products take eleven bits of each number (TensorFloat-32) where a device has units for that: NVIDIA's
             in OpenCL. Elsewhere it changes nothing.
-        splines: Give coefficients of `vamgpu.operators.ring_splines`, which make the dose between cells, not doses.
+        splines: Give coefficients of `vamgpu.operators.ring_splines`, which are no doses, but make them between cells;
+            with a square alone.
 
     Raises:
         BadInput: An argument is of another kind, or no light reaches a ring.
@@ -81,6 +83,13 @@ class SpectralProjection(LinearOperator):
             raise BadInput(f"got {vessel!r} as vessel; expected a Vial, a Vat, or None for straight light")
         if not isinstance(tf32, bool):
             raise BadInput(f"got tf32={tf32!r}; expected True for products of eleven bits, or False")
+        if square is not None:
+            positive("square", square)
+        if not 0.0 <= finite("faint", faint) < 1.0:
+            raise BadInput(f"got faint={faint}; expected a share of the greatest entry, 0 or more and below 1")
+        if not isinstance(splines, bool) or (splines and square is None):
+            raise BadInput(f"got splines={splines!r}, square={square}; expected splines=True with a square, or False")
+        self.tf32: bool = tf32
         self.grid, self.beam, self.vessel, self.motion = grid, beam, vessel, Turntable(grid.angles)
         self.domain = PolarSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
